@@ -45,13 +45,13 @@ else
 		$(BIN)/pytest -n 0 --timeout 3600 -p no:cacheprovider -v tests/sitl/test_sitl.py
 endif
 
-# Whole teams on simulated computers: stories drawn from seeds, judged from outside; then every planted bug must be
-# found, with the seeds that it took. make simulate FIRST=10000 has others.
+# Whole teams on simulated computers: scenarios drawn from seeds and checked from outside; then the bugs that are planted
+# in them. make simulate FIRST=10000 has other scenarios.
 SEEDS ?= 10000
 FIRST ?= 0
 simulate: $(VENV)/.tested
-	$(BIN)/python -m lfield.simulate --seeds $(SEEDS) --first $(FIRST)
-	LFIELD_PLANTED=yes $(BIN)/pytest -n 0 -s --timeout 3600 -p no:cacheprovider tests/simulate/planted/test_planted.py
+	$(BIN)/python tests/simulate/simulate.py --seeds $(SEEDS) --first $(FIRST)
+	$(BIN)/python tests/planted/catalogue.py --run tests/simulate
 
 # Real processes that are killed, stopped, cut off and out of disk, for so long. Disks that are full are mounted in a
 # namespace of this command's own, where the system allows it.
@@ -62,7 +62,7 @@ chaos: $(VENV)/.tested
 
 # What a refactoring must not change (tests/oracles), written anew: `git diff tests/oracles` shows what did change.
 oracles: $(VENV)/.tested
-	$(BIN)/python -m lfield.simulate --seeds 2000 --outcomes tests/oracles/outcomes.txt
+	$(BIN)/python tests/simulate/simulate.py --seeds 2000 --outcomes tests/oracles/outcomes.txt
 	$(BIN)/pytest -n 0 --every-case --rewrite --ignore tests/oracles/test_outcomes.py tests/oracles
 
 lint: $(VENV)/.tested
@@ -72,7 +72,7 @@ lint: $(VENV)/.tested
 COUNT ?= 1000
 SEED ?= 1
 fuzz: $(VENV)/.tested
-	$(BIN)/python -m lfield.testing.fuzz --count $(COUNT) --seed $(SEED)
+	$(BIN)/python tests/fuzz/fuzz.py --count $(COUNT) --seed $(SEED)
 
 # make fuzz-decoders COUNT=10000 SEED=1 [ONLY=bundle,block]      bytes that others may send, into all that reads them
 fuzz-decoders: $(VENV)/.tested

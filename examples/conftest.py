@@ -1,4 +1,4 @@
-"""The drivers that examples bring count as installed in their tests, as `pip install -e` would have it."""
+"""Installs the drivers of the examples for their tests, as `pip install -e` would."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PROJECTS = sorted(Path(__file__).parent.rglob("pyproject.toml"))
 
 @pytest.fixture(scope="session")
 def projects(tmp_path_factory):
-    """Folders for Python's path: the projects, and what tells of their entry points."""
+    """Folders for Python's path: the projects, and their entry points."""
     site = tmp_path_factory.mktemp("site")
     for file in PROJECTS:
         project = tomllib.loads(file.read_text())["project"]

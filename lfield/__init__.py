@@ -4,4 +4,4 @@ The language L, its compiler, the mobile virtual machine and the runtime that bi
 `lfield/docs/architecture.md` draws the layers.
 """
 
-__version__ = "0.3.0"
+__version__ = "0.4.0"

@@ -21,7 +21,7 @@ def main() -> int:
 
         return command()
     except KeyboardInterrupt:
-        from lfield.exits import INTERRUPTED
+        from lfield.exit_status import INTERRUPTED
 
         return INTERRUPTED
     finally:

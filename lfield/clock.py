@@ -1,49 +1,46 @@
-"""Time as a parameter: nothing in lfield reads a clock it was not given."""
+"""Injected clocks: lfield reads time only through a `Clock` parameter."""
 
 from __future__ import annotations
 
 import time
+from functools import partial
 from typing import Protocol
 
 
 class Clock(Protocol):
-    """What the runtime and the drivers know of time, in seconds."""
+    """A source of monotonic and wall-clock time, in seconds."""
 
     def monotonic(self) -> float:
-        """Seconds on a clock that never goes back; only differences mean anything. Suspended ones count."""
+        """Monotonic seconds from an arbitrary origin, suspended time included."""
 
     def time(self) -> float:
-        """Seconds since 1970-01-01 UTC, as the wall clock has it."""
+        """Wall-clock seconds since 1970-01-01 UTC."""
 
 
 class SystemClock:
-    """The machine's own clocks."""
+    """The clocks of the operating system."""
 
-    def monotonic(self) -> float:
-        """Seconds since the computer was started, those in which it was suspended included."""
-        return time.clock_gettime(time.CLOCK_BOOTTIME)
-
-    def time(self) -> float:
-        """`time.time()`."""
-        return time.time()
+    #: Seconds since boot, suspended time included.
+    monotonic = staticmethod(partial(time.clock_gettime, time.CLOCK_BOOTTIME))
+    time = staticmethod(time.time)
 
 
 class ManualClock:
-    """A clock that stands still until it is told to move: for tests and simulations."""
+    """A clock that is set by its owner, for tests and simulations."""
 
     def __init__(self, start: float = 1000.0) -> None:
         self.now = start
 
     def monotonic(self) -> float:
-        """The time that was set."""
+        """The monotonic time that was set."""
         return self.now
 
     def time(self) -> float:
-        """The time that was set."""
+        """The wall-clock time that was set."""
         return self.now
 
     def advance(self, seconds: float) -> None:
-        """Move on; `seconds` must not be negative."""
+        """Advance by `seconds`, which must not be negative."""
         if seconds < 0:
             raise ValueError("a clock does not go back")
         self.now += seconds

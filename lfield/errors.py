@@ -1,79 +1,66 @@
-"""Every exception lfield raises on purpose.
+"""The exceptions of lfield, one tree: each class has a stable `code`, and the exit status of a command.
 
-    LfieldError
-    ├── UsageError                the command line was wrong                                  64
-    │   └── NoHome                a user without a home, where a folder in it is needed       64
-    ├── ProgramError              an L program, deployment or access file has errors         65
-    ├── BindingError              a devices file is wrong, or a device is missing             65
-    │   └── DevicesError          devices that cannot be opened: no library, port or answer   69
-    ├── ConstraintError           a condition over attributes that cannot be judged           65
-    ├── ProgramFileError          not a program file, or one the verifier refused             65
-    ├── BundleError               not a bundle, or one of another version                     65
-    ├── KeysError                 keys, a certificate or a list that cannot be used           65
-    │   └── SignatureError        a bundle that nobody has signed who may, or that was changed 65
-    ├── BlockError                bytes that are not a sound block of this program            65
-    ├── InputFileError            a file cannot be read                                       66
-    ├── OutputFileError           a file cannot be written (full disk, no permission)         73
-    ├── JournalError              a journal that cannot be written (full or broken disk)      73
-    │   ├── JournalInUse          a journal that another process keeps                        69
-    │   └── ForeignJournal        one of a newer version, another mission or computer         65
-    ├── WireError                 bytes from a peer that break the protocol                   76
-    ├── GreetingError             a peer that must not be talked to                           76
-    ├── AddressError              a port in use, an address that is not ours                  69
-    │   └── NobodyListens         an address where no program listens                         69
-    ├── MissionTestError          a test of a mission asks for what there is not               64
-    │   ├── DoubleError           a double that does not fit its mission                       65
-    │   ├── RealEndpoint          a test of a mission touches what is real                     64
-    │   └── Stuck                 what a test of a mission waits for does not come             64
-    ├── NothingRuns               no mission that a command could be about                    69
-    ├── CoordinatorAlive          a coordinator that is alive, or may be, and must not be     69
-    ├── HostFailure               a bug in lfield that ended a host                           70
-    └── PluginError               a driver is unknown, broken or lacks its vendor library     69
-        └── DeviceError           a device refused, failed or went away
-            └── NotSetUp          a device keeps settings that are not those its binding needs
-
-The number is the exit status a command ends with when the exception reaches it (exits.py).
-Data is kept in attributes; `str()` is one sentence that says what is wrong and what to do.
+`lfield/docs/messages.md` lists the codes with their meaning and remedy; it is generated from this file. Data
+is kept in attributes; `str()` is one sentence: what is wrong, and what to do.
 """
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from lfield import exits
+from lfield import exit_status
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
-class Finding(Protocol):
-    """One thing found in a text, which can show itself with its place (text/source.py: Diagnostic)."""
+class ReportableFinding(Protocol):
+    """A finding with its position in a file (text/source_text.py: Diagnostic)."""
 
     @property
     def severity(self) -> str:
-        """`error`, `warning`, or `note`, which is neither."""
+        """`error`, `warning` or `note`."""
 
     def render(self) -> str:
-        """The finding for a reader, in several lines without the last newline."""
+        """The finding as lines of text, without the last newline."""
 
     def as_data(self) -> dict[str, object]:
-        """The finding for a program, as data that JSON can hold."""
+        """The finding as JSON data."""
 
 
 class LfieldError(Exception):
-    """Root of the tree; `exit_status` is what a command returns when nobody handles it."""
+    """A bug in lfield; also the root of the tree. `exit_status` is that of a command which it ends."""
 
-    exit_status = exits.SOFTWARE
+    exit_status = exit_status.SOFTWARE
+    code, remedy = "bug", "run again with LFIELD_TRACEBACK=1 and report what it prints"
+
+    def as_data(self) -> dict[str, object]:
+        """The error as JSON data."""
+        return {"error": str(self), "code": self.code}
+
+
+class SystemRefusal(LfieldError):
+    """The operating system refused a call: too many open files, a deleted working directory, a full disk."""
+
+    code, remedy = "operating-system", "see the message"
+
+    def __init__(self, status: int, reason: str) -> None:
+        self.exit_status = status
+        super().__init__(reason)
 
 
 class UsageError(LfieldError):
-    """A command line that makes no sense; the message says how to write it."""
+    """The command line is invalid."""
 
-    exit_status = exits.USAGE
+    exit_status = exit_status.USAGE
+    code, remedy = "usage", "lfield COMMAND --help"
 
 
-class NoHome(UsageError):
-    """A folder of the user's own is needed, and nothing says where it is; `variable` could."""
+class NoHomeFolder(UsageError):
+    """The user has no home directory, and a file there is needed; `variable` can name a directory."""
+
+    code, remedy = "no-home-directory", "set HOME, or the variable in the message, to an absolute path"
 
     def __init__(self, variable: str) -> None:
         self.variable = variable
@@ -83,54 +70,58 @@ class NoHome(UsageError):
 
 
 class ProgramError(LfieldError):
-    """An L program, a deployment, a registry or an access file with errors: all of them, in source order."""
+    """An L program, a deployment, a registry or an access file has errors: `diagnostics`, in source order."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "program-errors", "correct each diagnostic; the code of each is in the second table"
 
-    def __init__(self, diagnostics: Sequence[Finding]) -> None:
+    def __init__(self, diagnostics: Sequence[ReportableFinding]) -> None:
         self.diagnostics = tuple(diagnostics)
         count = len(self.diagnostics)
         super().__init__(f"{count} error{'s' if count != 1 else ''}")
 
 
 class BindingError(LfieldError):
-    """A devices file that cannot be used; `problems` lists everything found wrong, a sentence each.
+    """A devices file is invalid; `problems` has a sentence for each mistake.
 
-    `findings` are those of them that have a place in a text, the first ones in the same order.
-    `cure` is one about what to do, for all of them, or ''.
+    `findings` are those with a position in a file, in the order of the first `problems`. `cure` is a sentence
+    about what to do, or ''.
     """
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "bindings", "correct the devices file; `lfield check MISSION` reports the same"
     cure = ""
 
-    def __init__(self, problems: Sequence[str], findings: Sequence[Finding] = ()) -> None:
+    def __init__(self, problems: Sequence[str], findings: Sequence[ReportableFinding] = ()) -> None:
         self.problems, self.findings = tuple(problems), tuple(findings)
         super().__init__("; ".join(self.problems))
 
 
 class DevicesError(BindingError):
-    """Devices that are bound well and cannot be opened now; `problems` lists all of them.
+    """The bindings are valid, and devices cannot be opened: no library, port or answer.
 
-    `not_set_up` are those of the problems that `lfield setup` would solve.
+    `not_set_up` are those of the `problems` that `lfield setup` solves.
     """
 
-    exit_status = exits.UNAVAILABLE
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "devices-unavailable", "`lfield doctor MISSION` diagnoses ports, permissions and devices"
 
     def __init__(self, problems: Sequence[str], not_set_up: Sequence[str] = ()) -> None:
         self.not_set_up = frozenset(not_set_up)
         super().__init__(problems)
 
     def cured_by(self, command: str) -> DevicesError:
-        """The same, with the command that sets up what is not."""
+        """This error with the command that sets up the devices in `not_set_up`."""
         cured = DevicesError(self.problems, tuple(self.not_set_up))
-        cured.cure = f"this sets it up: {command}" if self.not_set_up else ""
+        cured.cure = f"to set it up: {command}" if self.not_set_up else ""
         return cured
 
 
 class ConstraintError(LfieldError):
-    """A condition over attributes with mistakes; `problems` lists everything found wrong, a sentence each."""
+    """A condition over attributes is invalid; `problems` has a sentence for each mistake."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "condition", "correct the condition"
 
     def __init__(self, text: str, problems: Sequence[str]) -> None:
         self.text, self.problems = text, tuple(problems)
@@ -138,9 +129,10 @@ class ConstraintError(LfieldError):
 
 
 class ProgramFileError(LfieldError):
-    """A program file that is damaged, of another version, or refused by the verifier."""
+    """A compiled program is damaged, has another format version, or is refused by the verifier."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "program-file", "build it again with `lfield build`"
 
     def __init__(self, reason: str, *, method: str = "", pc: int | None = None) -> None:
         self.reason, self.method, self.pc = reason, method, pc
@@ -149,9 +141,10 @@ class ProgramFileError(LfieldError):
 
 
 class BundleError(LfieldError):
-    """A mission in one file that is damaged, of another version, or makes no sense."""
+    """A bundle is damaged, has another format version, or is inconsistent."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "bundle", "build it again with `lfield build`"
 
     def __init__(
         self, reason: str, advice: str = "build it again with 'lfield build'", *, file: str = ""
@@ -160,24 +153,28 @@ class BundleError(LfieldError):
         super().__init__(f"{file or 'this'} is not a sound bundle: {reason}; {advice}")
 
     def of(self, file: object) -> BundleError:
-        """The same, of a file."""
+        """This error with the name of the file."""
         return BundleError(self.reason, self.advice, file=str(file))
 
 
 class KeysError(LfieldError):
-    """A key, a certificate or a revocation list that cannot be used; the message says what to do."""
+    """A key, a certificate or a certificate revocation list cannot be used."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "keys", "`lfield keys show` prints the state of your keys"
 
 
 class SignatureError(KeysError):
-    """A bundle without a signature, or with one that does not fit it, or of somebody who may not sign."""
+    """A bundle is not signed, its signature is invalid, or its signer has no permission to sign."""
+
+    code, remedy = "signature", "sign the bundle with `lfield sign` and keys that may sign"
 
 
 class BlockError(LfieldError):
-    """Bytes that are not a sound block: wrong magic, wrong program, or a reference that leads nowhere."""
+    """The block of an agent is damaged or belongs to another program."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "block", "none: the sender or the file is damaged; keep it and report it"
 
     def __init__(self, reason: str, *, word: int | None = None) -> None:
         self.reason, self.word = reason, word
@@ -185,9 +182,10 @@ class BlockError(LfieldError):
 
 
 class InputFileError(LfieldError):
-    """A file that cannot be read."""
+    """A file cannot be read."""
 
-    exit_status = exits.NO_INPUT
+    exit_status = exit_status.NO_INPUT
+    code, remedy = "file-not-readable", "correct the path or its permissions"
 
     def __init__(self, path: str, reason: str) -> None:
         self.path, self.reason = path, reason
@@ -195,15 +193,17 @@ class InputFileError(LfieldError):
 
 
 class DamagedFileError(InputFileError):
-    """A file that can be read and is not what it should be."""
+    """A file can be read, and its contents are damaged or of another kind."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "file-damaged", "name the right file, or restore it"
 
 
 class OutputFileError(LfieldError):
-    """A file or stream that cannot be written."""
+    """A file or stream cannot be written."""
 
-    exit_status = exits.NO_OUTPUT
+    exit_status = exit_status.NO_OUTPUT
+    code, remedy = "file-not-writable", "free disk space, or correct the path or its permissions"
 
     def __init__(self, path: str, reason: str) -> None:
         self.path, self.reason = path, reason
@@ -211,9 +211,10 @@ class OutputFileError(LfieldError):
 
 
 class JournalError(LfieldError):
-    """A journal that cannot be opened or kept: `path` says which, `reason` why, `advice` what to do."""
+    """A journal cannot be opened or written: `path`, `reason`, and `advice` on what to do."""
 
-    exit_status = exits.NO_OUTPUT
+    exit_status = exit_status.NO_OUTPUT
+    code, remedy = "journal", "check the disk; `lfield inspect JOURNAL` prints what can be read"
 
     def __init__(self, path: str, reason: str, advice: str = "") -> None:
         self.path, self.reason, self.advice = path, reason, advice
@@ -221,74 +222,86 @@ class JournalError(LfieldError):
 
 
 class JournalInUse(JournalError):
-    """A journal that another process keeps; `process` is its number, 0 when it is not known."""
+    """Another process has the journal open; `process` is its id, 0 when that is unknown."""
 
-    exit_status = exits.UNAVAILABLE
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "journal-in-use", "stop that process, or name another directory with --state"
 
     def __init__(self, path: str, process: int) -> None:
         self.process = process
         who = f"process {process}" if process else "another process"
-        super().__init__(path, f"{who} keeps it", "a host runs once: end that one, or name another --state")
+        super().__init__(path, f"{who} has it open", "stop that process, or name another --state")
 
 
 class ForeignJournal(JournalError):
-    """A journal that is sound and not ours to use: of a newer version, another deployment or computer."""
+    """The journal belongs to another deployment or computer, or has a newer format version."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "journal-foreign", "name another directory with --state, or install the newer version"
 
 
 class WireError(LfieldError):
-    """Bytes from a peer that break the protocol; the link they came on is closed."""
+    """A peer violated the protocol between hosts; its link is closed."""
 
-    exit_status = exits.PROTOCOL
-
-
-class GreetingError(LfieldError):
-    """A peer of another protocol, program, deployment or name; the message says which."""
-
-    exit_status = exits.PROTOCOL
+    exit_status = exit_status.PROTOCOL
+    code, remedy = "protocol", "run the same version of lfield on all hosts"
 
 
-class OverBudget(WireError):
-    """A member of the team whose messages take more processing time than its budget.
+class HandshakeError(LfieldError):
+    """A peer has another protocol version, program, deployment or name, or is not a member of the team."""
 
-    `ration` is its part of one processor; `closes` says that its link is closed, `seconds` over budget.
+    exit_status = exit_status.PROTOCOL
+    code, remedy = "handshake", "start all hosts with the same bundle, and check their addresses and keys"
+
+
+class CpuBudgetExceeded(WireError):
+    """The messages of a member of the team take more processing time than its budget.
+
+    `share` is its part of one processor; `closes` says that its link is closed after `seconds` over budget.
     """
 
-    def __init__(self, ration: float, seconds: float, *, closes: bool) -> None:
-        self.ration, self.seconds, self.closes = ration, seconds, closes
+    code, remedy = "cpu-budget", "find out why that host sends so much; restart it"
+
+    def __init__(self, share: float, seconds: float, *, closes: bool) -> None:
+        self.share, self.seconds, self.closes = share, seconds, closes
         for_so_long = f" for {seconds:g} s" if closes else ""
         super().__init__(
-            f"its messages have taken more than {ration:.0%} of this computer's processor{for_so_long}, and "
-            "more are waiting"
+            f"its messages took more than {share:.0%} of this computer's processor{for_so_long}, and more "
+            "are queued"
         )
 
 
 class AddressError(LfieldError):
-    """An address that cannot be listened on or reached."""
+    """An address cannot be bound or reached."""
 
-    exit_status = exits.UNAVAILABLE
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "address", "correct the address, or name it with --map HOST=ADDR:PORT"
 
     def __init__(self, address: str, reason: str) -> None:
         self.address, self.reason = address, reason
         super().__init__(f"cannot use {address}: {reason}")
 
 
-class NobodyListens(AddressError):
-    """An address at which no program listens: whoever did has ended, or was never there."""
+class NoListener(AddressError):
+    """No program listens at the address."""
+
+    code, remedy = "no-listener", "start the host, or correct its address"
 
     def __init__(self, address: str) -> None:
-        super().__init__(address, "nobody listens there; is its host up?")
+        super().__init__(address, "no program listens there; is its host running?")
 
 
 class MissionTestError(LfieldError):
-    """A test of a mission asks for what there is not, or does what a test may not."""
+    """A mission test asks for something that does not exist, or does something that a test must not do."""
 
-    exit_status = exits.USAGE
+    exit_status = exit_status.USAGE
+    code, remedy = "mission-test", "correct the test"
 
 
 class Stuck(MissionTestError):
-    """What a test waits for does not come: `standing` says where every agent stands and what it waits for."""
+    """A mission test waits for something that cannot happen; `standing` has the position of every agent."""
+
+    code, remedy = "mission-test-stuck", "correct the program or the test"
 
     def __init__(self, waited: str, standing: Sequence[str]) -> None:
         self.standing = standing
@@ -296,67 +309,75 @@ class Stuck(MissionTestError):
 
 
 class RealEndpoint(MissionTestError):
-    """Something under test wanted to use this computer's network, ports or devices."""
+    """Code under test tried to use a network, port or device of this computer."""
+
+    code, remedy = "mission-test-real-device", "give the device a fake, or its agent a double"
 
     def __init__(self, what: str) -> None:
         self.what = what
         super().__init__(
-            f"a test of a mission touches nothing real, and {what}: "
+            f"a mission test must not use real networks, ports or devices: {what}: "
             "give the device a fake, or its agent a double"
         )
 
 
 class DoubleError(MissionTestError):
-    """A double, which answers for a resource in the test of a mission, that does not fit the mission."""
+    """A test double of a resource does not fit the mission."""
 
-    exit_status = exits.DATA
+    exit_status = exit_status.DATA
+    code, remedy = "mission-test-double", "give the double the portals of its resource"
 
 
-class NothingRuns(LfieldError):
-    """No mission runs that a command could be about; the message says where was looked."""
+class NoMissionRunning(LfieldError):
+    """No mission is running that the command could be about."""
 
-    exit_status = exits.UNAVAILABLE
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "no-mission-running", "start it with `lfield up`, or name the mission or the run"
 
 
 class CoordinatorAlive(LfieldError):
-    """A coordinator that is alive, or may be, where that stands in the way; the message says where."""
+    """The coordinator is alive, or may be, and the command needs it to be gone."""
 
-    exit_status = exits.UNAVAILABLE
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "coordinator-alive", "wait for it, or stop its host first"
 
 
 class HostFailure(LfieldError):
-    """A bug in lfield, or want of memory, that ended a host: `cause` was raised, its traceback with it."""
+    """A bug in lfield, or lack of memory, stopped a host; `cause` is the exception."""
+
+    code, remedy = "host-failure", "run again with LFIELD_TRACEBACK=1 and report what it prints"
 
     def __init__(self, host: str, cause: BaseException) -> None:
         self.host, self.cause = host, cause
         if isinstance(cause, MemoryError):
-            super().__init__(f"{host} ends because there is no memory left; its devices are made safe")
-            return
-        frames = cause.__traceback__
-        while frames is not None and frames.tb_next is not None:
-            frames = frames.tb_next
-        where = ""
-        if frames is not None:
-            where = f" at {frames.tb_frame.f_code.co_filename.rpartition('/')[2]}:{frames.tb_lineno}"
-        super().__init__(
-            f"{host} ends because of a bug in lfield itself: {type(cause).__name__}: {cause}{where}; "
-            "its devices are made safe"
-        )
+            self.reason = "out of memory; its devices go to their safe states"
+        else:
+            import traceback  # seldom needed, and every command starts faster without it
+
+            frames = traceback.extract_tb(cause.__traceback__)
+            where = f" at {Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else ""
+            self.reason = (
+                f"bug in lfield: {type(cause).__name__}: {cause}{where}; its devices go to their safe states"
+            )
+        super().__init__(f"{host} stopped: {self.reason}")
 
 
-class NoEngine(LfieldError):
-    """Why wasmtime, which is installed, runs nothing here; the reference engine does."""
+class EngineUnavailable(LfieldError):
+    """wasmtime is installed and cannot be used; the reference engine runs the program."""
+
+    code, remedy = "engine-unavailable", "see the message; programs run slower until then"
 
     def __init__(self, cause: BaseException) -> None:
         self.cause = cause
-        why = str(cause).partition("\n")[0] or "there is not memory enough"
+        why = str(cause).partition("\n")[0] or "not enough memory"
         super().__init__(f"wasmtime cannot be used: {why}")
 
 
 class PluginError(LfieldError):
-    """A driver plugin that is unknown, broken, or lacks its vendor library."""
+    """A driver is unknown or broken, or the library of its vendor is missing."""
 
-    exit_status = exits.UNAVAILABLE
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "driver", "install the driver; `lfield driver list` prints the installed ones"
 
 
 class DeviceError(PluginError):
@@ -366,10 +387,14 @@ class DeviceError(PluginError):
     `DeviceTimeoutException` or `CancelledException`), `reason` the device's own words.
     """
 
+    code, remedy = "device", "see the message; `lfield doctor MISSION` diagnoses devices"
+
     def __init__(self, device: str, reason: str, *, kind: str = "DeviceException") -> None:
         self.device, self.reason, self.kind = device, reason, kind
         super().__init__(f"{device}: {reason}")
 
 
-class NotSetUp(DeviceError):
-    """A device keeps settings that are not those its binding needs; the reason names each of them."""
+class DeviceNotSetUp(DeviceError):
+    """Parameters of a device differ from those that its binding requires; the reason names each."""
+
+    code, remedy = "device-not-set-up", "`lfield setup MISSION` writes them"

@@ -12,20 +12,29 @@ from collections.abc import Callable, Iterator
 from types import FrameType
 from typing import Any
 
+import parametrized_cases
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, is_hypothesis_test, settings
+from hypothesis.internal.conjecture import providers
 from xdist.remote import Producer
 from xdist.scheduler import LoadFileScheduling
 from xdist.workermanage import WorkerController
 
 settings.register_profile("any computer", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("any computer")
+#: Hypothesis would read all modules of ours for constants: seconds of each worker, and examples depend on
+#: which modules the tests before have imported, also those of a test that shall repeat itself (derandomize).
+assert hasattr(providers, "is_local_module_file")
+providers.is_local_module_file = lambda path: False
+#: The part of its examples that a run without `--every-case` makes for each property, and the least.
+_EXAMPLES, _LEAST_EXAMPLES = 0.3, 12
 
-#: What tests build is kept for this run only, and found in no other.
-_CACHE = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_errors=True)
-os.environ["XDG_CACHE_HOME"] = _CACHE.name
-#: Nor is what hosts keep of their starts.
-os.environ["XDG_STATE_HOME"] = os.path.join(_CACHE.name, "state")
+#: What tests build is kept for this run only, and found in no other. Its workers share it.
+_OWN = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_errors=True)
+if "PYTEST_XDIST_WORKER" not in os.environ:
+    os.environ["XDG_CACHE_HOME"] = os.path.join(_OWN.name, "cache")
+#: Nor is what hosts keep of their starts, which each worker has for itself.
+os.environ["XDG_STATE_HOME"] = os.path.join(_OWN.name, "state")
 #: Nor do the commands of tests find, or stop, what else runs on this computer.
 os.environ["LFIELD_RUNS"] = "here"
 #: What Python compiles is kept, whatever the environment wants: a run starts a thousand interpreters.
@@ -39,16 +48,16 @@ WAITING = (
     "tests/cli/run/test_thesis_and_examples.py",
     "tests/cli/run/test_up_",
     "tests/cli/stops/",
-    "tests/cli/team/test_estop.py",
+    "tests/cli/operations/test_estop.py",
     "tests/mavlink/client/",
 )
 
 
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """Three workers for each core, since many tests wait for processes; none for a few files or one test."""
+    """Two workers for each core, since many tests wait for processes; none for a few files or one test."""
     if config.option.keyword or any(word.partition("::")[0].endswith(".py") for word in config.args):
         return 0
-    return 3 * len(os.sched_getaffinity(0))
+    return 2 * len(os.sched_getaffinity(0))
 
 
 class Dealing(LoadFileScheduling):
@@ -121,38 +130,47 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--rewrite", action="store_true", help="write the golden files of tests/oracles anew")
 
 
-def chosen(cases: list[pytest.Function], count: int) -> list[pytest.Function]:
-    """So many cases of one test, in which as many values of each parameter occur as can; always the same."""
-    left = sorted(cases, key=lambda case: zlib.crc32(case.nodeid.encode()))
-    seen: set[tuple[str, int]] = set()
-    found: list[pytest.Function] = []
-    while left and len(found) < count:
-        new = [len(case.callspec.indices.items() - seen) for case in left]
-        found.append(left.pop(new.index(max(new))))
-        seen |= found[-1].callspec.indices.items()
-    return found
+def _named(config: pytest.Config) -> bool:
+    """Whether the command names tests: then they run as they are named, each case alone."""
+    return bool(config.option.keyword) or any("::" in word for word in config.args)
 
 
-def left_out(items: list[pytest.Item]) -> set[pytest.Item]:
-    """The cases that only `--every-case` takes."""
-    tests: dict[str, list[pytest.Function]] = {}
-    for item in items:
-        if isinstance(item, pytest.Function) and item.get_closest_marker("few"):
-            tests.setdefault(item.nodeid.partition("[")[0], []).append(item)
-    out: set[pytest.Item] = set()
-    for cases in tests.values():
-        marker = cases[0].get_closest_marker("few")
-        assert marker
-        out |= {*cases} - {*chosen(cases, *marker.args)}
-    return out
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> Iterator[None]:
+    """Take a sample of the cases, and check in one item what needs no fixture of its own."""
+    yield
+    if not (metafunc.config.option.every_case or _named(metafunc.config)):
+        parametrized_cases.take_sample(metafunc)
+        parametrized_cases.merge(metafunc)
+
+
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Check all cases of an item that has several."""
+    merged = getattr(pyfuncitem, "callspec", None)
+    if not isinstance(merged, parametrized_cases.MergedCases):
+        return None
+    parametrized_cases.check_all(pyfuncitem, merged)
+    return True
+
+
+def _make_fewer_examples(function: Any) -> None:
+    """Of a property that hypothesis tests with random examples; other runs make others."""
+    made = getattr(function, "_hypothesis_internal_use_settings", None) or settings.default
+    least = min(_LEAST_EXAMPLES, made.max_examples)
+    reduced = settings(made, max_examples=max(least, int(_EXAMPLES * made.max_examples)))
+    function._hypothesis_internal_use_settings = reduced
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Workers begin with long files, and mix the others: who computes fills the time of those who wait."""
-    if not (config.option.every_case or config.option.keyword or any("::" in word for word in config.args)):
-        out = left_out(items)
+    if not (config.option.every_case or _named(config)):
+        # Of a test with parameters the sample has been taken.
+        out = {item for item in items if any(mark.args == (0,) for mark in item.iter_markers("few"))}
         config.hook.pytest_deselected(items=[item for item in items if item in out])
         items[:] = [item for item in items if item not in out]
+        functions = {item.function for item in items if isinstance(item, pytest.Function)}
+        for function in filter(is_hypothesis_test, functions):
+            _make_fewer_examples(function)
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     long = {item.path for item in items if item.get_closest_marker("long")}

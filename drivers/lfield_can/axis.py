@@ -1,4 +1,4 @@
-"""CanAxis: one axis of any protocol, heard, set up and made safe; what must hold before each instruction."""
+"""CanAxis: one axis of any protocol. Monitors it, sets it up, makes it safe, and checks instructions."""
 
 from __future__ import annotations
 
@@ -7,26 +7,27 @@ import math
 from contextlib import suppress
 
 from lfield.driver import Clock, Device, DeviceBinding, DeviceError, Manifest, Reports
-from lfield_can.bus.bus import Bus
+from lfield_can import log_messages
+from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame
-from lfield_can.protocols import PROTOCOLS, Wiring
-from lfield_can.timing import News, Sync
+from lfield_can.protocols import PROTOCOLS, ProtocolContext
+from lfield_can.timing import ChangeNotifier, Sync
 
-#: Seconds between two looks at a device that says nothing.
-LOOK = 0.1
-#: Seconds between two calls to a device that has not been heard yet.
-CALL = 0.3
+#: Seconds between two checks of a silent device.
+WATCH_INTERVAL = 0.1
+#: Seconds between two requests to a device before its first message.
+PROBE_INTERVAL = 0.3
 #: Seconds between two polls.
-POLL = 1.0
-#: Seconds until the command of a safe state is sent again, and until the guard is told that it failed.
-SAFE_AGAIN, SAFE_BY = 0.2, 5.0
+POLL_INTERVAL = 1.0
+#: Seconds until the command of a safe state is repeated, and until it has failed.
+SAFE_REPEAT, SAFE_TIMEOUT = 0.2, 5.0
 #: Seconds for an axis to slow down by its profile.
-HALTS_BY = 10.0
-#: Seconds without coming closer after which a travel has failed, and what counts as closer, in rad.
-STUCK, CLOSER = 3.0, 1e-4
-#: A position that has been rounded may be beyond its bound by so much, in rad.
+HALT_TIMEOUT = 10.0
+#: Seconds without progress after which a move has failed, and the least progress in rad.
+STUCK_TIME, MIN_PROGRESS = 3.0, 1e-4
+#: Rounding tolerance of a position bound in rad.
 ROUNDING_POSITION = 1e-9
-#: A value that has been rounded may be beyond its limit by so much, relatively.
+#: Relative rounding tolerance of a limit.
 ROUNDING = 1.0 + 1e-9
 
 
@@ -43,33 +44,33 @@ class CanAxis(Device):
         sync: Sync,
     ) -> None:
         super().__init__(binding, manifest, clock, reports)
-        self._news = News(clock)
-        wiring = Wiring(binding, bus, sync, clock, self._news, self.note, self.error)
+        self._changes = ChangeNotifier(clock)
+        wiring = ProtocolContext(binding, bus, sync, clock, self._changes, self.note, self.error)
         self.protocol = PROTOCOLS[binding.option("protocol")](wiring)
         self._overheard = self.protocol.overheard()
         self.malformed = 0
-        self._heard_at: float | None = None
+        self._last_contact: float | None = None
         self._last_velocity: float | None = None
         self._lost = self._quiet = self._found = self._opened = False
         self._polled = 0.0
-        self._conflict_told = ""
+        self._reported_conflict = ""
 
-    # -- frames and signs of life -----------------------------------------------------------------------
+    # -- frames and contact -----------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Read its files. Raises DeviceError."""
+        """Reads its files. Raises DeviceError."""
         self.protocol.prepare()
 
     def listens(self) -> frozenset[int]:
-        """The keys of the frames that it wants."""
+        """The keys of the frames that it receives."""
         return self.protocol.ids() | self._overheard
 
     def commands(self) -> frozenset[int]:
-        """The keys that nobody else on the bus may command."""
+        """The keys of frames that must have a single sender on the bus."""
         return self.protocol.ids()
 
     def on_frame(self, frame: Frame) -> None:
-        """A frame of this device; one that makes no sense is counted and dropped."""
+        """A frame of this device; an invalid one is counted and dropped."""
         if frame.id in self._overheard:
             self.protocol.on_overheard(frame)
             return
@@ -77,15 +78,15 @@ class CanAxis(Device):
         if values is None:
             self.malformed += 1
             return
-        self._heard_at = self.clock.monotonic()
+        self._last_contact = self.clock.monotonic()
         self._last_velocity = self.protocol.state.velocity
         self.heard()
         if values:
             self.publish(**values)
-        self._news.tell()
+        self._changes.notify()
 
     def quiet(self, on: bool) -> None:
-        """Nothing that feeds the device's watchdog from now on (False: again)."""
+        """Stops everything that feeds the device's watchdog (False: starts it again)."""
         self._quiet = on
         self.protocol.quiet(on)
 
@@ -94,68 +95,69 @@ class CanAxis(Device):
         self.protocol.close()
 
     async def watch(self) -> None:
-        """Tell when the device is lost and found; bring it back standing still; poll it."""
+        """Logs loss and recovery of the device, stops it after a recovery, and polls it."""
         told = ""
         while True:
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(WATCH_INTERVAL)
             if not self._opened:
                 continue
             try:
-                await self._look()
+                await self._check_presence()
                 told = ""
             except DeviceError as error:
                 if error.reason != told:
-                    self.note(f"{error.reason}; trying again")
+                    self.note(log_messages.SETUP_FAILED.line(reason=error.reason))
                 told = error.reason
-                await asyncio.sleep(POLL)
+                await asyncio.sleep(POLL_INTERVAL)
 
-    async def _look(self) -> None:
+    async def _check_presence(self) -> None:
         silent = self._silence() > self.protocol.silence
         self.publish(online=not silent)
         if silent != self._lost:
             self._lost = silent
-            self.note("it is not heard any more" if silent else "heard again")
+            self.note((log_messages.SILENT if silent else log_messages.RESPONDING).line())
             if silent:
-                self.protocol.silent()
+                self.protocol.on_silence()
                 self.publish(enabled=False, state=self.protocol.state.state)
-                self._news.tell()
+                self._changes.notify()
             else:
-                # Nobody knows what it did meanwhile: it comes back standing.
+                # Its motion meanwhile is unknown: stop it.
                 await self.make_safe()
-        await self._look_at_conflict()
+        await self._check_id_conflict()
         if self.protocol.state.enabled and self._runs_out:
-            self.note("it was leaving its bounds and is stopped")
+            self.note(log_messages.LEAVING_BOUNDS.line())
             await self._make_safe("brake")
         if silent or self._quiet:
             return
         if self.protocol.needs_setup:
             await self._set_up_again()
-        if self.clock.monotonic() - self._polled >= POLL:
+        if self.clock.monotonic() - self._polled >= POLL_INTERVAL:
             self._polled = self.clock.monotonic()
             self.publish(**await self.protocol.poll())
 
     async def _set_up_again(self) -> None:
-        """After a restart. It may be in motion all the same: another device with its id has booted, or some
-        other master on the bus has taken it out of operation."""
+        """Sets it up after a restart. It may be moving: another device with its id may have booted, or
+        another master on the bus may have disabled it.
+        """
         with suppress(DeviceError):  # the set-up below reports the cause
             await self.protocol.command_safe(self.safe_state)
         await self.protocol.setup()
         if self.protocol.state.enabled:
             await self._make_safe(self.safe_state)
-        self.note("it had restarted and is set up again, not enabled")
+        self.note(log_messages.SET_UP_AGAIN.line())
 
-    async def _look_at_conflict(self) -> None:
-        """Two devices with one id follow every command: they are told of once, and stopped."""
+    async def _check_id_conflict(self) -> None:
+        """Two devices with one id both follow every command: logged once, and stopped."""
         if self.protocol.needs_setup:
-            return  # the set-up tells of it
-        conflict, told = self.protocol.conflict, self._conflict_told
-        self._conflict_told = conflict
+            return  # the set-up reports it
+        conflict, told = self.protocol.conflict, self._reported_conflict
+        self._reported_conflict = conflict
         if conflict and not told:
-            self.note(f"{conflict}; motion is refused")
+            self.note(log_messages.ID_CONFLICT.line(reason=conflict))
             if self.protocol.state.enabled:
                 await self._make_safe(self.safe_state)
         elif told and not conflict:
-            self.note("one device has its id again")
+            self.note(log_messages.ID_UNIQUE.line())
 
     async def _open(self) -> str:
         await self._find()
@@ -166,23 +168,25 @@ class CanAxis(Device):
         return identity
 
     def _touched(self) -> bool:
-        """It is only called until it is heard; then it is set up."""
+        """Only queried until its first message; then it is set up."""
         return self._found
 
     async def _serial(self) -> str:
         return await self.protocol.serial()
 
     async def _find(self) -> None:
-        """Wait until the device is heard."""
+        """Waits for the first message of the device."""
         patience: float = self.binding.option("connect")
         end = self.clock.monotonic() + patience
         while self.clock.monotonic() < end:
             self.protocol.call()
-            if await self._news.seen(lambda: self._heard_at is not None, min(CALL, patience)):
+            if await self._changes.wait_for(
+                lambda: self._last_contact is not None, min(PROBE_INTERVAL, patience)
+            ):
                 return
         raise self.error(
-            f"nothing heard from node {self.protocol.node} at {self.binding.endpoint} within {patience:g} s; "
-            "check its power, the wires and terminators, the bit rate, and its id in the bindings",
+            f"no message from node {self.protocol.node} at {self.binding.endpoint} within {patience:g} s; "
+            "check its power, wires and terminators, the bit rate, and the id in its binding",
             timeout=True,
         )
 
@@ -191,41 +195,43 @@ class CanAxis(Device):
 
     async def _make_safe(self, state: str) -> None:
         begun = self.clock.monotonic()
-        # What it told before says nothing of what it does now.
+        # An earlier velocity may be outdated.
         self.protocol.state.velocity = None
 
         def is_safe() -> bool:
-            heard = self._heard_at is not None and self._heard_at > begun
+            heard = self._last_contact is not None and self._last_contact > begun
             return heard and self.protocol.is_safe(state, self._still)
 
         while True:
             await self.protocol.command_safe(state)
-            if await self._news.seen(is_safe, SAFE_AGAIN):
-                # Its speed may come in a frame of its own; `_moving` tells it.
-                await self._news.seen(lambda: self.protocol.state.velocity is not None, SAFE_AGAIN)
+            if await self._changes.wait_for(is_safe, SAFE_REPEAT):
+                # Its velocity may come in a separate frame; `_moving` uses it.
+                await self._changes.wait_for(lambda: self.protocol.state.velocity is not None, SAFE_REPEAT)
                 if self.protocol.state.velocity is not None:
-                    # It may have been asked for, and then nobody has heard of it yet.
+                    # It was requested, but not published yet.
                     self.publish(velocity=self.protocol.state.velocity)
                 return
-            if self.clock.monotonic() >= begun + SAFE_BY or self._silence() > self.protocol.silence:
+            if self.clock.monotonic() >= begun + SAFE_TIMEOUT or self._silence() > self.protocol.silence:
                 break
-        self._check_heard()
-        raise self.error(f"it does not show the safe state {state} ({self._told()})")
+        self._check_contact()
+        raise self.error(f"the safe state {state} is not confirmed ({self._state_text()})")
 
     def _moving(self) -> str:
         silence, velocity = self._silence(), self._last_velocity
-        known = "its speed is not known" if velocity is None else f"turning at {abs(velocity):.2g} rad/s"
+        known = "its speed is unknown" if velocity is None else f"turning at {abs(velocity):.2g} rad/s"
         if silence > self.protocol.silence:
             last = f", last seen {known}" if velocity is not None else ""
-            return f"not heard for {silence:.1f} s{last}" if self._heard_at is not None else "not heard yet"
+            return (
+                f"not heard for {silence:.1f} s{last}" if self._last_contact is not None else "not heard yet"
+            )
         if not self._still:
             return known
         if not self.protocol.is_safe(self.safe_state, True):
-            # Somebody else on the bus has led it out again, and may turn it at any time.
-            return f"not in {self.safe_state} any more ({self._told()})"
+            # Another master on the bus has moved it out of its safe state.
+            return f"no longer in {self.safe_state} ({self._state_text()})"
         return ""
 
-    # -- what is known ----------------------------------------------------------------------------------
+    # -- state ------------------------------------------------------------------------------------------
 
     @property
     def _still(self) -> bool:
@@ -234,7 +240,7 @@ class CanAxis(Device):
 
     @property
     def _runs_out(self) -> bool:
-        """Whether it is outside its bounds and on its way farther out, as velocities may lead it."""
+        """Whether it is outside its bounds and moves farther out, as a velocity may cause."""
         position, velocity = self.protocol.state.position, self.protocol.state.velocity
         if position is None or velocity is None or self._still:
             return False
@@ -243,85 +249,85 @@ class CanAxis(Device):
         return below or (position > self.binding.option("highest") + margin and velocity > 0.0)
 
     def _silence(self) -> float:
-        return math.inf if self._heard_at is None else self.clock.monotonic() - self._heard_at
+        return math.inf if self._last_contact is None else self.clock.monotonic() - self._last_contact
 
-    def _told(self) -> str:
+    def _state_text(self) -> str:
         state = self.protocol.state
         speed = "?" if state.velocity is None else f"{state.velocity:.3g}"
         return f"{state.state or 'no state'}, {speed} rad/s{f', fault: {state.fault}' if state.fault else ''}"
 
-    def _check_heard(self) -> None:
+    def _check_contact(self) -> None:
         if self._silence() > self.protocol.silence:
-            # Before it is noticed in its turn: whoever catches this reads it.
-            self.protocol.silent()
+            # Report it before the periodic check does: the caller reads the state.
+            self.protocol.on_silence()
             self.publish(online=False, enabled=False, state=self.protocol.state.state)
             raise self.error(f"not heard for {self._silence():.1f} s", timeout=True)
 
     # -- instructions -----------------------------------------------------------------------------------
 
     async def do_enable(self) -> None:
-        """Follow commands."""
+        """Enables it."""
         self._check_set_up("enable")
         await self.protocol.enable()
 
     async def do_disable(self) -> None:
-        """Torque off."""
+        """Switches its torque off."""
         self._check_set_up("disable")
         await self.protocol.disable()
 
     async def do_reset_fault(self) -> None:
-        """Clear faults."""
+        """Clears faults."""
         self._check_set_up("resetFault")
         await self.protocol.reset_fault()
 
     async def do_home(self) -> None:
-        """Find the zero."""
+        """Finds the zero position."""
         self._check_ready("home")
         await self.protocol.home()
         self.publish(referenced=self.protocol.state.referenced)
 
     async def do_halt(self) -> None:
-        """Slow down by the profile, and stay enabled."""
+        """Slows down by the profile, and stays enabled."""
         self._check_set_up("halt")
-        # What it told before says nothing of what it does now.
+        # An earlier velocity may be outdated.
         self.protocol.state.velocity = None
-        await self.protocol.begin_halt()
-        if not await self._news.seen(lambda: self._still, HALTS_BY):
-            raise self.error(f"halt: it does not stand after {HALTS_BY:g} s ({self._told()})")
+        await self.protocol.start_halt()
+        if not await self._changes.wait_for(lambda: self._still, HALT_TIMEOUT):
+            raise self.error(f"halt: it is still moving after {HALT_TIMEOUT:g} s ({self._state_text()})")
         await self.protocol.end_halt()
 
     async def do_stop(self) -> None:
         """Quick stop."""
-        self._check_heard()
+        self._check_contact()
         await self._make_safe("brake")
 
     async def do_move_to(self, position: float, speed: float) -> None:
-        """Travel to a position."""
+        """Moves to a position."""
         self._check_position("moveTo", position)
         self._check_within("moveTo", "speed", speed, "rad/s")
         if speed <= 0.0:
-            raise self.error(f"moveTo needs a speed above 0, not {speed:g}")
+            raise self.error(f"moveTo requires a speed above 0, not {speed:g}")
         self._check_ready("moveTo")
-        await self.protocol.begin_move(position, speed)
+        await self.protocol.start_move(position, speed)
         await self._travel(position)
 
     async def do_set_position(self, position: float) -> None:
-        """One position setpoint."""
+        """A position setpoint."""
         self._check_position("setPosition", position)
         if "speed" not in self.binding.limits:
-            raise self.error("setPosition needs the limit 'speed' in its binding: how fast may it go there?")
+            raise self.error("setPosition requires the limit 'speed' in its binding")
         self._check_ready("setPosition")
         await self.protocol.set_position(position)
 
     async def do_set_velocity(self, velocity: float) -> None:
-        """One velocity setpoint."""
+        """A velocity setpoint."""
         self._check_within("setVelocity", "speed", velocity, "rad/s")
         self._check_outward("setVelocity", velocity)
         self._check_ready("setVelocity")
         await self.protocol.set_velocity(velocity)
 
     async def do_set_torque(self, torque: float) -> None:
-        """One torque setpoint."""
+        """A torque setpoint."""
         self._check_within("setTorque", "torque", torque, "N m")
         self._check_outward("setTorque", torque)
         self._check_ready("setTorque")
@@ -330,7 +336,7 @@ class CanAxis(Device):
     # -- parts of instructions --------------------------------------------------------------------------
 
     async def _travel(self, goal: float) -> None:
-        """Wait until it is at its goal and stands, as long as it comes closer."""
+        """Waits until it is at rest at its goal, as long as it makes progress."""
         near: float = self.binding.option("tolerance")
         best, best_at = math.inf, self.clock.monotonic()
         while True:
@@ -340,21 +346,23 @@ class CanAxis(Device):
             if left <= near and self._still:
                 return
             now = self.clock.monotonic()
-            if left < best - CLOSER:
+            if left < best - MIN_PROGRESS:
                 best, best_at = left, now
-            if now - best_at > STUCK:
-                raise self.error(f"moveTo gave up: no progress for {STUCK:g} s, {left:.3f} rad from its goal")
-            await self._news.next(LOOK)
+            if now - best_at > STUCK_TIME:
+                raise self.error(
+                    f"moveTo failed: no progress for {STUCK_TIME:g} s, {left:.3f} rad from its goal"
+                )
+            await self._changes.wait_change(WATCH_INTERVAL)
 
     def _check_set_up(self, what: str) -> None:
-        self._check_heard()
+        self._check_contact()
         if self.protocol.conflict:
             raise self.error(f"{what} refused: {self.protocol.conflict}")
         if self.protocol.needs_setup:
             raise self.error(f"{what} refused: the device has restarted and is being set up again")
 
     def _check_ready(self, what: str) -> None:
-        """Raise unless the device follows commands."""
+        """Raises DeviceError unless the device is enabled."""
         self._check_set_up(what)
         state = self.protocol.state
         if state.fault:
@@ -365,14 +373,14 @@ class CanAxis(Device):
     def _check_within(self, what: str, limit: str, value: float, unit: str) -> None:
         bound = self.binding.limits.get(limit, math.inf)
         if not math.isfinite(value):
-            raise self.error(f"{what} needs a finite number, not {value}")
+            raise self.error(f"{what} requires a finite number, not {value}")
         if abs(value) > bound * ROUNDING:
             raise self.error(f"{what} refused: {value:g} {unit} is above the limit of {bound:g} {unit}")
 
     def _check_position(self, what: str, position: float) -> None:
         lowest, highest = self.binding.option("lowest"), self.binding.option("highest")
         if not math.isfinite(position):
-            raise self.error(f"{what} needs a finite number, not {position}")
+            raise self.error(f"{what} requires a finite number, not {position}")
         if not lowest - ROUNDING_POSITION <= position <= highest + ROUNDING_POSITION:
             raise self.error(f"{what} refused: {position:g} rad is outside {lowest:g} to {highest:g} rad")
         if not self.protocol.state.referenced and not self.binding.waives("no_homing"):
@@ -382,10 +390,10 @@ class CanAxis(Device):
             )
 
     def _check_outward(self, what: str, direction: float) -> None:
-        """Beyond a bound, only the way back is free."""
+        """Beyond a bound, only motion back is permitted."""
         position = self.protocol.state.position
         if position is None:
             return
         below = position < self.binding.option("lowest") and direction < 0.0
         if below or (position > self.binding.option("highest") and direction > 0.0):
-            raise self.error(f"{what} refused: at {position:g} rad it would go farther out of its bounds")
+            raise self.error(f"{what} refused: at {position:g} rad it would move farther out of its bounds")

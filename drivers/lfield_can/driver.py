@@ -1,4 +1,4 @@
-"""The driver of one bus: every frame handed to the devices that listen for it."""
+"""The driver of one bus: passes every frame to the devices that receive it."""
 
 from __future__ import annotations
 
@@ -16,25 +16,25 @@ from lfield.driver import (
     read_within,
 )
 from lfield_can.axis import CanAxis
-from lfield_can.bus.bus import Bus
+from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame, group_of
 from lfield_can.dbc import DbcError, DbcFile
 from lfield_can.eds import EdsError, parse_eds
-from lfield_can.protocols.canopen_node import MOST_BYTES, read_eds
+from lfield_can.protocols.canopen_node import MAX_BYTES, read_eds
 from lfield_can.protocols.cia402_tables import EVERY
 from lfield_can.signals import CanSignals
 from lfield_can.timing import Sync
 
-#: Ids of others on the bus that are kept, and how many an error shows.
-MOST_STRANGERS, SHOWN_STRANGERS = 64, 5
+#: Stored ids of other nodes, and how many an error shows.
+MAX_UNKNOWN_IDS, SHOWN_UNKNOWN_IDS = 64, 5
 
 CanDevice = CanAxis | CanSignals
-#: Makes the bus at an endpoint, with what is to be called for every frame and for every note.
+#: Creates the bus at an endpoint, with callbacks for frames and log lines.
 MakeBus = Callable[[str, Callable[[Frame], None], Callable[[str], None]], Bus]
 
 
 class CanDriver(Driver):
-    """One CAN bus with the axes and the devices of DBC files on it. `make_bus` is for tests."""
+    """One CAN bus with axes and devices of DBC files. `make_bus` is for tests."""
 
     def __init__(
         self,
@@ -53,8 +53,8 @@ class CanDriver(Driver):
         self._bus = self._make_bus(self.endpoint, self._received, lambda text: self.reports.note(first, text))
         self._sync = Sync(self.clock, self._bus.post, EVERY)
         self._members: list[CanDevice] = []
-        #: Frames that no device listens for, one of each id.
-        self._strangers: dict[int, Frame] = {}
+        #: One frame of each id that no device receives.
+        self._unknown: dict[int, Frame] = {}
         self._listeners: dict[int, list[CanDevice]] = {}
 
     def _device(self, binding: DeviceBinding) -> CanDevice:
@@ -70,7 +70,7 @@ class CanDriver(Driver):
     async def _open(self) -> None:
         owners: dict[int, CanDevice] = {}
         for device in self._members:
-            # Nothing is guarded yet: reading files may block here.
+            # No device is guarded yet: reading files may block here.
             device.prepare()
             for key in device.listens():
                 self._listeners.setdefault(key, []).append(device)
@@ -79,8 +79,8 @@ class CanDriver(Driver):
                 if other is not device:
                     names = f"{device.binding.name} and {other.binding.name}"
                     raise device.error(
-                        f"{names} have the same frames (id 0x{key & 0x1FFFFFFF:X}); "
-                        "give every device on the bus its own id"
+                        f"{names} have the same frames (id 0x{key & 0x1FFFFFFF:X}); give each device on the "
+                        "bus its own id"
                     )
         await self._bus.open()
         for device in self._members:
@@ -103,21 +103,21 @@ class CanDriver(Driver):
         devices = self._listeners.get(frame.key)
         if devices is None and frame.extended:
             devices = self._listeners.get(group_of(frame.id))
-        if devices is None and len(self._strangers) < MOST_STRANGERS:
-            self._strangers[frame.key] = frame
+        if devices is None and len(self._unknown) < MAX_UNKNOWN_IDS:
+            self._unknown[frame.key] = frame
         for device in devices or ():
             device.on_frame(frame)
 
     def _unknown_ids(self) -> str:
-        """The ids on the bus that are no device's here, in words; '' for none."""
-        ids = [f"0x{frame.id:X}{' (29 bits)' * frame.extended}" for frame in self._strangers.values()]
-        return ", ".join(ids[:SHOWN_STRANGERS]) + (", ..." if len(ids) > SHOWN_STRANGERS else "")
+        """The unknown ids on the bus; '' for none."""
+        ids = [f"0x{frame.id:X}{' (29 bits)' * frame.extended}" for frame in self._unknown.values()]
+        return ", ".join(ids[:SHOWN_UNKNOWN_IDS]) + (", ..." if len(ids) > SHOWN_UNKNOWN_IDS else "")
 
 
 def mistakes_in(option: str, file: str) -> Sequence[Diagnostic]:
     """The mistakes for which the driver refuses the file of an option, `dbc` or `eds`.
 
-    Raises DeviceError for a file that cannot be read, or has mistakes without a place.
+    Raises DeviceError for a file that cannot be read, or has mistakes without a position.
     """
     try:
         if option == "dbc":
@@ -125,7 +125,7 @@ def mistakes_in(option: str, file: str) -> Sequence[Diagnostic]:
         elif Path(file).suffix.lower() == ".epf":
             read_eds(option, file, 1)
         else:
-            parse_eds(file, read_within(Path(file), MOST_BYTES))
+            parse_eds(file, read_within(Path(file), MAX_BYTES))
     except (DbcError, EdsError) as error:
         if error.findings:
             return error.findings

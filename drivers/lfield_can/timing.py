@@ -1,4 +1,4 @@
-"""Waiting for what a device reports, and doing something again and again, SYNC too; on the loop."""
+"""Waiting for state changes, periodic tasks, and SYNC; on the loop."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from lfield.driver import Clock
 from lfield_can.bus.frames import Frame
 
 
-class News:
-    """Wakes whoever waits for a condition. Any number may wait at once."""
+class ChangeNotifier:
+    """Wakes all tasks that wait for a condition."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._event = asyncio.Event()
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Something has changed."""
         self._event.set()
         self._event = asyncio.Event()
 
-    async def next(self, longest: float) -> None:
-        """Sleep until the next news, at most `longest` seconds."""
+    async def wait_change(self, longest: float) -> None:
+        """Waits for the next change, at most `longest` seconds."""
         event = self._event
         try:
             async with asyncio.timeout(longest):
@@ -31,18 +31,18 @@ class News:
         except TimeoutError:
             pass
 
-    async def seen(self, condition: Callable[[], bool], bound: float) -> bool:
-        """Whether the condition came true within `bound` seconds."""
+    async def wait_for(self, condition: Callable[[], bool], bound: float) -> bool:
+        """Whether the condition became true within `bound` seconds."""
         end = self._clock.monotonic() + bound
         while not condition():
             left = end - self._clock.monotonic()
             if left <= 0.0:
                 return False
-            await self.next(left)
+            await self.wait_change(left)
         return True
 
 
-class Repeating:
+class PeriodicTask:
     """At most one repetition at a time."""
 
     def __init__(self, clock: Clock) -> None:
@@ -51,18 +51,18 @@ class Repeating:
         self._period, self._work = 0.0, _nothing
 
     def start(self, period: float, work: Callable[[], None], *, lasts: float = math.inf) -> None:
-        """Do `work` every `period` seconds, for `lasts` seconds from now; whatever was repeated ends."""
+        """Calls `work` every `period` seconds, for `lasts` seconds; ends the previous repetition."""
         self._period, self._work = period, work
-        self.again(lasts=lasts)
+        self.resume(lasts=lasts)
 
-    def again(self, *, lasts: float = math.inf) -> None:
-        """Take up what was started last."""
+    def resume(self, *, lasts: float = math.inf) -> None:
+        """Restarts the last repetition."""
         self.stop()
         work = self._repeat(self._clock.monotonic() + lasts)
         self._task = asyncio.get_running_loop().create_task(work)
 
     def stop(self) -> None:
-        """Do it no more."""
+        """Stops it."""
         if self._task is not None:
             self._task.cancel()
             self._task = None
@@ -70,7 +70,7 @@ class Repeating:
     async def _repeat(self, end: float) -> None:
         due = self._clock.monotonic()
         while True:
-            # What was missed is not made up for.
+            # Missed repetitions are skipped.
             now = self._clock.monotonic()
             due = max(due + self._period, now)
             await asyncio.sleep(due - now)
@@ -82,31 +82,31 @@ class Repeating:
 class Sync:
     """The SYNC of a bus (CiA 301, 7.2.5), every `period` seconds while a node needs it.
 
-    There is one for all: two producers on one bus would have every node answer twice.
+    One for all nodes: two producers would cause every node to answer twice.
     """
 
     def __init__(self, clock: Clock, post: Callable[[Frame], None], period: float) -> None:
         self._post, self._period = post, period
-        self._wanted: dict[int, int] = {}
-        self._repeating = Repeating(clock)
+        self._needed_by: dict[int, int] = {}
+        self._repeating = PeriodicTask(clock)
 
-    def want(self, node: int, identifier: int) -> None:
-        """A node needs it, by the id of its object 0x1005."""
-        idle = not self._wanted
-        self._wanted[node] = identifier
+    def require(self, node: int, identifier: int) -> None:
+        """A node needs it, with the id of its object 0x1005."""
+        idle = not self._needed_by
+        self._needed_by[node] = identifier
         if idle:
             self._repeating.start(self._period, self._send)
 
-    def leave(self, node: int) -> None:
-        """It needs it no more, or shall not have it while the bus is quiet."""
-        self._wanted.pop(node, None)
-        if not self._wanted:
+    def release(self, node: int) -> None:
+        """It is not needed, or must pause while the bus is muted."""
+        self._needed_by.pop(node, None)
+        if not self._needed_by:
             self._repeating.stop()
 
     def _send(self) -> None:
-        for identifier in set(self._wanted.values()):
+        for identifier in set(self._needed_by.values()):
             self._post(Frame(identifier))
 
 
 def _nothing() -> None:
-    """Before anything was started."""
+    """Placeholder before the first start."""

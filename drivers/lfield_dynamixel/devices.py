@@ -1,6 +1,6 @@
 """The two device types: one servo, and servos that move together.
 
-Motion is checked before anything is sent, and done when the state shows it.
+A motion is checked before anything is sent, and done when the state confirms it.
 """
 
 from __future__ import annotations
@@ -9,64 +9,66 @@ import asyncio
 import math
 from collections.abc import Collection, Mapping
 
-from lfield_dynamixel.bus.bus import COMMAND
-from lfield_dynamixel.bus.chain import NoAnswer, Refusal
-from lfield_dynamixel.members import LOOK, STILL, Members, Seen
-from lfield_dynamixel.servo import FIRED, POSITION_MODES, ROUNDED, Servo
+from lfield_dynamixel.bus.half_duplex_bus import COMMAND
+from lfield_dynamixel.bus.servo_chain import NoAnswer, ServoRefusal
+from lfield_dynamixel.members import POLL_INTERVAL, STILL, Members, Readings
+from lfield_dynamixel.servo import POSITION_MODES, ROUNDED, WATCHDOG_FIRED, Servo
 
-#: Seconds without coming closer after which a travel has failed, and what counts as closer, in rad.
-STUCK, CLOSER = 1.5, 0.01
-#: An angle that has been rounded may be beyond its bound by so much, in rad.
+#: Seconds without progress after which a motion has failed, and the least progress in rad.
+STUCK_TIME, MIN_PROGRESS = 1.5, 0.01
+#: Rounding tolerance of an angle bound in rad.
 ROUNDING = 1e-9
-#: It pushes as hard as it was told when it takes this share of the current, and does so for so long (s).
-PUSHES, LASTING = 0.85, 0.1
+#: It pushes with the commanded force at this share of the current, for so many seconds.
+PUSHING_SHARE, PUSHING_TIME = 0.85, 0.1
 
 Angles = Mapping[int, float]
 
 
-class Movers(Members):
-    """Members that travel together."""
+class MovingMembers(Members):
+    """Members that move together."""
 
     async def do_torque(self, on: bool) -> None:
-        """Stiff where they are, or limp."""
-        await self.look()
+        """Torque on at the present position, or off."""
+        await self.read_conditions()
         if on:
             for servo in self.servos.values():
-                self._check_sound(servo)
-            await self.each(self.servos.values(), Servo.stiffen)
+                self._check_healthy(servo)
+            await self.for_each(self.servos.values(), Servo.stiffen)
         else:
-            await self.go_limp(COMMAND)
-        await self.look()
+            await self.release_torque(COMMAND)
+        await self.read_conditions()
 
     async def do_set_profile(self, velocity: float, acceleration: float) -> None:
-        """How they move from now on; it goes out with every goal, so that a restart cannot lose it."""
+        """The profile of later motions; sent with every goal, so that a restart cannot lose it."""
         if not (0.0 <= velocity < math.inf and 0.0 <= acceleration < math.inf):
-            raise self.error(f"setProfile needs finite numbers from 0, not {velocity:g} and {acceleration:g}")
+            raise self.error(
+                f"setProfile requires finite numbers of at least 0, not {velocity:g} and {acceleration:g}"
+            )
         self._check_speed("setProfile", velocity)
         self.profile = velocity, acceleration
 
     async def do_stop(self) -> None:
-        """Stay where they are now, seen to stand still; what is limp stays so."""
+        """Stops and holds; confirmed at rest. Members without torque stay limp."""
         await self._make_safe("torque_hold")
-        # While it slowed down by its profile it went past that place, and would come back to it.
+        # It overshot that position while it slowed down, and would return to it.
         await self._make_safe("torque_hold")
-        self.tell(await self.observe())
+        self.publish_readings(await self.observe())
 
     async def travel(self, what: str, angles: Angles) -> None:
-        """Move each to its angle so that all arrive together. Raises DeviceError."""
+        """Moves each to its angle so that all arrive together. Raises DeviceError."""
         self.check_angles(what, angles)
-        await self.look()
+        await self.read_conditions()
         self.check_ready(what, POSITION_MODES)
         start = await self.observe()
         self._check_present(angles, start)
         writes = self.goals(angles, start)
         await self.send(writes, COMMAND)
-        # Nobody confirms a packet to several: those whose goal is another are told again, one by one.
-        await self.each([self.servos[number] for number in angles], lambda s: self._confirm(s, writes[s]))
-        await self._arrive(what, angles)
+        # A packet to several is not confirmed: repeat wrong goals one by one.
+        await self.for_each([self.servos[number] for number in angles], lambda s: self._confirm(s, writes[s]))
+        await self._await_arrival(what, angles)
 
-    def goals(self, angles: Angles, start: Seen) -> dict[Servo, tuple[int, bytes]]:
-        """The writes that send each to its angle; profiles are scaled by the way, so all take as long."""
+    def goals(self, angles: Angles, start: Readings) -> dict[Servo, tuple[int, bytes]]:
+        """The writes that send each to its angle; profiles are scaled by distance for equal durations."""
         ways = {number: abs(angle - start[number].position) for number, angle in angles.items()}
         longest = max(ways.values())
         speed = min([self._speed(), *(self.servos[number].top_speed for number in angles)])
@@ -74,13 +76,13 @@ class Movers(Members):
         for number, angle in angles.items():
             part = ways[number] / longest if longest > 0.0 else 1.0
             servo = self.servos[number]
-            servo.pushing = False
+            servo.set_pushing(False)
             servo.check_profile(ways[number], speed * part, self.profile[1] * part)
             writes[servo] = servo.motion(angle, ways[number], speed * part, self.profile[1] * part)
         return writes
 
     def _speed(self) -> float:
-        """The speed of a profile: what the program has set, within the limit of the binding."""
+        """The speed of a profile: set by the program, within the limit of the binding."""
         return min(self.profile[0] or math.inf, self.binding.limits.get("speed", math.inf))
 
     async def _confirm(self, servo: Servo, write: tuple[int, bytes]) -> None:
@@ -89,30 +91,32 @@ class Movers(Members):
         if seen.data != data:
             await self.chain.write(servo.node, address, data)
 
-    async def _arrive(self, what: str, angles: Angles) -> None:
-        """Wait until all are there and stand still. Who comes no closer is left where it is."""
+    async def _await_arrival(self, what: str, angles: Angles) -> None:
+        """Waits until all are at rest at their angles. Members without progress are stopped."""
         tolerance: float = self.binding.option("tolerance")
         best, best_at = math.inf, self.clock.monotonic()
         while True:
             seen = await self.observe()
-            self.tell(seen)
+            self.publish_readings(seen)
             self._check_present(angles, seen)
             if any(value.alert for value in seen.values()):
                 await self.check_shut_down(what)
             short = {number: abs(angle - seen[number].position) for number, angle in angles.items()}
             if max(short.values()) <= tolerance and all(abs(v.velocity) <= STILL for v in seen.values()):
                 return
-            if sum(short.values()) < best - CLOSER:
+            if sum(short.values()) < best - MIN_PROGRESS:
                 best, best_at = sum(short.values()), self.clock.monotonic()
-            if self.clock.monotonic() - best_at > STUCK:
-                await self._give_up(what, short, tolerance, seen)
-            await asyncio.sleep(LOOK)
+            if self.clock.monotonic() - best_at > STUCK_TIME:
+                await self._stop_stalled(what, short, tolerance, seen)
+            await asyncio.sleep(POLL_INTERVAL)
 
-    async def _give_up(self, what: str, short: Angles, tolerance: float, seen: Seen) -> None:
-        """Those that hang stay where they are instead of pushing on. Raises DeviceError."""
+    async def _stop_stalled(self, what: str, short: Angles, tolerance: float, readings: Readings) -> None:
+        """Stops blocked members, which would keep pushing. Raises DeviceError."""
         await self.check_shut_down(what)
         hanging = [number for number, left in short.items() if left > tolerance]
-        await self.each([self.servos[n] for n in hanging], lambda s: s.write_here(seen[s.node.number]))
+        await self.for_each(
+            [self.servos[n] for n in hanging], lambda s: s.write_hold_goal(readings[s.node.number])
+        )
         told = ", ".join(f"servo {number} stopped {short[number]:.3f} rad short" for number in hanging)
         raise self.error(
             f"{what}: {told or 'it does not come to rest'}; something is in the way or too heavy"
@@ -121,51 +125,51 @@ class Movers(Members):
     # -- checks -----------------------------------------------------------------------------------------
 
     def check_angles(self, what: str, angles: Angles) -> None:
-        """Refuse what is no angle, or outside the bounds of the binding or of the servo itself."""
+        """Refuses angles that are not finite, or outside the bounds of the binding or the servo."""
         low, high = self.binding.option("lowest"), self.binding.option("highest")
         for number, angle in angles.items():
             servo = self.servos[number]
-            if not low - ROUNDING <= angle <= high + ROUNDING:  # so that NaN is refused too
+            if not low - ROUNDING <= angle <= high + ROUNDING:  # refuses NaN as well
                 raise self.error(f"{what} refused: {angle:g} rad is outside {low:g} to {high:g} rad")
             least, greatest = servo.reach
             if servo.mode == "position" and not least - 1e-3 <= angle <= greatest + 1e-3:
                 raise self.error(
-                    f"{what} refused: servo {number} only goes from {least:.3f} to {greatest:.3f} rad "
-                    f"(its position limits), not to {angle:g}"
+                    f"{what} refused: servo {number} only moves from {least:.3f} to {greatest:.3f} rad (its "
+                    f"position limits), not to {angle:g}"
                 )
 
     def check_ready(self, what: str, modes: Collection[str]) -> None:
-        """Refuse what a servo would not follow, saying what to call first."""
+        """Refuses what a servo would not follow, naming the call that is needed."""
         for servo in self.servos.values():
             number = servo.node.number
             if servo.mode not in modes:
                 raise self.error(
-                    f"{what} needs the mode {' or '.join(modes)}; servo {number} is in {servo.mode} mode"
+                    f"{what} requires the mode {' or '.join(modes)}; servo {number} is in {servo.mode} mode"
                 )
             if servo.is_slave:
                 raise self.error(
                     f"{what} refused: servo {number} is a slave (bit 1 of its drive mode) and only follows "
                     "the cable of its master; bind the master"
                 )
-            self._check_sound(servo)
+            self._check_healthy(servo)
             if not self.conditions[number].torque:
                 raise self.error(f"{what}: the torque of servo {number} is off; call torque(true) first")
 
-    def _check_sound(self, servo: Servo) -> None:
+    def _check_healthy(self, servo: Servo) -> None:
         number = servo.node.number
         if number in self.conflicts:
             raise self.error(self.conflicts[number])
         now = self.conditions.get(number)
         if now is None:
             raise NoAnswer(number)
-        # An AX goes on saying what was wrong until its torque is on again: that is its cure.
+        # An AX keeps reporting its fault until its torque is on again, which is the remedy.
         if now.faults and not now.torque and servo.node.protocol == 2:
             raise self.error(f"servo {number} has shut down: {now.faults}; {servo.cure}")
-        if now.watchdog == FIRED:
+        if now.watchdog == WATCHDOG_FIRED:
             raise self.error(f"servo {number} was stopped by its own watchdog; call release() first")
 
-    def _check_present(self, angles: Angles, seen: Seen) -> None:
-        missing = [number for number in angles if number not in seen]
+    def _check_present(self, angles: Angles, readings: Readings) -> None:
+        missing = [number for number in angles if number not in readings]
         doubled = [number for number in missing if number in self.conflicts]
         if doubled:
             raise self.error(self.conflicts[doubled[0]])
@@ -174,8 +178,10 @@ class Movers(Members):
             raise self.error(f"{names} {'does' if len(missing) == 1 else 'do'} not answer", timeout=True)
 
     async def check_shut_down(self, what: str) -> None:
-        """Fail when a servo has switched itself off on the way. An AX says why only while it is so."""
-        await self.look()
+        """Fails when a servo has switched itself off meanwhile. An AX reports the reason only while it
+        applies.
+        """
+        await self.read_conditions()
         for number, now in self.conditions.items():
             if not now.torque:
                 why, cure = now.faults or "it has switched its torque off", self.servos[number].cure
@@ -183,11 +189,11 @@ class Movers(Members):
 
     def _check_speed(self, what: str, speed: float) -> None:
         limit = self.binding.limits.get("speed", math.inf)
-        if not abs(speed) <= limit * ROUNDED:  # so that NaN is refused too
+        if not abs(speed) <= limit * ROUNDED:  # refuses NaN as well
             raise self.error(f"{what} of {speed:g} rad/s is above the limit of {limit:g} rad/s")
 
 
-class Dynamixel(Movers):
+class Dynamixel(MovingMembers):
     """One servo, by its id."""
 
     @property
@@ -195,8 +201,8 @@ class Dynamixel(Movers):
         """The servo."""
         return next(iter(self.servos.values()))
 
-    def tell(self, seen: Seen) -> None:
-        for value in seen.values():
+    def publish_readings(self, readings: Readings) -> None:
+        for value in readings.values():
             self.publish(
                 position=value.position,
                 velocity=value.velocity,
@@ -208,36 +214,36 @@ class Dynamixel(Movers):
             )
 
     async def do_mode(self, name: str) -> None:
-        """Change the operating mode; the torque is as before, and the servo stays."""
+        """Changes the operating mode; torque and position are kept."""
         await self.servo.switch(name)
-        await self.look()
+        await self.read_conditions()
 
     async def do_move_to(self, angle: float) -> None:
-        """Turn there."""
+        """Moves to an angle."""
         await self.travel("moveTo", {self.servo.node.number: angle})
 
     async def do_move_until(self, angle: float, current: float) -> None:
-        """Turn until it is there or something resists with that current; it goes on pushing."""
+        """Moves until it arrives or is blocked with that current; it keeps pushing."""
         number = self.servo.node.number
         self.check_angles("moveUntil", {number: angle})
         self._check_current("moveUntil", current)
         if current <= 0.0:
-            raise self.error(f"moveUntil needs a current above 0, not {current:g} A")
-        await self.look()
+            raise self.error(f"moveUntil requires a current above 0, not {current:g} A")
+        await self.read_conditions()
         self.check_ready("moveUntil", ["currentPosition"])
-        await self.servo.put("goal_current", round(current / self.servo.model.current))
+        await self.servo.write_item("goal_current", round(current / self.servo.model.current))
         start = await self.observe()
         self._check_present({number: angle}, start)
         await self.send(self.goals({number: angle}, start))
         await self._close(angle, current)
 
     async def _close(self, angle: float, current: float) -> None:
-        """Wait until it is there, or pushes; a servo that does neither is held up by something else."""
+        """Waits until it has arrived or pushes; otherwise it is blocked by something else."""
         number, tolerance = self.servo.node.number, self.binding.option("tolerance")
         moved_at, pushes_since = self.clock.monotonic(), math.inf
         while True:
             seen = await self.observe()
-            self.tell(seen)
+            self.publish_readings(seen)
             self._check_present({number: angle}, seen)
             if seen[number].alert:
                 await self.check_shut_down("moveUntil")
@@ -245,22 +251,22 @@ class Dynamixel(Movers):
             rests = abs(value.velocity) <= STILL
             if rests and abs(angle - value.position) <= tolerance:
                 return
-            pushes = rests and abs(value.current) >= PUSHES * current
+            pushes = rests and abs(value.current) >= PUSHING_SHARE * current
             pushes_since = min(pushes_since, now) if pushes else math.inf
-            if now - pushes_since >= LASTING:
-                self.servo.pushing = True
+            if now - pushes_since >= PUSHING_TIME:
+                self.servo.set_pushing(True)
                 return
             moved_at = moved_at if rests else now
-            if now - moved_at > STUCK:
-                await self._give_up("moveUntil", {number: abs(angle - value.position)}, tolerance, seen)
-            await asyncio.sleep(LOOK)
+            if now - moved_at > STUCK_TIME:
+                await self._stop_stalled("moveUntil", {number: abs(angle - value.position)}, tolerance, seen)
+            await asyncio.sleep(POLL_INTERVAL)
 
     async def do_set_position(self, angle: float) -> None:
         """A position setpoint, with the profile."""
         number = self.servo.node.number
         self.check_angles("setPosition", {number: angle})
         self.check_ready("setPosition", POSITION_MODES)
-        start = self.last_seen if number in self.last_seen else await self.observe()
+        start = self.last_readings if number in self.last_readings else await self.observe()
         self._check_present({number: angle}, start)
         await self._command("setPosition", *self.goals({number: angle}, start)[self.servo])
 
@@ -277,7 +283,7 @@ class Dynamixel(Movers):
         await self._set_goal("setCurrent", "current", current, self.servo.model.current, limit)
 
     async def _set_goal(self, what: str, mode: str, value: float, unit: float, limit: float) -> None:
-        """A goal in the nearest count that is within the limit."""
+        """Sends a goal in the nearest count within the limit."""
         self.check_ready(what, [mode])
         counts = round(value / unit)
         if abs(counts) * unit > limit * ROUNDED:
@@ -286,76 +292,76 @@ class Dynamixel(Movers):
         await self._command(what, item.address, item.encode(counts))
 
     async def _command(self, what: str, address: int, data: bytes) -> None:
-        """Write a goal. A refusal has a reason that the condition tells better than the error byte."""
+        """Writes a goal. The condition explains a refusal better than the error byte."""
         try:
             await self.chain.write(self.servo.node, address, data)
-        except Refusal:
-            await self.look()
+        except ServoRefusal:
+            await self.read_conditions()
             self.check_ready(what, [self.servo.mode])
             raise
 
     async def do_calibrate(self, angle: float) -> None:
-        """Call the present angle `angle`: the homing offset, seen in what it measures afterwards."""
+        """Defines the present angle as `angle`: sets the homing offset, confirmed by the measured angle."""
         if not math.isfinite(angle):
-            raise self.error(f"calibrate needs a finite angle, not {angle}")
-        servo, offset = self.servo, await self.servo.get("homing_offset")
+            raise self.error(f"calibrate requires a finite angle, not {angle}")
+        servo, offset = self.servo, await self.servo.read_item("homing_offset")
         wanted = offset + servo.model.to_counts(angle) - (await servo.present()).counts
-        await servo.put_eeprom(homing_offset=wanted)
+        await servo.write_eeprom(homing_offset=wanted)
         seen = (await servo.present()).position
         if abs(seen - angle) > self.binding.option("tolerance"):
-            await servo.put_eeprom(homing_offset=offset)
+            await servo.write_eeprom(homing_offset=offset)
             raise self.error(
-                f"calibrate({angle:g}): it would say {seen:.3f} rad, so its old homing offset is back; in "
-                "position mode an offset of a quarter turn is the most"
+                f"calibrate({angle:g}): it would report {seen:.3f} rad, so its old homing offset was "
+                "restored; in position mode an offset is at most a quarter turn"
             )
 
     async def do_set_range(self, lowest: float, highest: float) -> None:
-        """The position limits in the servo itself."""
+        """Sets the position limits in the servo."""
         if not -math.inf < lowest < highest < math.inf:
-            raise self.error(f"setRange needs a lower and a higher angle, not {lowest:g} and {highest:g}")
+            raise self.error(f"setRange requires a lower and a higher angle, not {lowest:g} and {highest:g}")
         low, high = (self.servo.model.to_counts(angle) for angle in (lowest, highest))
         if high == 2 * self.servo.model.centre and self.servo.model.protocol == 2:
-            high -= 1  # a half turn is the place of minus a half turn; the last count of the turn is meant
+            high -= 1  # a half turn equals minus a half turn; the last count of the turn is meant
         if low < 0:
             raise self.error(f"setRange: {lowest:g} rad is below {self.servo.model.to_angle(0):.3f} rad")
-        await self.servo.put_eeprom(min_position_limit=low, max_position_limit=high)
+        await self.servo.write_eeprom(min_position_limit=low, max_position_limit=high)
 
     def _check_current(self, what: str, current: float) -> None:
         limit = self.binding.limits.get("current", math.inf)
-        if not abs(current) <= limit * ROUNDED or math.isinf(current):  # so that NaN is refused too
+        if not abs(current) <= limit * ROUNDED or math.isinf(current):  # refuses NaN as well
             raise self.error(f"{what} of {current:g} A is above the limit of {limit:g} A")
         if not self.servo.model.current:
-            raise self.error(f"{what}: a {self.servo.model.name} measures no current")
+            raise self.error(f"{what}: a {self.servo.model.name} does not measure its current")
 
 
-class DynamixelGroup(Movers):
+class DynamixelGroup(MovingMembers):
     """Several servos; arrays are in the order of the ids in the binding."""
 
-    def tell(self, seen: Seen) -> None:
+    def publish_readings(self, readings: Readings) -> None:
         def each(quantity: str) -> list[float]:
-            return [getattr(seen[n], quantity) if n in seen else math.nan for n in self.servos]
+            return [getattr(readings[n], quantity) if n in readings else math.nan for n in self.servos]
 
         self.publish(
             positions=each("position"),
             velocities=each("velocity"),
             currents=each("current"),
             temperatures=each("temperature"),
-            missing=[number for number in self.servos if number not in seen],
-            moving=any(value.moving for value in seen.values()),
+            missing=[number for number in self.servos if number not in readings],
+            moving=any(value.moving for value in readings.values()),
         )
 
     async def do_move_to(self, angles: list[float]) -> None:
-        """All turn and arrive together."""
+        """Moves all, with simultaneous arrival."""
         await self.travel("moveTo", self._by_id("moveTo", angles))
 
     async def do_set_positions(self, angles: list[float]) -> None:
-        """A setpoint for all in one packet, which nobody confirms; a member that is missing is an error."""
+        """A setpoint for all in one packet without confirmation; a missing member is an error."""
         wanted = self._by_id("setPositions", angles)
         self.check_angles("setPositions", wanted)
         self.check_ready("setPositions", POSITION_MODES)
-        await self.send(self.goals(wanted, self.last_seen), COMMAND)
+        await self.send(self.goals(wanted, self.last_readings), COMMAND)
 
     def _by_id(self, what: str, angles: list[float]) -> dict[int, float]:
         if len(angles) != len(self.servos):
-            raise self.error(f"{what} needs {len(self.servos)} angles, one for each id, not {len(angles)}")
+            raise self.error(f"{what} requires {len(self.servos)} angles, one for each id, not {len(angles)}")
         return dict(zip(self.servos, angles, strict=True))

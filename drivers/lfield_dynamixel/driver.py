@@ -1,4 +1,4 @@
-"""The bus: one port, one chain, the devices on it, and the telemetry that also feeds their watchdogs."""
+"""The bus: one port, one chain, its devices, and telemetry that also feeds their watchdogs."""
 
 from __future__ import annotations
 
@@ -7,27 +7,28 @@ from collections.abc import Callable, Mapping, Sequence
 
 from lfield.driver import Clock, DeviceBinding, Driver, Manifest, Reports
 from lfield.driver.serial import PortEvents, SerialPort, parse_serial_endpoint
-from lfield_dynamixel.bus.bus import Bus, Port
-from lfield_dynamixel.bus.chain import Chain
+from lfield_dynamixel import log_messages
+from lfield_dynamixel.bus.half_duplex_bus import Bus, Port
+from lfield_dynamixel.bus.servo_chain import Chain
 from lfield_dynamixel.devices import Dynamixel, DynamixelGroup
 from lfield_dynamixel.members import Members
 
-#: Seconds between two looks at the servos; at most half a time-to-live, or their watchdogs would fire.
+#: Seconds between two polls; at most half a time-to-live, or their watchdogs would expire.
 PERIOD = 0.05
 
-#: Makes the port at an endpoint, with who uses it and what is to be called with a note.
+#: Creates the port at an endpoint, with the receiver of its events and a log function.
 MakePortAt = Callable[[str, PortEvents, Callable[[str], None]], Port]
 
 _TYPES: dict[str, type[Members]] = {"Dynamixel": Dynamixel, "DynamixelGroup": DynamixelGroup}
 
 
 def serial_port(endpoint: str, events: PortEvents, note: Callable[[str], None]) -> Port:
-    """The tty of a bus. Raises DeviceError for an endpoint that is none."""
+    """The tty of a bus. Raises DeviceError for an invalid endpoint."""
     return SerialPort(*parse_serial_endpoint(endpoint), events, note)
 
 
 class DynamixelDriver(Driver):
-    """One serial port with the servos on it. `make_port` is for tests."""
+    """One serial port with servos. `make_port` is for tests."""
 
     def __init__(
         self,
@@ -46,10 +47,10 @@ class DynamixelDriver(Driver):
             lambda events: self._make_port(self.endpoint, events, self._note),
             self._lost,
             self._back,
-            lambda: self._note("the adapter returns what is sent (echo); it is taken out"),
+            lambda: self._note(log_messages.ECHO_REMOVED.line()),
         )
         self._chain = Chain(self._bus)
-        # Cleared while the owner is silent: a servo that is polled never sees that it is alone.
+        # Cleared while the host is silent: a polled servo would not notice it.
         self._awake = asyncio.Event()
         self._awake.set()
 
@@ -67,7 +68,7 @@ class DynamixelDriver(Driver):
             for number in device.numbers:
                 if number in taken:
                     other = taken[number].binding.name
-                    raise device.error(f"servo {number} on {self.endpoint} is {other}'s already")
+                    raise device.error(f"servo {number} on {self.endpoint} already belongs to {other}")
                 taken[number] = device
         self._bus.open()
         self.spawn(self._poll())
@@ -82,21 +83,21 @@ class DynamixelDriver(Driver):
         self._awake.set()
 
     async def _poll(self) -> None:
-        """Look at every device again and again; not while the owner is silent, or the port is gone."""
+        """Polls every device; not while the host is silent, or the port is gone."""
         period = min([PERIOD, *(0.5 * device.binding.ttl for device in self._members)])
         while True:
             await self._awake.wait()
-            if not self._bus.gone:
+            if not self._bus.is_lost:
                 for device in self._members:
                     if device.opened and self._awake.is_set():
                         await device.poll()
             await asyncio.sleep(period)
 
     def _lost(self, reason: str) -> None:
-        self._note(f"{reason}; it is opened again as soon as it is back")
+        self._note(log_messages.PORT_LOST.line(reason=reason))
 
     def _back(self) -> None:
-        self._note("the port is back")
+        self._note(log_messages.PORT_BACK.line())
 
     def _note(self, text: str) -> None:
         for device in self._members:

@@ -1,8 +1,8 @@
-"""The MAVLink driver: vehicles with ArduPilot or PX4. See README.md in this folder.
+"""The MAVLink driver for ArduPilot and PX4 vehicles. See README.md in this folder.
 
-`driver` is the bus and `vehicle` what is on it. Below them, each seeing those before it: `link` (bytes to
-messages), `contact` (one vehicle heard and asked), `services` (protocols beside flight), `parts` (what it can
-do, by topic). `kit` tries it all.
+`driver` is the bus and `vehicle` a vehicle on it. They use, in layers: `link` (bytes to messages), `contact`
+(communication with one vehicle), `services` (protocols other than flight), `parts` (instructions by topic).
+`kit` is the conformance kit.
 """
 
 from lfield.driver import Plugin
@@ -15,5 +15,5 @@ PLUGIN = Plugin(
     requires=("pymavlink", "serial"),
     kit="lfield_mavlink.kit:KIT",
     endpoint="lfield_mavlink.link.links:parse_endpoint",
-    conflicts="lfield_mavlink.link.station:station_conflicts",
+    conflicts="lfield_mavlink.station_ids:station_conflicts",
 )

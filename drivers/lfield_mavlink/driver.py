@@ -1,4 +1,4 @@
-"""The bus: one or several links, a reader for each, every message handed to the vehicle it came from."""
+"""The bus: one or several links, a reader for each; passes every message to the vehicle that sent it."""
 
 from __future__ import annotations
 
@@ -8,39 +8,49 @@ from itertools import count
 from typing import Any
 
 from lfield.driver import DeviceBinding, DeviceError, Driver
-from lfield_mavlink.link.dialect import AUTOPILOT, Header, Reader, Writer, dialect, request_message
+from lfield_mavlink import log_messages
+from lfield_mavlink.link.dialect import (
+    AUTOPILOT,
+    Header,
+    Reader,
+    Writer,
+    dialect,
+    is_echo,
+    request_message,
+    station_heartbeat,
+)
 from lfield_mavlink.link.links import AGAIN, Link, LinkEvents, OnData, make_link, split_endpoint
+from lfield_mavlink.link.packet_sources import Source, Sources
 from lfield_mavlink.link.ports import (
     COMMANDS,
     LinkCounts,
     Neighbours,
     Port,
     Route,
-    foreign_words,
+    foreign_text,
     is_foreign,
 )
 from lfield_mavlink.link.signing import open_signing, sign_link
-from lfield_mavlink.link.sources import Source, Sources
-from lfield_mavlink.link.station import beat, check_stations, is_echo, station_of, why_not_alone
-from lfield_mavlink.vehicle import MavlinkVehicle
+from lfield_mavlink.station_ids import check_stations, station_conflict_text, station_of
+from lfield_mavlink.vehicle import LinkViews, MavlinkVehicle
 
-#: Seconds between our own heartbeats: several within the shortest failsafe (2 s), since some are lost.
+#: Seconds between our heartbeats: several within the shortest failsafe (2 s), since some are lost.
 HEARTBEAT = 0.25
-#: Senders of heartbeats that are no autopilot's that are named.
+#: Senders of foreign heartbeats that are logged, at most.
 MOST_REPORTED = 16
 
 
 class MavlinkDriver(Driver):
-    """The vehicles on some links that lead to the same place, such as a radio and a cable."""
+    """The vehicles on redundant links to the same place, such as a radio and a cable."""
 
     def _device(self, binding: DeviceBinding) -> MavlinkVehicle:
         system: int = binding.option("system")
-        # Of two devices with one system id, none is opened.
+        # Of two devices with one system id, neither is opened.
         sources = self._sources[system] = Sources(system, split_endpoint(self.endpoint))
         send = partial(self._send_to, system, station_of(binding))
         given = binding, self.manifests[binding.type], self.clock, self.reports
-        others = partial(self._commander, system)
-        return MavlinkVehicle(*given, send, self._counts, self._why_silent, sources, others)
+        links = LinkViews(self._counts, self._why_silent, sources, partial(self._commander, system))
+        return MavlinkVehicle(*given, send, links)
 
     def _set_up(self) -> None:
         self._sources: dict[int, Sources] = {}
@@ -65,11 +75,11 @@ class MavlinkDriver(Driver):
         self._routes = {system: Route(len(endpoints)) for system in self._vehicles}
         self._ports += [self._make_port(number, endpoint) for number, endpoint in enumerate(endpoints)]
         await self._open_links()
-        self.spawn(self._beat())
+        self.spawn(self._send_heartbeats())
         if self._signing is not None:
             self.spawn(self._signing.keep_ahead(next(iter(self._vehicles.values())).note))
         for vehicle in self._vehicles.values():
-            for keeping in vehicle.keep():
+            for keeping in vehicle.background_tasks():
                 self.spawn(keeping)
 
     async def _close(self) -> None:
@@ -79,16 +89,16 @@ class MavlinkDriver(Driver):
             port.link.close()
 
     def _quiet(self) -> None:
-        """No heartbeats and no requests: what the autopilots do without us must be able to begin."""
+        """No heartbeats and no requests: the autopilots' own failsafes must be able to start."""
         self._quieted = True
         for vehicle in self._vehicles.values():
-            vehicle.quiet = True
+            vehicle.set_quiet(True)
             vehicle.stop_setpoints()
 
     def _resume(self) -> None:
         self._quieted = False
         for vehicle in self._vehicles.values():
-            vehicle.quiet = False
+            vehicle.set_quiet(False)
 
     # -- links ----------------------------------------------------------------------------------------
 
@@ -99,7 +109,7 @@ class MavlinkDriver(Driver):
         )
 
     def _from(self, link: int, address: str) -> None:
-        """What comes over a link next is from this address."""
+        """Sets the address of the next bytes of a link."""
         self._addresses[link] = address
 
     def _note(self, text: str) -> None:
@@ -120,18 +130,18 @@ class MavlinkDriver(Driver):
         return LinkCounts.over(self._ports, self._signing)
 
     async def _open_links(self) -> None:
-        """Open them all. One that cannot be opened is tried again, as long as there is another."""
+        """Opens all links. A link that fails is retried as long as another one works."""
         opened = await asyncio.gather(*(port.link.open() for port in self._ports), return_exceptions=True)
         problems = [error for error in opened if isinstance(error, BaseException)]
         if len(problems) == len(self._ports) or any(not isinstance(e, DeviceError) for e in problems):
             raise problems[0]
         for name, port, error in zip(split_endpoint(self.endpoint), self._ports, opened, strict=True):
             if isinstance(error, DeviceError):
-                self._note(f"{error.reason}; it goes on with the other links")
+                self._note(log_messages.LINK_UNOPENED.line(reason=error.reason))
                 self.spawn(self._open_later(name, port.link, error.reason))
 
     async def _open_later(self, name: str, link: Link, reason: str) -> None:
-        """Open a link as soon as that is possible; each reason why it is not yet is logged once."""
+        """Opens a link as soon as possible; logs each reason for a failure once."""
         told = {reason}
         for attempt in count(2):
             await asyncio.sleep(AGAIN)
@@ -140,24 +150,24 @@ class MavlinkDriver(Driver):
             except DeviceError as error:
                 if error.reason not in told:
                     told.add(error.reason)
-                    self._note(f"{error.reason} (attempt {attempt})")
+                    self._note(log_messages.LINK_STILL_UNOPENED.line(reason=error.reason, attempt=attempt))
                 continue
-            self._note(f"{name} is open now, after {attempt} attempts")
+            self._note(log_messages.LINK_OPENED.line(link=name, attempts=attempt))
             return
 
     # -- messages -------------------------------------------------------------------------------------
 
     def _why_silent(self) -> str:
-        """Why a vehicle may not be heard: somebody else is, or noise, or nothing at all."""
+        """Why a vehicle may not be heard: other vehicles are heard, or noise, or nothing."""
         if heard := str(self._neighbours):
             return f"heard: {heard}; is 'system' in its binding right?"
         if self._received_bytes:
             count = self._received_bytes
-            return f"the {count} bytes that came hold no heartbeat; is it the right port and baud rate?"
+            return f"the {count} received bytes contain no heartbeat; is it the right port and baud rate?"
         return "; ".join(port.link.why_silent() for port in self._ports)
 
     def _commander(self, system: int) -> str:
-        """Who else has just commanded a vehicle, as far as that is heard on a link."""
+        """Who else has just commanded a vehicle, as far as seen on the links."""
         return self._neighbours.commander(system, self.clock.monotonic())
 
     def _received(self, link: int, reader: Reader, data: bytes) -> None:
@@ -167,15 +177,15 @@ class MavlinkDriver(Driver):
             system = message.get_srcSystem()
             vehicle = self._vehicles.get(system)
             if message.get_msgId() in COMMANDS:
-                # A router may show us what we have sent.
+                # A router may echo what we have sent.
                 if system not in self._stations:
-                    self._neighbours.commanded(message, self.clock.monotonic())
+                    self._neighbours.on_command(message, self.clock.monotonic())
                 continue
-            # Cameras and gimbals have heartbeats too; only the autopilot's says how the vehicle is.
+            # Cameras and gimbals send heartbeats too; only the autopilot's contain the vehicle's state.
             if vehicle is None or message.get_srcComponent() != AUTOPILOT:
                 self._on_neighbour(message)
             elif is_foreign(message, vehicle.state.autopilot):
-                self._neighbours.heard(message)
+                self._neighbours.on_message(message)
                 self._ignore(vehicle, source, message)
             else:
                 self._on_vehicle(vehicle, source, message)
@@ -185,36 +195,36 @@ class MavlinkDriver(Driver):
         system, now = vehicle.system, self.clock.monotonic()
         if not self._sources[system].on_packet(source, message, now):
             vehicle.on_other_source()
-        elif self._routes[system].heard(source.link, message.get_msgbuf(), now):
+        elif self._routes[system].on_packet(source.link, message.get_msgbuf(), now):
             vehicle.on_message(message)
 
     def _ignore(self, vehicle: MavlinkVehicle, source: Source, message: Any) -> None:
-        """A heartbeat of what is no autopilot, under the ids of one: reported once for each source."""
+        """A heartbeat of a component that is not an autopilot but uses its ids: logged once per source."""
         if (vehicle.system, source) in self._reported or len(self._reported) >= MOST_REPORTED:
             return
         self._reported.add((vehicle.system, source))
         endpoint = split_endpoint(self.endpoint)[source.link]
         place = f"{endpoint} from {source.address}" if source.address else endpoint
         vehicle.note(
-            f"heartbeats of {foreign_words(message)} with the ids of this vehicle's autopilot "
-            f"(system {vehicle.system}, component {AUTOPILOT}) come over {place}: ignored; "
-            "give their sender ids of its own"
+            log_messages.FOREIGN_COMPONENT.line(
+                sender=foreign_text(message), system=vehicle.system, component=AUTOPILOT, place=place
+            )
         )
 
     def _on_neighbour(self, message: Any) -> None:
-        """Somebody else is heard: nobody may have the id of a station of ours."""
-        self._neighbours.heard(message)
+        """A message of another system: its id must differ from our stations'."""
+        self._neighbours.on_message(message)
         vehicle = self._stations.get(message.get_srcSystem())
         if vehicle is None or message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
             return
-        if not is_echo(message, vehicle.system) and not vehicle.not_alone:
-            vehicle.not_alone = why_not_alone(message)
-            vehicle.note(vehicle.not_alone)
+        if not is_echo(message, vehicle.system) and not vehicle.station_conflict:
+            vehicle.report_station_conflict(station_conflict_text(message))
 
     def _is_spare(self, source: Source, header: Header) -> bool:
-        """Whether a packet need not be decoded: of nobody here, or telemetry that comes faster than wanted.
+        """Whether a packet need not be decoded: from an unknown system, or telemetry faster than needed.
 
-        It does when a ground station on the same link asks for more; to decode it is most of the work then.
+        Telemetry is faster when a ground station on the same link requests it; decoding is most of the load
+        then.
         """
         vehicle = self._vehicles.get(header.system)
         if vehicle is None or header.component != AUTOPILOT:
@@ -231,19 +241,21 @@ class MavlinkDriver(Driver):
         for number in self._routes[system].links(self.clock.monotonic()):
             self._ports[number].send(message, station, self._sources[system].address(number))
 
-    async def _beat(self) -> None:
-        """Be heard as the ground station of each vehicle on every link, as their failsafes expect."""
-        beats = [(vehicle, beat(vehicle.system)) for vehicle in self._vehicles.values()]
+    async def _send_heartbeats(self) -> None:
+        """Sends a heartbeat as the ground station of each vehicle on every link, for their failsafes."""
+        beats = [(vehicle, station_heartbeat(vehicle.system)) for vehicle in self._vehicles.values()]
         while True:
             for vehicle, message in () if self._quieted else beats:
-                for port in self._ports if vehicle.may_beat else ():
+                for port in self._ports if vehicle.may_send_heartbeat else ():
                     port.send(message, vehicle.station)
             if not self._quieted:
-                self._ask_for_boards()
+                self._request_boards()
             await asyncio.sleep(HEARTBEAT)
 
-    def _ask_for_boards(self) -> None:
-        """Have what is heard over another link tell its unique id: it may be another vehicle."""
+    def _request_boards(self) -> None:
+        """Requests the unique id over other links on which the vehicle is heard: it may be another
+        vehicle.
+        """
         now = self.clock.monotonic()
         for system, sources in self._sources.items():
             for source in sources.due(now):

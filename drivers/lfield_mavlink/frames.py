@@ -1,11 +1,11 @@
-"""Where a vehicle's frames lie in the team's: by its autopilot's place on the Earth, or as its binding says.
+"""Pose of a vehicle's frames in the team's frame: from its origin on the Earth, or from its binding.
 
-An autopilot reckons from the origin of its estimator, which is where it first knew its place and stays there
-until it restarts; this driver reckons from home, which moves to where the vehicle is armed. So a pose is that
-of the origin, and a team whose frame begins at a place on the Earth goes by the origin that the autopilot
-tells. On the way between degrees and metres each stack counts with a sphere of its own; what counts in the
-team's frame is the ellipsoid (WGS 84), by geographiclib. North and east are along the geodesic from the
-team's origin, exact in distance and bearing there; down is the difference in height, not the tangent plane's.
+The frame of an autopilot starts at the origin of its estimator, which is its first known position and fixed
+until a restart; this driver uses home, which moves to where the vehicle is armed. A pose is that of the
+origin; with a team origin on the Earth, the autopilot's reported origin is used. Each stack converts degrees
+to metres on its own sphere; the team's frame uses the ellipsoid (WGS 84), by geographiclib. North and east
+are along the geodesic from the team's origin, with exact distance and bearing; down is the difference in
+height, not that of the tangent plane.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from lfield.driver import Frame, Origin, Placement, Vector
-from lfield_mavlink.contact.state import VehicleState
-from lfield_mavlink.geo import Place, onto, round_from
+from lfield_mavlink.contact.vehicle_state import VehicleState
+from lfield_mavlink.geodesy import Place, onto, round_from
 
 
 @dataclass(frozen=True, slots=True)
-class Earthly:
-    """An autopilot's local frame at its `origin`, of which a degree has the length of a `radius` (m)."""
+class GeodeticFrame:
+    """An autopilot's local frame at its `origin`, converted with a sphere of `radius` (m)."""
 
     team: Origin
     origin: Place
@@ -29,17 +29,17 @@ class Earthly:
 
     @property
     def heading(self) -> float:
-        """Meridians are not parallel: how its north differs from the team's, less than 1e-3 over 5 km."""
+        """Meridian convergence: the difference of its north from the team's, below 1e-3 rad within 5 km."""
         return _turn(self.team, self.origin)
 
     def to_team(self, place: Vector) -> Vector:
-        """Metres of its origin as metres of the team's."""
+        """Metres from its origin to metres from the team's."""
         there = self.origin.shifted(place, self.radius)
         north, east, _ = onto(self.team, there)
         return (north, east, self.team.altitude - there.altitude)
 
     def from_team(self, place: Vector) -> Vector:
-        """And back; what is no place stays none."""
+        """The inverse; NaN stays NaN."""
         if not all(map(math.isfinite, place)):
             return place
         latitude, longitude = round_from(self.team, place[0], place[1])
@@ -48,47 +48,47 @@ class Earthly:
 
 @lru_cache(maxsize=64)
 def _turn(team: Origin, origin: Place) -> float:
-    """Whatever a vehicle tells is turned by it, many times a second, and neither of the two moves."""
+    """Cached: used for every telemetry value, and both places are fixed."""
     return onto(team, origin)[2]
 
 
 @dataclass(frozen=True, slots=True)
-class AboutHome:
-    """The frame of home, which is so far from the origin of the frame `local`."""
+class HomeFrame:
+    """The frame of home, at an offset from the origin of the frame `local`."""
 
     local: Frame
     home: Vector
 
     @property
     def heading(self) -> float:
-        """Home has none of its own."""
+        """The heading of the local frame."""
         return self.local.heading
 
     def to_team(self, place: Vector) -> Vector:
-        """Metres of home as metres of the team's origin."""
+        """Metres from home to metres from the team's origin."""
         north, east, down = (p + h for p, h in zip(place, self.home, strict=True))
         return self.local.to_team((north, east, down))
 
     def from_team(self, place: Vector) -> Vector:
-        """And back."""
+        """The inverse."""
         north, east, down = (p - h for p, h in zip(self.local.from_team(place), self.home, strict=True))
         return (north, east, down)
 
 
-def frame_of(placement: Placement, state: VehicleState) -> AboutHome | None:
-    """The frame of home in the team's, None as long as the vehicle has not told where its origin is.
+def frame_of(placement: Placement, state: VehicleState) -> HomeFrame | None:
+    """The frame of home in the team's frame, None while the vehicle's origin is unknown.
 
-    A pose that its binding gives needs no telling, but after a restart of the autopilot: its frame begins
-    anew then, and its pose moves with the origin, as far as that is told.
+    A pose in its binding needs no origin, except after a restart of the autopilot: then its frame starts
+    anew, and the pose moves with the origin once that is known.
     """
     local: Frame | None = placement.pose
     moved = state.origin_moved
     if placement.pose is not None and moved is None:
         return None
     if local is None and placement.origin is not None and state.origin is not None:
-        local, moved = Earthly(placement.origin, state.origin, state.radius), (0.0, 0.0, 0.0)
+        local, moved = GeodeticFrame(placement.origin, state.origin, state.radius), (0.0, 0.0, 0.0)
     if local is None:
         return None
-    assert moved is not None, "looked at above"
+    assert moved is not None, "checked above"
     north, east, down = (h + m for h, m in zip(state.home_offset, moved, strict=True))
-    return AboutHome(local, (north, east, down))
+    return HomeFrame(local, (north, east, down))

@@ -1,7 +1,7 @@
-"""The limits of the binding, before and after: what is refused, and what telemetry says of the flight. Pure.
+"""Limits of the binding: refuses commands that exceed them, and evaluates telemetry. Pure.
 
-A goal or a speed beyond a limit is refused before anything is sent. What is then flown is watched: an
-autopilot may keep its own speed, and a return its own height.
+A goal or speed beyond a limit is refused before anything is sent. The flight is watched as well: an autopilot
+may use its own speed, and its own height for a return.
 """
 
 from __future__ import annotations
@@ -12,21 +12,21 @@ from dataclasses import dataclass
 from enum import Enum, auto
 
 from lfield.driver import DeviceBinding, DeviceError
-from lfield_mavlink.geo import Vector
+from lfield_mavlink.geodesy import Vector
 
-#: m/s by which an excess must have become less to be seen to do so; what is less may be noise.
+#: m/s by which an excess must decrease to count; less may be noise.
 LESS = 0.1
-#: How many times its `time` a correction that helps may take until the value is within its limit.
+#: A correction that helps may take this many times its `time`.
 LONGEST = 5
-#: By what a value at its limit may exceed it once it was on the wire: heights in metres and speeds as a share
-#: (floats of 32 bits), places in metres (1e-7 degrees).
+#: Rounding of values on the wire: heights in metres and speeds as a share (32-bit floats), positions in
+#: metres (1e-7 degrees).
 ROUNDED_HEIGHT, ROUNDED_SPEED, ROUNDED_PLACE = 1e-3, 1e-6, 0.02
-#: m/s2 with which everything can brake.
+#: Deceleration that every vehicle can reach, m/s2.
 BRAKES = 2.0
 
 
 class Verdict(Enum):
-    """What becomes of a value: it must be corrected, cannot be, or is within its limit again."""
+    """The result for a value: to be corrected, not correctable, or within its limit again."""
 
     CORRECT = auto()
     HELPLESS = auto()
@@ -35,30 +35,29 @@ class Verdict(Enum):
 
 @dataclass(slots=True)
 class LimitWatch:
-    """Samples of one value against its limit, with room for gusts and noise.
+    """Compares samples of one value with its limit, tolerating gusts and noise.
 
-    `bound` is the limit with its tolerance. A value that is beyond it for `time` seconds without a break must
-    be corrected. Once the correction is `told`, for which there is as much time again, the excess must become
-    less: when it has not done so for `time` seconds, or is not gone after LONGEST times that, the correction
-    does not help. An excess of at most `still` is as good as none. The excess of a speed is what is above the
-    bound, that of a place the speed at which it leads farther out; both in m/s. What was not heard for `time`
-    is not known to have been beyond anything.
+    `bound` is the limit with its tolerance. A value that exceeds it for `time` seconds without interruption
+    must be corrected. After `on_correction_sent` and another `time`, the excess must decrease: if it has not
+    for `time` seconds, or is not gone after LONGEST times that, the correction has failed. An excess of at
+    most `still` is ignored. The excess of a speed is the part above the bound, that of a position its outward
+    speed; both in m/s. A gap in telemetry of `time` resets it.
     """
 
     bound: float
     time: float
     still: float = 0.0
     _beyond_since: float | None = None
-    _heard_at: float = -math.inf
+    _last_sample: float = -math.inf
     _correction: _Correction | None = None
 
     def sample(self, value: float, excess: float, now: float) -> Verdict | None:
-        """Take one sample in; what is to be done about it, if that is news."""
-        gap, self._heard_at = now - self._heard_at, now
+        """Adds a sample; returns a new result, if any."""
+        gap, self._last_sample = now - self._last_sample, now
         if value <= self.bound:
             return self._within()
         if self._correction is not None:
-            return self._look(self._correction, excess, now)
+            return self._check_correction(self._correction, excess, now)
         if self._beyond_since is None or gap > self.time:
             self._beyond_since = now
         if now - self._beyond_since < self.time:
@@ -66,13 +65,13 @@ class LimitWatch:
         self._correction = _Correction(now, now + self.time, excess)
         return Verdict.CORRECT
 
-    def told(self, now: float) -> None:
-        """The correction has been taken, or nothing more is on its way: from here on it must show."""
+    def on_correction_sent(self, now: float) -> None:
+        """The correction was accepted, or nothing more will be sent: it must take effect from now on."""
         if self._correction is not None:
             self._correction.less_at = min(self._correction.less_at, now)
 
     def reset(self) -> None:
-        """Nothing is known any more, since its motors are off."""
+        """Resets the state when the motors are off."""
         self._beyond_since = self._correction = None
 
     def _within(self) -> Verdict | None:
@@ -80,12 +79,12 @@ class LimitWatch:
         self.reset()
         return Verdict.WITHIN if corrected else None
 
-    def _look(self, correction: _Correction, excess: float, now: float) -> Verdict | None:
+    def _check_correction(self, correction: _Correction, excess: float, now: float) -> Verdict | None:
         if excess <= self.still:
             self._correction = _Correction(now, now, excess)
             return None
         correction.sample(excess, now)
-        in_vain = now - correction.less_at >= self.time or now - correction.began >= LONGEST * self.time
+        in_vain = now - correction.less_at >= self.time or now - correction.started_at >= LONGEST * self.time
         if not in_vain:
             return None
         self._correction = _Correction(now, now, excess)
@@ -93,17 +92,17 @@ class LimitWatch:
 
 
 class _Correction:
-    """How an excess goes on after a correction: down, at first perhaps from more than it was.
+    """The excess after a correction: decreasing, possibly after an initial increase.
 
-    `less_at` is when it was seen to become less, at first when it may have begun to.
+    `less_at` is when it last decreased, initially when it may have begun to.
     """
 
     def __init__(self, now: float, less_at: float, excess: float) -> None:
-        self.began, self.less_at = now, less_at
+        self.started_at, self.less_at = now, less_at
         self._least, self._turned = excess, False
 
     def sample(self, excess: float, now: float) -> None:
-        """Note when it has become less than ever before."""
+        """Records a new minimum."""
         if excess <= self._least - LESS:
             self._least, self._turned, self.less_at = excess, True, now
         elif not self._turned:
@@ -111,9 +110,9 @@ class _Correction:
 
 
 class Limits:
-    """What a binding allows, about home: `altitude` and `radius` in metres, `speed` in m/s.
+    """The limits of a binding, relative to home: `altitude` and `radius` in metres, `speed` in m/s.
 
-    `error` makes the exception for a reason.
+    `error` creates the exception for a reason.
     """
 
     def __init__(self, binding: DeviceBinding, error: Callable[[str], DeviceError]) -> None:
@@ -124,12 +123,12 @@ class Limits:
 
     @property
     def bound_places(self) -> bool:
-        """Whether there is anywhere that the vehicle may not go."""
+        """Whether any position is forbidden."""
         return min(self._altitude, self._radius) < math.inf
 
     @property
     def places(self) -> tuple[float, float]:
-        """The greatest distance from home and the greatest height about it, in metres; inf for none."""
+        """The greatest distance from home and height above it, in metres; inf for none."""
         return self._radius, self._altitude
 
     @property
@@ -139,22 +138,22 @@ class Limits:
 
     @property
     def bounds_radius(self) -> bool:
-        """Whether there is a distance from home that it may not exceed."""
+        """Whether the distance from home is limited."""
         return self._radius < math.inf
 
     @property
     def bounds_speed(self) -> bool:
-        """Whether there is a speed over ground that it may not exceed."""
+        """Whether the horizontal speed is limited."""
         return self._speed < math.inf
 
     def check_goal(self, what: str, goal: Vector, extent: float = 0.0) -> None:
-        """Refuse a goal that is no place, or beyond the limits. Raises DeviceError.
+        """Refuses a goal that is not finite or is beyond the limits. Raises DeviceError.
 
-        `extent` is how many metres around the goal are flown, as by a circle.
+        `extent` is the radius in metres of a circle around the goal.
         """
         north, east, down = goal
         if not all(map(math.isfinite, goal)):
-            raise self._error(f"{what} needs finite numbers")
+            raise self._error(f"{what} requires finite numbers")
         if -down > self._altitude + ROUNDED_HEIGHT:
             raise self._error(f"{what} refused: {-down:g} m is above the limit of {self._altitude:g} m")
         far = math.hypot(north, east) + extent
@@ -164,28 +163,28 @@ class Limits:
             )
 
     def check_return(self, what: str, height: float, parameter: str) -> None:
-        """Refuse a return that climbs above the limit, as a parameter has it. Raises DeviceError."""
+        """Refuses a return whose height, set by a parameter, is above the limit. Raises DeviceError."""
         if height > self._altitude + ROUNDED_HEIGHT:
             raise self._error(
                 f"{what} refused: it would climb to {height:g} m ({parameter}), above the limit of "
-                f"{self._altitude:g} m; set {parameter} lower, or go home by goTo and land"
+                f"{self._altitude:g} m; reduce {parameter}, or use goTo and land"
             )
 
     @property
     def bounds_heights(self) -> bool:
-        """Whether there is a height that it may not go above."""
+        """Whether the height is limited."""
         return self._altitude < math.inf
 
     def check_speed(self, what: str, speed: float) -> None:
-        """Refuse a speed over ground above the limit. Raises DeviceError."""
+        """Refuses a horizontal speed above the limit. Raises DeviceError."""
         if not (math.isfinite(speed) and speed <= self._speed * (1.0 + ROUNDED_SPEED)):
             raise self._error(f"{what} of {speed:g} m/s is above the limit of {self._speed:g} m/s")
 
     def check_way_out(self, place: Vector | None, velocity: Vector) -> None:
-        """Refuse a velocity that leads out of the limits before its time-to-live is over, or farther out.
+        """Refuses a velocity that leaves the limits within its time-to-live plus braking, or leads farther
+        out.
 
-        Then it must brake, which takes a way, too. Without a place nothing is known of that. Raises
-        DeviceError.
+        Not checked without a position. Raises DeviceError.
         """
         if place is None:
             return

@@ -1,6 +1,6 @@
-"""Kinds of vehicle under each autopilot: their MAV_TYPEs, their modes, and what we use the modes for.
+"""Vehicle kinds of each autopilot: MAV_TYPEs, modes, and the modes used by this driver.
 
-Numbers are those of HEARTBEAT.custom_mode. ArduPilot counts its modes per vehicle
+Numbers are those of HEARTBEAT.custom_mode. ArduPilot numbers its modes per vehicle
 (https://ardupilot.org/copter/docs/parameters.html#fltmode1, and rover, plane, sub likewise); PX4 has one
 table of main and sub modes (https://docs.px4.io/main/en/flight_modes/, px4_custom_mode.h).
 """
@@ -10,13 +10,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-#: The waiver of motions that an autopilot flies by itself, which go on when this computer is dead.
+#: Waiver of motions that an autopilot flies by itself, which continue when this computer fails.
 AUTONOMOUS = "autonomous_motion"
-#: MAV_AUTOPILOT of the two that are served.
+#: MAV_AUTOPILOT of the supported autopilots.
 ARDUPILOT, PX4 = 3, 12
 STACKS: Mapping[int, str] = {ARDUPILOT: "ArduPilot", PX4: "PX4"}
-#: Metres: of the sphere on which each counts between degrees and metres, as recorded (ap-rover.c-speed and
-#: px4-copter.e-gcs-loss: 6378.4 and 6371.0 km) and as their sources have it.
+#: Radius in metres of the sphere used by each autopilot, as recorded (ap-rover.c-speed and
+#: px4-copter.e-gcs-loss: 6378.4 and 6371.0 km) and as in their sources.
 RADII: Mapping[int, float] = {ARDUPILOT: 6378100.0, PX4: 6371000.0}
 
 
@@ -24,11 +24,10 @@ RADII: Mapping[int, float] = {ARDUPILOT: 6378100.0, PX4: 6371000.0}
 class Profile:
     """A kind of vehicle under one autopilot.
 
-    `guided` is the mode for our setpoints, `arming` the one to be armed in. `hold`, `land` and `home` are the
-    safe states. `own` are modes that it enters by itself on the ground when it has done what we asked, so
-    they are nobody else's doing. `retreats` are modes that its failsafes may choose beside those of the safe
-    states; in `autonomous` ones it moves by itself, whatever comes from here. `piloted` ones are a pilot's:
-    the failsafe for the ground station does not act in them.
+    `guided` is the mode for our setpoints, `arming` the mode for arming. `hold`, `land` and `home` are the
+    safe states. `own` are modes that it enters by itself on the ground after a commanded motion, so they are
+    not foreign. `retreats` are further modes of its failsafes; in `autonomous` modes it moves by itself.
+    `piloted` modes are a pilot's: the ground station failsafe does not act in them.
     """
 
     autopilot: int
@@ -48,7 +47,7 @@ class Profile:
 
     @property
     def by_trajectory(self) -> bool:
-        """Whether it moves by a stream of setpoints: a PX4, but for fixed wings."""
+        """Whether it needs a stream of setpoints: PX4 except for fixed wings."""
         return self.px4 and self.kind != "plane"
 
     @property
@@ -58,38 +57,38 @@ class Profile:
 
     @property
     def px4(self) -> bool:
-        """Whether it is a PX4: parameters byte by byte, NaN for what is not used, streamed setpoints."""
+        """Whether it is a PX4: byte-wise parameters, NaN for unused values, streamed setpoints."""
         return self.autopilot == PX4
 
     @property
     def mission(self) -> str:
-        """The mode that flies the mission that it holds."""
+        """The mode that flies the stored mission."""
         return "AUTO.MISSION" if self.px4 else "AUTO"
 
     @property
     def fallbacks(self) -> frozenset[str]:
-        """The modes in which it goes down, home or nowhere without anybody: safe states and failsafes."""
+        """The modes of safe states and failsafes."""
         return self.retreats | {self.hold, self.land, self.home}
 
     def safe(self, state: str) -> str:
-        """The mode that is a safe state of the manifest."""
+        """The mode of a safe state of the manifest."""
         return {"land": self.land, "hold": self.hold, "return": self.home}[state]
 
     def mode_name(self, number: int) -> str:
-        """`GUIDED`, or `mode 77` for one we do not know."""
+        """`GUIDED`, or `mode 77` for an unknown one."""
         return self.modes.get(number, f"mode {number}")
 
     def mode_values(self, name: str) -> tuple[float, ...] | None:
-        """Parameters 2 and on of DO_SET_MODE for a mode; None when there is none of that name."""
+        """Parameters 2 and following of DO_SET_MODE; None for an unknown mode."""
         number = next((number for number, known in self.modes.items() if known == name), None)
         if number is None:
             return None
         return (float(number >> 16 & 0xFF), float(number >> 24)) if self.px4 else (float(number),)
 
     def mode_command(self, name: str) -> tuple[float, ...]:
-        """The parameters of DO_SET_MODE for a mode that there is (MAV_MODE_FLAG_CUSTOM_MODE_ENABLED is 1)."""
+        """The parameters of DO_SET_MODE for a known mode (MAV_MODE_FLAG_CUSTOM_MODE_ENABLED is 1)."""
         values = self.mode_values(name)
-        assert values is not None, "the names are those of the table, or have been looked up in it"
+        assert values is not None, "the name is from the table or was looked up in it"
         return (1.0, *values)
 
 
@@ -129,7 +128,7 @@ _COPTER_MODES = {
     27: "AUTO_RTL",
     28: "TURTLE",
 }
-#: With bit 4 of FS_OPTIONS, the default, its failsafe leaves these to a pilot (ArduCopter 4.7,
+#: With bit 4 of FS_OPTIONS (default), the failsafe does not act in these modes (ArduCopter 4.7,
 #: Mode::is_autopilot).
 _COPTER_PILOTED = frozenset(
     {
@@ -230,8 +229,8 @@ _PX4_MODES = {
     _px4(8): "RATTITUDE",
     _px4(10): "TERMINATION",
 }
-#: What PX4 calls its modes where it speaks of them; some were called otherwise before 1.15.
-PX4_WORDS: Mapping[str, tuple[str, ...]] = {
+#: Names of PX4's modes in its texts; some changed in 1.15.
+PX4_MODE_TEXTS: Mapping[str, tuple[str, ...]] = {
     "MANUAL": ("Manual",),
     "ALTCTL": ("Altitude",),
     "POSCTL": ("Position",),
@@ -251,7 +250,7 @@ PX4_WORDS: Mapping[str, tuple[str, ...]] = {
     "TERMINATION": ("Termination",),
 }
 _PX4_OWN = frozenset({"AUTO.TAKEOFF", "AUTO.LOITER"})
-#: In which it moves with neither sticks nor setpoints.
+#: Modes in which it moves without sticks or setpoints.
 _PX4_AUTONOMOUS = frozenset(_PX4_MODES.values()) - frozenset(
     {
         "MANUAL",
@@ -266,7 +265,7 @@ _PX4_AUTONOMOUS = frozenset(_PX4_MODES.values()) - frozenset(
     }
 )
 
-# What the tables of failsafe actions have beside land, return and hold.
+# Failsafe actions other than land, return and hold.
 _RETURNS = frozenset({"SMART_RTL", "AUTO_RTL"})
 _PLANE_RETREATS = frozenset({"CIRCLE", "QLAND", "QRTL"})
 _PX4_RETREATS = frozenset({"AUTO.PRECLAND", "TERMINATION"})
@@ -299,7 +298,7 @@ def _of_ardupilot(
 
 
 _ALL = (
-    # BRAKE and not LOITER: LOITER follows the sticks, and without a radio control there are none.
+    # BRAKE, not LOITER: LOITER follows the sticks, and without a radio control there are none.
     _of_ardupilot(
         "copter", _COPTERS, _COPTER_MODES, "BRAKE", "LAND", "RTL", retreats=_RETURNS, piloted=_COPTER_PILOTED
     ),

@@ -1,19 +1,19 @@
-"""What the autopilot must keep for a binding: failsafes for when this computer is gone, and the speed limit.
+"""Autopilot parameters that a binding requires: failsafes for a failure of this computer, and the speed
+limit.
 
-All of them are parameters, which stay in the autopilot: they are looked at when the vehicle is opened and
-before it is armed, and written by `lfield setup` alone.
+They are stored in the autopilot: checked when the vehicle is opened and before arming, written by `lfield
+setup` only.
 
-ArduPilot has a failsafe for the ground station, which is us: it acts FS_GCS_TIMEOUT seconds after our last
-heartbeat, at least 2 s (a rover waits FS_TIMEOUT more). A velocity setpoint ends by itself after GUID_TIMEOUT
-(on a rover after 3 s, which is no parameter). The longer of the two is its watchdog.
-https://ardupilot.org/copter/docs/gcs-failsafe.html, https://ardupilot.org/copter/docs/ac2_guidedmode.html
+ArduPilot's ground station failsafe acts FS_GCS_TIMEOUT seconds after our last heartbeat, at least 2 s (a
+rover waits FS_TIMEOUT more). A velocity setpoint ends after GUID_TIMEOUT (on a rover after 3 s, not
+configurable). The longer of the two is its watchdog. https://ardupilot.org/copter/docs/gcs-failsafe.html,
+https://ardupilot.org/copter/docs/ac2_guidedmode.html
 
-PX4 acts COM_OF_LOSS_T after the last setpoint, whatever ground stations it hears. That is its watchdog
-where it moves by setpoints alone. What it flies by itself, where the binding waives that (a mission, a
-return), ends by the failsafe for the data link, for which any ground station counts: COM_DL_LOSS_T, 5 s at
-least, and 2 s more until it notices (6.6 to 7.1 were measured). Then the longer is its watchdog: 7 s at
-least.
-https://docs.px4.io/main/en/config/safety.html, https://docs.px4.io/main/en/advanced_config/parameter_reference
+PX4 acts COM_OF_LOSS_T after the last setpoint, whatever ground stations it hears. That is its watchdog if it
+moves by setpoints only. Autonomous motions, if waived (a mission, a return), end by the data link failsafe,
+which any ground station prevents: COM_DL_LOSS_T, at least 5 s, plus 2 s for detection (6.6 to 7.1 measured).
+Then the longer is its watchdog: at least 7 s. https://docs.px4.io/main/en/config/safety.html,
+https://docs.px4.io/main/en/advanced_config/parameter_reference.
 """
 
 from __future__ import annotations
@@ -26,33 +26,32 @@ from typing import Literal
 
 from lfield.driver import DeviceBinding, Setting
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.link.station import station_of
 from lfield_mavlink.modes import ARDUPILOT, AUTONOMOUS, PX4
 from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.station_ids import station_of
 
-#: Seconds that PX4 needs, beyond COM_DL_LOSS_T, to notice that its station is gone.
+#: Seconds that PX4 needs beyond COM_DL_LOSS_T to detect the loss of its station.
 NOTICES = 2.0
-#: Seconds after which a rover of ArduPilot ends a velocity by itself.
+#: Seconds after which an ArduPilot rover ends a velocity.
 ROVER_SETPOINT = 3.0
 
 Values = Mapping[str, float]
-#: A value by the binding.
+#: A value that depends on the binding.
 Chosen = Callable[[DeviceBinding], float]
 
 
 @dataclass(frozen=True, slots=True)
 class Need:
-    """One parameter that a binding needs.
+    """One parameter that a binding requires.
 
-    `names` are its names by version, any of which may be the one; without a name it is a time of the
-    autopilot's own, `otherwise`. It must be `value` (or that of the binding's safe state, or of the
-    binding) or have its bits (`bits`) and none of the bits `lacks`. A time (`clock`) is at most what is
-    left of the time that is wanted, at least `least` and never above `most`; times of one clock follow
-    one another, and `after` is what the later ones need at least; those of different clocks run side by
-    side. A speed (`unit`, in so many to a m/s) is at most the limit of the binding, and needed only where
-    there is one. With `zero`, 0 is as good as any number below the bound: no time at all, or no speed of
-    its own. A need that is not `needed` may be missing; it then counts `otherwise` seconds. `states` are
-    the safe states it is for, by default all; a `whole` time has no part of a second.
+    `names` are its names by version; without a name it is a fixed time of the autopilot, `otherwise`. It must
+    be `value` (or that of the binding's safe state, or of the binding), or have its bits (`bits`) and none of
+    the bits `lacks`. A time (`clock`) is at most the rest of the permitted time, from `least` to `most`;
+    times of one clock are added, and `after` is what later ones need at least; different clocks run in
+    parallel. A speed (`unit` per m/s) is at most the limit of the binding, and required only with a limit.
+    With `zero`, 0 is as good as any number below the bound. A parameter that is not `needed` may be missing;
+    it then counts `otherwise` seconds. `states` are the safe states it applies to, by default all; a `whole`
+    time has no fraction of a second.
     """
 
     names: tuple[str, ...] = ()
@@ -72,13 +71,13 @@ class Need:
     states: tuple[str, ...] = ()
 
     def suits(self, binding: DeviceBinding) -> bool:
-        """Whether a binding needs it at all."""
+        """Whether it applies to a binding."""
         if self.unit is not None and "speed" not in binding.limits:
             return False
         return not self.states or binding.safe_state in self.states
 
-    def wanted(self, name: str, present: float, binding: DeviceBinding, left: float) -> float:
-        """What it must be when it is `present`; `left` is what is left of its clock's time."""
+    def required_value(self, name: str, present: float, binding: DeviceBinding, left: float) -> float:
+        """The required value when it is `present`; `left` is the rest of its clock's time."""
         if self.unit is not None:
             most = binding.limits["speed"] * self.unit[name]
             return present if self._is_within(present, most) else 0.0 if self.zero else most
@@ -97,22 +96,22 @@ class Need:
         return (present > 0.0 or (self.zero and present == 0.0)) and present <= most * (1.0 + 1e-6)
 
 
-_GONE = "what it does when this computer is gone"
-_SOON = "how soon it does so"
+_GONE = "its action when this computer fails"
+_SOON = "its time-out for that"
 _LIMIT = "the speed limit of the binding"
 
 _STATION = Need(
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
-    "its failsafe is for this station alone: another one, at 255, does not keep it from acting. That one "
-    "still commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are "
-    "ignored, and nobody can arm while this station is not heard ('GCS failsafe on'). "
-    "'lfield setup --back' undoes that",
+    "its failsafe depends on this station alone: another one, at 255, does not prevent it. That one still "
+    "commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are ignored, and "
+    "the vehicle cannot be armed while this station is not heard ('GCS failsafe on'). "
+    "'lfield setup --apply FILE' reverts that",
     station_of,
 )
 _NO_OTHERS = Need(
-    ("MAV_GCS_SYSID_HI",), "no other station counts as this one, in a range of ids", 0, needed=False
+    ("MAV_GCS_SYSID_HI",), "no other station counts as this one, by a range of ids", 0, needed=False
 )
-_SETPOINT = Need(("GUID_TIMEOUT",), "how long a velocity lasts", clock="setpoint", least=0.1)
+_SETPOINT = Need(("GUID_TIMEOUT",), "the time-out of a velocity", clock="setpoint", least=0.1)
 
 _COPTER = (
     # Land; brake, or land without a position; return.
@@ -121,16 +120,16 @@ _COPTER = (
     _STATION,
     _NO_OTHERS,
     _SETPOINT,
-    # Not bit 1, by which it goes on with a mission.
+    # Not bit 1, with which it continues a mission.
     Need(
         ("FS_OPTIONS",),
-        "a landing is never turned into a flight home, and a mission does not go on",
+        "a landing is never turned into a return, and a mission does not continue",
         8,
         bits=True,
         lacks=2,
         needed=False,
     ),
-    # In cm/s, from 4.7 on in m/s. A return is as fast as that where its own speed is 0.
+    # In cm/s, from 4.7 on in m/s. Also the speed of a return if its own speed is 0.
     Need(("WP_SPD", "WPNAV_SPEED"), _LIMIT, unit={"WP_SPD": 1.0, "WPNAV_SPEED": 100.0}),
     Need(
         ("RTL_SPEED_MS", "RTL_SPEED"),
@@ -143,7 +142,7 @@ _COPTER = (
 _ROVER = (
     Need(("FS_GCS_ENABLE",), _GONE, 1),
     Need(("FS_ACTION",), _GONE, {"land": 2, "hold": 2, "return": 1}),
-    # It waits for this after FS_GCS_TIMEOUT; 1 s is the least that is documented.
+    # It waits for this after FS_GCS_TIMEOUT; 1 s is the documented minimum.
     Need(("FS_TIMEOUT",), _SOON, clock="link", least=1.0, most=1.0, after=2.0, needed=False),
     Need(("FS_GCS_TIMEOUT",), _SOON, clock="link", least=2.0, most=2.0),
     _STATION,
@@ -167,18 +166,18 @@ _SUBMARINE = (
     _NO_OTHERS,
 )
 _PX4 = (
-    Need(("COM_OF_LOSS_T",), "how soon it acts when setpoints end", clock="setpoint", least=0.25, most=1.0),
-    Need(("COM_OBL_RC_ACT",), "what it does when setpoints end", {"land": 4, "hold": 5, "return": 3}),
+    Need(("COM_OF_LOSS_T",), "its time-out for setpoints", clock="setpoint", least=0.25, most=1.0),
+    Need(("COM_OBL_RC_ACT",), "its action when setpoints end", {"land": 4, "hold": 5, "return": 3}),
     # A hover before the action of any failsafe.
-    Need(("COM_FAIL_ACT_T",), "it does not wait before a failsafe acts", 0.0),
+    Need(("COM_FAIL_ACT_T",), "no delay before a failsafe acts", 0.0),
     Need(("COM_RC_OVERRIDE",), "a pilot takes over by the sticks in OFFBOARD", 2, bits=True),
     Need(("COM_DL_LOSS_T",), _SOON, clock="link", least=5.0, after=NOTICES, whole=True),
     Need(clock="link", otherwise=NOTICES),
     Need(("NAV_DLL_ACT",), _GONE, {"land": 3, "hold": 1, "return": 2}),
-    # Modes in which it does not mind that the station is gone: a goal is flown in one of them.
-    Need(("COM_DLL_EXCEPT",), "it does so in every mode", 0, needed=False),
+    # Modes in which it ignores the loss of the station: a goal is flown in one of them.
+    Need(("COM_DLL_EXCEPT",), "the action applies to every mode", 0, needed=False),
 )
-#: PX4 lowers the other two by itself, for good, once the first is below them: so what they were is kept too.
+#: PX4 permanently lowers the other two once the first is below them: so their old values are backed up too.
 _PX4_COPTER = tuple(
     Need((name,), _LIMIT, unit={name: 1.0}) for name in ("MPC_XY_VEL_MAX", "MPC_XY_CRUISE", "MPC_VEL_MANUAL")
 )
@@ -196,20 +195,22 @@ NEEDS: Mapping[tuple[int, str], Sequence[Need]] = {
 
 
 class Watchdog:
-    """Looks at the parameters that a binding needs."""
+    """Checks the parameters that a binding requires."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
-        #: The name of each need that was answered for; none for one that is not there.
+        #: The name of each parameter that was answered; empty for a missing one.
         self._names: dict[tuple[str, ...], tuple[str, ...]] = {}
 
     async def seconds(self, longest: float) -> float:
-        """The time of its watchdog once it is set up for at most `longest` seconds. Raises DeviceError."""
-        return (await self._look(longest))[1]
+        """The time-out of its watchdog once it is set up for at most `longest` seconds. Raises
+        DeviceError.
+        """
+        return (await self._compare(longest))[1]
 
     async def settings(self) -> list[Setting]:
-        """The parameters that the binding needs, as they are and as they must be. Raises DeviceError."""
-        settings = (await self._look(2.0 * self._vehicle.binding.ttl))[0]
+        """The required parameters, with present and required values. Raises DeviceError."""
+        settings = (await self._compare(2.0 * self._vehicle.binding.ttl))[0]
         self._vehicle.publish(gcsFailsafe=all(setting.is_right for setting in settings))
         return settings
 
@@ -221,16 +222,16 @@ class Watchdog:
         profile, binding = self._vehicle.profile, self._vehicle.binding
         return (need for need in NEEDS[profile.autopilot, profile.kind] if need.suits(binding))
 
-    async def _look(self, longest: float) -> tuple[list[Setting], float]:
+    async def _compare(self, longest: float) -> tuple[list[Setting], float]:
         needs = list(self._needs())
-        # One that is not there is told by silence: all are asked for at once.
+        # A missing one is detected by a time-out: request all at once.
         told = await asyncio.gather(*map(self._read, needs))
         settings, clocks = list[Setting](), dict[str, float]()
         for need, (name, present) in zip(needs, told, strict=True):
             left = longest - clocks.get(need.clock, 0.0)
             wanted = need.otherwise
             if present is not None:
-                wanted = need.wanted(name, present, self._vehicle.binding, left)
+                wanted = need.required_value(name, present, self._vehicle.binding, left)
                 settings.append(Setting(name, present, wanted, need.why))
             if need.clock:
                 clocks[need.clock] = clocks.get(need.clock, 0.0) + wanted
@@ -238,12 +239,12 @@ class Watchdog:
 
     @property
     def _moves_by_itself(self) -> bool:
-        """Whether it goes on without setpoints: then its failsafe for the data link counts, too."""
+        """Whether it moves without setpoints: then its data link failsafe counts too."""
         profile, binding = self._vehicle.profile, self._vehicle.binding
         return not profile.by_trajectory or binding.waives(AUTONOMOUS)
 
     async def _read(self, need: Need) -> tuple[str, float | None]:
-        """The parameter under the name that this autopilot has for it. Raises DeviceError."""
+        """The parameter under this autopilot's name for it. Raises DeviceError."""
         names = self._names.get(need.names, need.names)
         name, present = await self._parameters.read_any(names)
         if present is not None and math.isfinite(present):
@@ -251,7 +252,7 @@ class Watchdog:
             return name, present
         if need.needed and need.names:
             raise self._vehicle.error(
-                f"it does not tell {' or '.join(names)}: whether it is set up for its binding is not known",
+                f"it does not report {' or '.join(names)}: whether it is set up for its binding is unknown",
                 timeout=True,
             )
         self._names[need.names] = ()

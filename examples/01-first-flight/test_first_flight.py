@@ -16,10 +16,11 @@ def test_the_two_copters_mirror_each_other_and_keep_apart(lfield_mission):
     for lead, wing in zip(legs[::2], legs[1::2], strict=True):
         assert lead.arguments[:2] == tuple(-part for part in wing.arguments[:2])
         assert lead.at < wing.at < lead.ended, "both fly at one time"
-    # Takeoff, three legs, landing: out to begin and back to fetch; the summary ends on the other host.
+    # Takeoff, three legs, landing: one hop to start each and one to fetch; the summary runs on the other
+    # host.
     assert len(team.hops) == 11
     lead, wing = (team.tracks[name] for name in ("lead.fc", "wing.fc"))
-    # They are switched on at one place, and fly each from its own: apart by height there.
+    # They are switched on at one place, each with its own frame: separated by height there.
     flying = [(a, b) for a, b in zip(lead, wing, strict=True) if legs[0].at < a.at < legs[-1].ended]
     assert min(math.dist(a[1:], b[1:]) for a, b in flying) > 1.1
     assert lead[-1].up < 0.05

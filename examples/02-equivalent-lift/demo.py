@@ -1,8 +1,8 @@
-"""Runs the mission four times on fakes: as it is, then with one more robot that has failed each time.
+"""Runs the mission four times on fakes, with one more failed robot each time.
 
     python examples/02-equivalent-lift/demo.py
 
-Every host is a process of its own. Once the hook is down, the faults of the run are set with `lfield sim
+Every host is a process. Once the hook is down, the faults of the run are set with `lfield sim
 fault`, as one could by hand; when `lfield query` says that the crane's host has noticed all of them, the
 cart's computer is started, and so the parcel comes. Nothing is left to a fixed time. 0 means that in every
 run whoever should lift the parcel did.
@@ -25,38 +25,38 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from lfield import exits
+from lfield import exit_status
 from lfield.cli.main import main as lfield
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 MISSION = Path(__file__).with_name("mission.dL")
 HOSTS = ("yard", "air", "bench", "tool")
 #: Its computer comes with the parcel.
 CART = "cart"
-#: Seconds for one step of the mission on a computer that has a lot else to do.
+#: Seconds for one step of the mission on a busy computer.
 PATIENCE = 180.0
 
-#: What hosts and devices say of themselves; the rest is the foreman's.
-OTHERS = re.compile(r"(\w+\.\w+: |\w+ is up|linked with|lost the link|waiting for |closed a link)")
+#: Log lines of hosts and devices; the rest is the foreman's.
+OTHERS = re.compile(r"(\w+\.\w+: |\w+ listening |link to |waiting for |link from )")
 
-#: What fails in each run besides what has failed before: the device, its fault, and how people would say it.
+#: The additional failure of each run: device, fault and description.
 FAILURES = (
     ("", "", "everything works"),
     ("crane.axis", "silence=true", "the crane's drive has lost its power"),
     ("sky.fc", "battery=0.15", "the copter's battery is low as well"),
     ("hand.motor", "dead=true", "and the hand's servo is dead"),
 )
-#: Who shall lift in each run, '' for nobody.
+#: Who must lift in each run, '' for nobody.
 LIFTS = ("crane", "sky", "hand+arm", "")
 
 
 class Failed(Exception):
-    """The run did not go as it should: one sentence."""
+    """The run failed: one sentence."""
 
 
 @dataclass
 class Host:
-    """The process of one host, and who reads what it says."""
+    """The process of one host, and the thread that reads its output."""
 
     process: subprocess.Popen[str]
     reader: threading.Thread
@@ -68,14 +68,14 @@ class Team:
     def __init__(self, mission: Path) -> None:
         self._mission = mission
         self._maps = [f"--map={host}=127.0.0.1:{free_port()}" for host in (*HOSTS, CART)]
-        # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
+        # As on several computers, each host authenticates; in the field `lfield keys` creates the keys.
         keyring = Keyring(mission.parent / "keys")
         self._keys = "--keys", str(keyring.give(*HOSTS, CART))
-        # They take no other bundle: `lfield sign` does this.
+        # Hosts with keys accept signed bundles only, as by `lfield sign`.
         keyring.sign(mission)
         self._hosts: dict[str, Host] = {}
         self._said, self._shown = threading.Condition(), sys.stdout
-        #: What the foreman has said.
+        #: The foreman's output.
         self.lines: list[str] = []
 
     def __enter__(self) -> Team:
@@ -93,8 +93,8 @@ class Team:
                 host.process.kill()
 
     def start(self, host: str) -> None:
-        """Start a host, with the fakes of its devices."""
-        # Nobody waits for the cart's host, which is to come, and nothing is kept beyond the run.
+        """Starts a host, with the fakes of its devices."""
+        # No host waits for the cart's, which comes later, and nothing is stored beyond the run.
         options = ("--sim", "--volatile", "--first-start", "--until-done", "--lost-after", "900")
         words = ("up", str(self._mission), "--host", host, *options, *self._maps, *self._keys)
         command = [sys.executable, "-m", "lfield", *words]
@@ -104,7 +104,7 @@ class Team:
         reader.start()
 
     def ended(self) -> int:
-        """Wait until all hosts have ended; returns the worst of their statuses. Raises Failed."""
+        """Waits until all hosts have ended; returns the worst of their statuses. Raises Failed."""
         end = time.monotonic() + PATIENCE
         for name, host in self._hosts.items():
             try:
@@ -112,24 +112,24 @@ class Team:
             except subprocess.TimeoutExpired:
                 raise Failed(f"the host {name} has not ended")
             host.reader.join()
-        return exits.worst(host.process.returncode for host in self._hosts.values())
+        return exit_status.most_severe(host.process.returncode for host in self._hosts.values())
 
     def wait_for(self, words: str) -> None:
-        """Until the foreman has said this. Raises Failed."""
+        """Waits for a text of the foreman. Raises Failed."""
         end = time.monotonic() + PATIENCE
         with self._said:
             while not any(words in line for line in self.lines):
                 if time.monotonic() > end or any(h.process.poll() is not None for h in self._hosts.values()):
-                    raise Failed(f"the foreman has not said that {words}")
+                    raise Failed(f"the foreman has not printed: {words}")
                 self._said.wait(0.2)
 
     def best(self) -> str | None:
-        """Who would lift, as the host of the crane sees it now: '' nobody, None while that is not known."""
+        """Who would lift now, according to the crane's host: '' for nobody, None while unknown."""
         question = ("query", "Lift where payload >= 0.2", "--deploy", str(self._mission), "--at", "yard")
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
             status = lfield([*question, "--json", *self._maps, *self._keys])
-        if status not in (exits.DONE, exits.FAILED):
+        if status not in (exit_status.DONE, exit_status.FAILED):
             return None
         answer = json.loads(said.getvalue())
         if "yard" not in answer["answered"]:
@@ -142,7 +142,7 @@ class Team:
         for line in process.stdout:
             if OTHERS.match(line):
                 continue
-            # Not to wherever a question's answer goes just then.
+            # Not to stdout, which may be redirected for an answer at that time.
             print(f"{host:5} | {line}", end="", file=self._shown, flush=True)
             with self._said:
                 self.lines.append(line)
@@ -150,7 +150,7 @@ class Team:
 
 
 def free_port() -> int:
-    """A port of loopback that nobody has, and that the kernel gives to no connection's near end."""
+    """A free port of loopback, outside the kernel's ephemeral range."""
     for port in random.SystemRandom().sample(range(20_000, 32_000), 100):
         with socket.socket() as probe:
             if probe.connect_ex(("127.0.0.1", port)) != 0:
@@ -159,7 +159,7 @@ def free_port() -> int:
 
 
 def run(mission: Path, number: int) -> None:
-    """One run. Raises Failed unless who should lift the parcel did."""
+    """One run. Raises Failed unless the expected lift was used."""
     wanted = LIFTS[number]
     with Team(mission) as team:
         team.wait_for("the parcel is coming")
@@ -167,19 +167,19 @@ def run(mission: Path, number: int) -> None:
         end = time.monotonic() + PATIENCE
         while (best := team.best()) != wanted:
             if time.monotonic() > end:
-                raise Failed(f"the hosts have not noticed what failed: {best or 'nobody'} would lift")
+                raise Failed(f"the hosts have not noticed the failures: {best or 'nobody'} would lift")
             time.sleep(0.2)
         team.start(CART)
         status = team.ended()
-    # A device that has failed cannot be seen in its safe state, however well the mission went.
-    if status != (exits.UNSAFE if number else exits.DONE):
+    # The safe state of a failed device cannot be confirmed, even if the mission succeeded.
+    if status != (exit_status.UNSAFE if number else exit_status.DONE):
         raise Failed(f"the mission ended with {status}")
     if complaint := wrong(team.lines, wanted):
         raise Failed(complaint)
 
 
 def wrong(said: list[str], wanted: str) -> str:
-    """What is wrong with who has lifted by what the foreman said, '' when nothing is."""
+    """What is wrong with the lift according to the foreman, '' for nothing."""
     tried, lifted = "", []
     for line in said:
         if found := re.match(r"foreman: (\S+) shall lift", line):
@@ -192,17 +192,17 @@ def wrong(said: list[str], wanted: str) -> str:
 
 
 def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
-    """Set the faults of the fakes."""
+    """Sets the faults of the fakes."""
     for device, fault, words in failures:
         with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
             status = lfield(["sim", "fault", device, fault])
         if status:
-            raise Failed(f"{device} has not taken {fault}")
+            raise Failed(f"{device} did not accept {fault}")
         print(f"      | ({words})", flush=True)
 
 
 def main() -> int:
-    """All four runs, until one does not end as it should."""
+    """Runs all four, until one fails."""
     with tempfile.TemporaryDirectory() as folder:
         mission = Path(folder) / "mission.lfm"
         subprocess.run(
@@ -216,12 +216,12 @@ def main() -> int:
                 run(mission, number)
             except Failed as failed:
                 print(f"run {number + 1}: {failed}", file=sys.stderr)
-                return exits.FAILED
-    return exits.DONE
+                return exit_status.FAILED
+    return exit_status.DONE
 
 
 if __name__ == "__main__":
     try:
         sys.exit(main())
     except KeyboardInterrupt:
-        sys.exit(exits.INTERRUPTED)
+        sys.exit(exit_status.INTERRUPTED)

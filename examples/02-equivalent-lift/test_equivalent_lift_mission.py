@@ -9,12 +9,12 @@ import pytest
 
 #: Seconds after which every host knows of a fault.
 NOTICED = 8.0
-#: Each run has failures of those before.
+#: Each run includes the failures of those before.
 FAILURES = [(device, fault) for device, fault, _ in demo.FAILURES[1:]]
 
 
 def run(lfield_mission, failures):
-    """The mission with these robots failing once the hook is down; the team when it has ended."""
+    """Runs the mission with failures of these robots once the hook is down; returns the team."""
     team = lfield_mission("mission.dL")
     team.crash(demo.CART)
     team.run(until="the parcel is coming")
@@ -28,11 +28,12 @@ def run(lfield_mission, failures):
 
 
 def lifts(team):
-    """Where the foreman was when the parcel had gone up, and by how many metres."""
+    """Where the foreman was when the parcel was up, and its height in metres."""
     found = [(line.host, re.match(r"foreman: the parcel went up by (.*) m$", line.text)) for line in team.log]
     return [(host, match[1]) for host, match in found if match]
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("count", "lift", "way"),
     [
@@ -68,6 +69,7 @@ def test_the_demonstration_knows_whether_the_right_robot_came():
     assert demo.wrong([sky, up], "") == "sky has lifted the parcel, not nobody"
 
 
+@pytest.mark.few(0)
 def test_the_copter_that_stands_in_has_lifted_in_truth(lfield_mission):
     team = run(lfield_mission, FAILURES[:1])
     assert max(point.up for point in team.tracks["sky.fc"]) > 1.0

@@ -30,15 +30,17 @@ def test_the_parcel_goes_from_the_copter_to_the_hand_under_the_hook(lfield_missi
     assert track[-1][1:3] == pytest.approx((0.0, 0.0), abs=0.6), "and lands at the dock"
 
 
+@pytest.mark.few(0)
 def test_in_the_end_each_goes_to_its_safe_state(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     team.stop()
     team.run(5.0)
     for device, state in (("carrier.fc", "land"), ("hoist.axis", "brake"), ("hand.motor", "torque_hold")):
-        assert team.said(f"{device}: is in its safe state '{state}': the host is stopping") == 1
+        assert team.said(f"{device} in safe state '{state}': the host is stopping") == 1
 
 
+@pytest.mark.few(0)
 def test_a_hoist_that_loses_its_bus_is_an_exception_and_the_copter_comes_down(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until="the copter has the parcel")

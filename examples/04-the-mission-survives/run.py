@@ -18,7 +18,7 @@ from pathlib import Path
 
 from team import Failed, Team
 
-from lfield import exits
+from lfield import exit_status
 
 HERE = Path(__file__).parent
 SERVOS = "dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270"
@@ -30,24 +30,25 @@ MISSION = {
     "serial:/dev/ttyUSB0:57600": SERVOS,
 }
 TABLE = {"serial:/dev/ttyUSB0:57600": SERVOS, "serial:/dev/ttyUSB1:57600": SERVOS}
-#: What the coordinator says before its host is killed, how many seconds before, which host, and at what.
+#: What the coordinator prints before its host is killed, the delay in seconds, the host, and the present
+#: action.
 KILLS = (
     ("the scout is at (4, 2)", 0.8, "sky", "the copter flies back, and the coordinator is with it"),
     ("the truck is there", 1.5, "ground", "the hook goes down; this is also the coordinator's home"),
 )
-#: Seconds after which systemd starts a host again.
+#: Seconds after which systemd restarts a host.
 AGAIN = 1.0
 
 
 class Report:
-    """What is said of one mission at the end: what happened, with the times."""
+    """The report about one mission: what happened, with times."""
 
     def __init__(self, team: Team) -> None:
         self._team, self._began = team, time.monotonic()
         self._rows: list[tuple[float, str, str]] = []
 
     def row(self, at: float, what: str, text: str) -> None:
-        """Something happened."""
+        """Adds an event."""
         self._rows.append((at, what, text))
 
     def after(self, at: float) -> str:
@@ -56,13 +57,13 @@ class Report:
 
     @property
     def lines(self) -> list[str]:
-        """All that happened, and all that the program was told, in order."""
+        """All events, and all exceptions of the program, in order."""
         told = [(x.at, "told", x.text.split(": ", 2)[2]) for x in self._team.lines if ": told at" in x.text]
         return [f"{what:8} {text}" for _, what, text in sorted([*self._rows, *told])]
 
 
 def started_again(team: Team, report: Report) -> None:
-    """Each host that is killed is started again, and goes on with what it had."""
+    """Each killed host is restarted, and resumes from its journal."""
     said = 0.0
     for words, seconds, host, what in KILLS:
         said = team.wait_for(words, said).at
@@ -72,7 +73,7 @@ def started_again(team: Team, report: Report) -> None:
         time.sleep(AGAIN)
         again = time.monotonic()
         team.start(host)
-        back = team.wait_for("survivor goes on where it was kept", again).at
+        back = team.wait_for("survivor resumed from the journal", again).at
         report.row(back, "back", f"{back - again:.1f} s after the start of its new process")
     done = team.wait_for("survivor: complete").at
     report.row(done, "complete", report.after(done))
@@ -93,14 +94,14 @@ def gone_for_good(team: Team, report: Report) -> None:
 
 
 def since_it_came(team: Team, here: str) -> list[str]:
-    """What the coordinator said on a host since it came there: its newest shadow knows none of it."""
+    """The coordinator's output on a host since its arrival, which its newest shadow lacks."""
     said = [x for x in team.lines if x.text.startswith("clearer: part")]
     elsewhere = max((number for number, x in enumerate(said) if x.host != here), default=-1)
     return [x.text.removeprefix("clearer: ") for x in said[elsewhere + 1 :]]
 
 
 def run(team: Team, fakes: Mapping[str, str], story: Callable[[Team, Report], None]) -> list[str]:
-    """One mission from its start to its end; returns what is said of it. Raises Failed."""
+    """Runs one mission; returns its report. Raises Failed."""
     report = Report(team)
     try:
         team.begin(fakes)
@@ -117,15 +118,15 @@ def main() -> int:
         table = Team("quorum", HERE / "table.dL", ("port", "starboard", "tower"), Path(folder))
         first = pool.submit(run, mission, MISSION, started_again)
         try:
-            # Starting is what takes a processor: one after the other.
-            mission.wait_for("sky is up")
+            # Starting needs most of the processor: one after the other.
+            mission.wait_for("sky listening ")
             second = pool.submit(run, table, TABLE, gone_for_good)
             print("", "self: hosts that are started again", *first.result(), sep="\n")
             print("", "quorum: a host that never comes back", *second.result(), sep="\n")
         except Failed as failed:
-            print(f"the mission does not go on: {failed}", file=sys.stderr)
-            return exits.FAILED
-    return exits.DONE
+            print(f"the mission failed: {failed}", file=sys.stderr)
+            return exit_status.FAILED
+    return exit_status.DONE
 
 
 if __name__ == "__main__":

@@ -13,16 +13,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
-#: Seconds within which a word of the mission must come.
+#: Seconds to wait for a line of the mission.
 PATIENCE = 60.0
-#: What is shown of all that hosts say.
+#: The part of the hosts' output that is shown.
 SHOWN = re.compile(r"^(survivor|clearer|nobody was heard|no other host)|safe state|Traceback|problem")
 
 
 class Line(NamedTuple):
-    """What a host said, and when, in seconds of the monotonic clock."""
+    """A line of a host, with its time in seconds of the monotonic clock."""
 
     at: float
     host: str
@@ -30,11 +30,11 @@ class Line(NamedTuple):
 
 
 class Failed(Exception):
-    """The mission does not go on: one sentence."""
+    """The mission failed: one sentence."""
 
 
 class Team:
-    """A deployment; `policy` is what its lines are marked with. Nothing is left running after `end`."""
+    """A deployment; its lines are marked with `policy`. Nothing is left running after `end`."""
 
     def __init__(self, policy: str, deployment: Path, hosts: Sequence[str], folder: Path) -> None:
         self._policy, self._deployment, self._folder = policy, deployment, folder
@@ -42,45 +42,46 @@ class Team:
         self._ports = {host: free_port() for host in hosts}
         self._fakes: list[subprocess.Popen[str]] = []
         self._hosts: dict[str, subprocess.Popen[str]] = {}
-        # As on several computers, each host proves who it is: `lfield keys` makes these in the field.
+        # As on several computers, each host authenticates; in the field `lfield keys` creates the keys.
         self._keyring = Keyring(folder / "keys" / policy)
         self._keys = "--keys", str(self._keyring.give(*hosts))
         self.lines: list[Line] = []
         self._said = threading.Condition()
 
     def begin(self, fakes: Mapping[str, str]) -> None:
-        """Start a fake for each endpoint of the devices file, and the hosts, which have these endpoints."""
+        """Starts a fake for each endpoint of the devices file, and the hosts with these endpoints."""
         self._fakes = [popen("sim", *words.split(), "--until-stdin-closes") for words in fakes.values()]
         bindings = self._deployment.with_suffix(".devices.yaml").read_text()
         for endpoint, fake in zip(fakes, self._fakes, strict=True):
             assert fake.stdout is not None
             bindings = bindings.replace(endpoint, fake.stdout.readline().split()[1])
         devices = self._folder / f"{self._bundle.stem}.devices.yaml"
-        devices.write_text(bindings)
+        # As with `up --sim`: on a busy desk a host may be late for longer than the default of 0.2 s.
+        devices.write_text(f"silence: 2.0\n{bindings}")
         words = ("build", str(self._deployment), "--devices", str(devices), "--output", str(self._bundle))
         built = subprocess.run([sys.executable, "-m", "lfield", *words], capture_output=True, text=True)
         if built.returncode:
             raise Failed(built.stderr)
-        # Hosts with keys take no other: `lfield sign` does this in the field.
+        # Hosts with keys accept signed bundles only, as by `lfield sign`.
         self._keyring.sign(self._bundle)
         for host in self._ports:
             self.start(host)
 
     def start(self, host: str) -> None:
-        """Start a host, as systemd does; what it has kept is in the folder."""
+        """Starts a host, as systemd does; its journal is in the folder."""
         maps = [f"--map={name}=127.0.0.1:{port}" for name, port in self._ports.items()]
         words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps, *self._keys)
         process = self._hosts[host] = popen(*words)
         threading.Thread(target=self._read, args=(host, process), daemon=True).start()
 
     def kill(self, host: str, what: str) -> float:
-        """SIGKILL; says so, and returns when."""
+        """Kills a host with SIGKILL, reports it, and returns the time."""
         self._hosts.pop(host).kill()
         self._show("", f"({host} is killed: {what})\n")
         return time.monotonic()
 
     def wait_for(self, words: str, since: float = 0.0) -> Line:
-        """The first line with these words that came after a time. Raises Failed."""
+        """The first line with this text after a time. Raises Failed."""
         end = time.monotonic() + PATIENCE
         with self._said:
             while not (found := [x for x in self.lines if words in x.text and x.at > since]):
@@ -96,7 +97,7 @@ class Team:
         return " / ".join([f"{host} has ended, and its last words were", *(last or ["none"])])
 
     def end(self) -> None:
-        """End the hosts, which bring their devices to rest, then the fakes."""
+        """Stops the hosts, which bring their devices to rest, then the fakes."""
         for host in self._hosts.values():
             host.terminate()
         for host in self._hosts.values():
@@ -120,16 +121,16 @@ class Team:
 
 
 def popen(*words: str) -> subprocess.Popen[str]:
-    """A command of lfield."""
+    """Runs a command of lfield."""
     pipe, merged = subprocess.PIPE, subprocess.STDOUT
     command = [sys.executable, "-m", "lfield", *words]
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=merged, text=True)
 
 
 def free_port() -> int:
-    """A port of loopback that nobody has, below those that the kernel gives to the near ends of connections.
+    """A free port of loopback below the ephemeral range.
 
-    A host listens there seconds later, and again after it was killed: nobody may have got it meanwhile.
+    A host listens there seconds later, and again after it was killed: no other process may get it meanwhile.
     """
     for port in random.SystemRandom().sample(range(20_000, 32_000), 100):
         with socket.socket() as probe:

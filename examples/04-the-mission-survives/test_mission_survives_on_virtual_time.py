@@ -6,10 +6,11 @@ import pytest
 
 
 def acts(team, portal):
-    """The calls of a portal that have begun."""
+    """The calls of a portal that have started."""
     return [call for call in team.calls if call.portal == portal]
 
 
+@pytest.mark.few(0)
 def test_nobody_dies_and_all_is_made_once(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
@@ -60,11 +61,11 @@ def test_all_three_computers_lose_their_power_at_once(lfield_mission):
 
 def test_a_majority_goes_on_when_the_host_of_the_coordinator_never_comes_back(lfield_mission):
     team = lfield_mission("table.dL")
-    # It has been at the other arm: there its shadow is.
+    # It has been at the other arm, where its shadow is.
     team.run(until=lambda: len(team.hops) == 2)
     team.run(0.5)
     team.power_off(team.hops[-1].target)
-    team.run(until="clearer is recovered here")
+    team.run(until="clearer recovered on this host")
     recovered = team.now
     team.run(until_done=True)
     assert team.said("told at part")

@@ -1,6 +1,6 @@
-"""Who carried what, and when: a run of the mission as a picture, time to the right and hosts downwards.
+"""Draws a run of the mission: time to the right, hosts from top to bottom.
 
-`python examples/15-tuple-space/carried.py` flies the mission that the page shows, and draws tracks.svg.
+`python examples/15-tuple-space/carried.py` runs the mission of the page, and draws tracks.svg.
 """
 
 from __future__ import annotations
@@ -9,25 +9,25 @@ from collections.abc import Iterator
 from html import escape
 from pathlib import Path
 
-from lfield.testing.mission.calls import PortalCall
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.call_record import RecordedCall
+from lfield.testing.mission.mission_team import MissionTeam
 
 HERE = Path(__file__).parent
-#: Pixels: of a second, of a host, left of the beginning, between the lanes of those who wait in the space.
+#: Pixels per second and per host, left margin, and distance of lanes in the space.
 SECOND, ROW, LEFT, LANE = 84.0, 72.0, 64.0, 8.0
-#: The hosts from above, the space in the middle; a colour for each carrier (Okabe and Ito, 2008).
+#: The hosts from the top, with the space in the middle; a colour for each carrier (Okabe and Ito, 2008).
 HOSTS = ("sky", "north", "farm", "south", "east")
 COLOURS = {"scout": "#0072b2", "hoe1": "#d55e00", "hoe2": "#009e73", "fork": "#cc79a7"}
 
 
 def main() -> None:
-    """Fly it: the computer of a hoe is killed while it pulls a weed, and started again."""
-    team = shown(Team(HERE / "mission.dL"))
+    """Runs it: the computer of a hoe is killed while it pulls a weed, and restarted."""
+    team = shown(MissionTeam(HERE / "mission.dL"))
     (HERE / "tracks.svg").write_text(draw(team))
     team.close()
 
 
-def shown(team: Team) -> Team:
+def shown(team: MissionTeam) -> MissionTeam:
     """The run of the page."""
     team.at(4.0, lambda: team.crash("north"))
     team.at(5.5, lambda: team.boot("north"))
@@ -35,8 +35,8 @@ def shown(team: Team) -> Team:
     return team
 
 
-def draw(team: Team) -> str:
-    """An SVG of the hops, of the tuples that were worked on, and of what befell hosts."""
+def draw(team: MissionTeam) -> str:
+    """An SVG of hops, processed tuples, and events of hosts."""
     parts = [text(8, y(host) + 4, host, "#222") for host in HOSTS]
     parts += [text(8, y(host_of(team, client)) + 18, client, colour) for client, colour in COLOURS.items()]
     parts += [f'<path d="M{LEFT} {y(h)}H{x(team.now):.1f}" stroke="#ddd"/>' for h in HOSTS]
@@ -44,9 +44,9 @@ def draw(team: Team) -> str:
     parts += [track(team, client) for client in COLOURS]
     parts += [work(team, call) for call in team.calls if worked(call)]
     for mark in team.marks:
-        place = y(mark.words.split()[0])
+        place = y(mark.text.split()[0])
         parts.append(f'<path d="M{x(mark.at) - 5:.1f} {place - 5}l10 10m0 -10l-10 10" stroke="#d00"/>')
-        parts.append(text(x(mark.at) - 4, place - 20, mark.words, "#d00"))
+        parts.append(text(x(mark.at) - 4, place - 20, mark.text, "#d00"))
     width, height = x(team.now) + 40, y("east") + 56
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width:.0f} {height:.0f}" width="{width:.0f}" '
@@ -56,8 +56,8 @@ def draw(team: Team) -> str:
     )
 
 
-def track(team: Team, client: str) -> str:
-    """Where a carrier was: on its client's host, or in the space, in a lane of its own."""
+def track(team: MissionTeam, client: str) -> str:
+    """The path of a carrier: on its client's host, or in the space in its own lane."""
     lane = LANE * (list(COLOURS).index(client) - 1.5)
     path = ""
     for hop in (hop for hop in team.hops if hop.agent == f"{client}-carrier"):
@@ -66,12 +66,12 @@ def track(team: Team, client: str) -> str:
     return f'<path d="{path}" stroke="{COLOURS[client]}" fill="none" stroke-width="1.5"/>'
 
 
-def worked(call: PortalCall) -> bool:
-    """Whether a client worked on a tuple; one that was killed has not ended."""
+def worked(call: RecordedCall) -> bool:
+    """Whether a client processed a tuple; a killed one has not ended."""
     return call.portal == "reply" and (call.ended is None or call.ended > call.at)
 
 
-def work(team: Team, call: PortalCall) -> str:
+def work(team: MissionTeam, call: RecordedCall) -> str:
     """A bar with the tuple in it."""
     place = y(host_of(team, call.resource))
     end = call.ended or next(mark.at for mark in team.marks if mark.at > call.at)
@@ -84,13 +84,13 @@ def work(team: Team, call: PortalCall) -> str:
 
 
 def fields(tuple_: object) -> Iterator[str]:
-    """What a tuple says, without the word that it begins with where that is clear."""
+    """The fields of a tuple, without its first word if that is clear."""
     values = tuple_.values  # type: ignore[attr-defined]
     yield from values if values[0] == "row" else values[1:]
 
 
-def host_of(team: Team, agent: str) -> str:
-    """Where an agent is deployed."""
+def host_of(team: MissionTeam, agent: str) -> str:
+    """The host where an agent is deployed."""
     whole = team.mission.team
     return next(whole.hosts[member.host] for member in whole.members if member.id == agent)
 
@@ -106,7 +106,7 @@ def y(host: str) -> float:
 
 
 def text(left: float, base: float, words: str, colour: str) -> str:
-    """Words, not bold."""
+    """Text, not bold."""
     return f'<text x="{left:.1f}" y="{base:.1f}" fill="{colour}">{escape(words)}</text>'
 
 

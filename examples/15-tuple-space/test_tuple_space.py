@@ -1,4 +1,4 @@
-"""The field is weeded once, whoever dies meanwhile; and what a tuple space promises to any client."""
+"""The field is weeded once despite failures; guarantees of the tuple space to any client."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ HERE = Path(__file__).parent
 WEEDS = 11
 ROBOTS = ("sky", "north", "south", "east")
 
-#: Clients of tests: coordinators that use the space themselves. Each waits a moment, then does one thing.
+#: Test clients: coordinators that use the space directly. Each waits, then performs one operation.
 CLIENTS = """
 coordinator Writer {
     init(string[] arg) {
@@ -50,7 +50,7 @@ def field(lfield_mission):
 
 @pytest.fixture
 def clients(tmp_path, lfield_mission):
-    """A team of clients, one a line of a deployment, around a space on the host `shed`."""
+    """A team of clients, one per line of a deployment, around a space on the host `shed`."""
 
     def made(*lines: str, program: str = CLIENTS):
         (tmp_path / "mission.L").write_text(f'include "{HERE / "space.L"}";\n{program}')
@@ -61,13 +61,13 @@ def clients(tmp_path, lfield_mission):
 
 
 def deeds(team, verb: str) -> list[tuple[str, str]]:
-    """Who has written, taken, read or given back which tuple, in order."""
+    """Who has written, taken, read or returned which tuple, in order."""
     found = (re.match(rf"(\S+) {verb} (\(.*)", line.text) for line in team.log)
     return [(match[1], match[2]) for match in found if match]
 
 
 def assert_weeded(team) -> None:
-    """Every weed that was seen is pulled, once, and every row was flown over once."""
+    """Every weed that was found is pulled once, and every row was inspected once."""
     written = [tuple_ for _, tuple_ in deeds(team, "writes")]
     pulled = Counter(re.findall(r'\("pulled", (\d+, [\d.]+), ', "\n".join(written)))
     seen = Counter(re.findall(r'\("weed", ([1-9]\d*, [\d.]+), ', "\n".join(written)))
@@ -117,9 +117,10 @@ def test_waiting_needs_no_radio(clients):
     assert sorted(deeds(team, "takes")) == [("a", '("part", 1)'), ("b", '("part", 2)')]
 
 
-# --- who dies -----------------------------------------------------------------------------------------
+# --- failures -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("back", [1.0, 8.0, None], ids=["soon", "late", "never"])
 @pytest.mark.parametrize(("client", "host"), [("hoe1", "north"), ("fork", "east")])
 def test_what_a_host_had_taken_when_it_died_is_done_once(field, client, host, back):
@@ -134,6 +135,7 @@ def test_what_a_host_had_taken_when_it_died_is_done_once(field, client, host, ba
     assert Counter(tuple_ for _, tuple_ in deeds(field, "takes"))[given_back] == 2
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("moment", [1.0, 2.6, 3.65, 5.0])
 def test_the_scout_dies_and_no_row_is_lost_or_seen_twice(field, moment):
     field.at(moment, lambda: field.crash("sky"))
@@ -143,7 +145,7 @@ def test_the_scout_dies_and_no_row_is_lost_or_seen_twice(field, moment):
 
 
 def test_a_robot_that_was_only_cut_off_writes_nothing_of_what_was_given_back(field):
-    """It pulls a weed, out of hearing, that others pull again; its own word for it comes too late."""
+    """It pulls a weed while disconnected, which others pull again; its own report comes too late."""
     field.run(until='hoe1 takes ("weed"')
     field.run(0.5)
     away = [host for host in field.mission.team.hosts if host != "north"]
@@ -154,13 +156,15 @@ def test_a_robot_that_was_only_cut_off_writes_nothing_of_what_was_given_back(fie
         field.heal("north", host)
     field.run(until_done=True)
     assert_weeded(field)
-    assert field.said("hoe1-carrier is recovered here", "farm") == 1
+    assert field.said("hoe1-carrier recovered on this host", "farm") == 1
     assert field.ended["hoe1-carrier"] == "done"
     assert field.said("once more: ", "north") <= 5, "who is refused does not try again all the time"
 
 
 def test_a_wait_that_was_broken_off_goes_on_in_its_place(field):
-    """Without a majority nobody may act, so those who wait are told; their call in the space lives on."""
+    """Without a majority no operation is possible, so waiting clients get an error; their call in the space
+    remains.
+    """
     field.run(until='scout takes ("row", 1)')
     field.run(0.1)
     for host in ROBOTS:
@@ -218,7 +222,7 @@ def test_readers_wake_and_leave_the_tuple_to_the_next(clients):
 
 
 def test_who_asks_again_gets_the_same_answer_and_takes_nothing_more(clients):
-    """Whoever was told that a call may have been made makes it again under its number."""
+    """A client whose call may have been executed repeats it with the same number."""
     program = """
     coordinator Again {
         init(string[] arg) {

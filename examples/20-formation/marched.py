@@ -1,35 +1,35 @@
-"""The march as a picture: tracks from above, and the formation in which everybody stands at the end of a leg.
+"""Draws the march: tracks from above, and the formation at the end of each leg.
 
-`python examples/20-formation/marched.py` flies the march in which bob loses a motor, and draws tracks.svg.
+`python examples/20-formation/marched.py` runs the march in which bob loses a motor, and draws tracks.svg.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from lfield.testing.mission.team import Team
-from lfield.testing.mission.watching import Point
+from lfield.testing.mission.mission_team import MissionTeam
+from lfield.testing.mission.recorders import Point
 
 HERE = Path(__file__).parent
-#: Pixels of a metre; metres that the picture's lower left corner and upper right one are from the start.
+#: Pixels per metre; lower left and upper right corner of the picture in metres from the start.
 METRE, SOUTH, WEST, NORTH, EAST = 14.0, -9.0, -20.0, 23.0, 32.0
-#: Colours that colour-blind people tell apart (Okabe and Ito, 2008).
+#: Colours that are distinguishable with colour blindness (Okabe and Ito, 2008).
 COLOURS = {"ada": "#0072b2", "bob": "#d55e00", "cat": "#009e73", "dan": "#cc79a7", "eve": "#e69f00"}
 #: Seconds since the start at which bob loses a motor.
 DEAD = 38.0
 
 
 def main() -> None:
-    """Fly it, and draw it."""
-    team = Team(HERE / "mission.dL")
+    """Runs it, and draws it."""
+    team = MissionTeam(HERE / "mission.dL")
     team.at(DEAD, lambda: team.fake("bob.fc").set("motor_failure=true"))
     team.run(until_done=True)
     (HERE / "tracks.svg").write_text(draw(team))
     team.close()
 
 
-def draw(team: Team) -> str:
-    """An SVG of the tracks, with a disc for whoever stands in a formation when it is told of."""
+def draw(team: MissionTeam) -> str:
+    """An SVG of the tracks, with a disc per robot when a formation is reported."""
     tracks = {name.partition(".")[0]: points for name, points in team.tracks.items()}
     parts = [path(points, COLOURS[name]) for name, points in tracks.items()]
     parts += [text(points[0], name, COLOURS[name]) for name, points in tracks.items()]
@@ -50,7 +50,7 @@ def draw(team: Team) -> str:
 
 
 def at(points: list[Point], moment: float) -> Point:
-    """Where it was then."""
+    """The position at a time."""
     return min(points, key=lambda point: abs(point.at - moment))
 
 
@@ -65,18 +65,18 @@ def y(point: Point) -> float:
 
 
 def path(points: list[Point], colour: str) -> str:
-    """A track, a place each half second."""
+    """A track, a point each half second."""
     places = "L".join(f"{x(point):.1f} {y(point):.1f}" for point in points[::5])
     return f'<path d="M{places}" stroke="{colour}" stroke-opacity="0.5" fill="none"/>'
 
 
 def disc(point: Point, colour: str) -> str:
-    """Somebody in a formation."""
+    """A robot in a formation."""
     return f'<circle cx="{x(point):.1f}" cy="{y(point):.1f}" r="6" fill="{colour}"/>'
 
 
 def text(point: Point, words: str, colour: str) -> str:
-    """Words beside a place."""
+    """Text beside a point."""
     return f'<text x="{x(point) + 9:.1f}" y="{y(point) - 9:.1f}" fill="{colour}">{words}</text>'
 
 

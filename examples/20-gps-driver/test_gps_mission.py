@@ -8,12 +8,12 @@ import re
 
 import pytest
 
-#: Metres a second at which the fake goes round.
+#: Speed of the fake in m/s.
 SPEED = 2.0
 
 
 def told(team):
-    """What the surveyor has found: metres, and of how many places."""
+    """The result of the surveyor: metres, and the number of positions."""
     (line,) = (line.text for line in team.log if " m over " in line.text)
     way, places = re.search(r"([\d.]+) m over (\d+) places", line).groups()
     return float(way), int(places)
@@ -26,7 +26,7 @@ def test_the_way_of_the_boat_is_measured(lfield_mission):
     way, places = told(team)
     assert way == pytest.approx(20.0 * SPEED, abs=1.5)
     assert places == 21
-    # One hop: the portals of a receiver are called where it is.
+    # One hop: the portals of a receiver are called on its host.
     assert [hop.target for hop in team.hops] == ["afloat"]
 
 
@@ -47,7 +47,7 @@ def test_without_a_fix_the_boat_is_nowhere_and_what_is_missing_is_a_straight_lin
     team.at(14.0, lambda: team.fake("boat.gps").set("no_fix=false"))
     team.run(until_done=True)
     way, places = told(team)
-    # A place is told for 2.5 s after it was true.
+    # A position is valid for 2.5 s.
     lost = team.said("not known where it is")
     assert 2 <= lost <= 5
     assert places == 21 - lost

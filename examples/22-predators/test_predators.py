@@ -15,7 +15,7 @@ PACK = {"grey": "north", "black": "east", "white": "south", "brown": "west"}
 
 
 def surrounded(team, without=""):
-    """Whether the prey fits through no gap between two predators, and they are on all sides."""
+    """Whether the prey fits through no gap between two predators, which are on all sides."""
     prey = team.fake("prey").place[:2]
     places = [team.fake(f"{who}.wheels").place[:2] for who in PACK if who != without]
 
@@ -30,6 +30,7 @@ def surrounded(team, without=""):
     return True
 
 
+@pytest.mark.few(0)
 def test_they_surround_it(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
@@ -37,11 +38,12 @@ def test_they_surround_it(lfield_mission):
     assert team.said("caught by 4") == 1
     assert surrounded(team)
     assert team.fake("prey").place[0] > 3.0, "it ran"
-    # Two hops for each but the first in a step, where each telling each other would take N(N-1) = 12.
+    # Two hops for each but the first in a step; broadcasting would take N(N-1) = 12.
     steps = sum(call.portal == "driveTo" for call in team.calls) // 4
     assert len(team.hops) <= 6 * steps + 3
 
 
+@pytest.mark.few(0)
 def test_what_is_caught_stays_caught(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
@@ -62,9 +64,10 @@ def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
     assert surrounded(team, without=who)
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_in_processes_all_are_on_one_plane():
-    """As the README has it: a process for each host and each fake, in real time."""
+    """As in the README: a process for each host and each fake, in real time."""
     mission = Path(__file__).parent / "mission.dL"
     command = [
         sys.executable,
@@ -83,7 +86,7 @@ def test_in_processes_all_are_on_one_plane():
 
 
 def line_of(words):
-    """The line of the mission that has these words."""
+    """The line of the mission that contains these words."""
     text = (Path(__file__).parent / "mission.L").read_text().splitlines()
     (number,) = [number for number, line in enumerate(text, 1) if words in line]
     return f"mission.L:{number}"
@@ -93,13 +96,13 @@ def test_the_coordinator_goes_on_elsewhere_when_its_computer_dies(lfield_mission
     team, killed = lfield_mission("mission.dL", seed=2), []
 
     def kill():
-        # The coordinator is where it came to last.
+        # The coordinator's last destination.
         killed.append(team.hops[-1].target)
         team.crash(killed[0])
 
     team.run(6.0)
     team.when(line_of("sights[i] = circle[i].rover.driveTo"), kill)
-    team.run(until="is recovered here")
+    team.run(until="recovered on this host")
     team.run(until_done=True)
     assert team.ended == {"hunt": "done"}
     assert team.said("caught by 3") == 1

@@ -1,1 +1,1 @@
-"""Who may do what: identities, the authority of a team, its keys, and when they are good."""
+"""Authentication and authorisation: identities, the certificate authority of a team, keys, validity."""

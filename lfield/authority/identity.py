@@ -1,15 +1,14 @@
-"""Who the other end of a link is, as proven, and what that one may do.
+"""The proven identity of a peer, and its rights.
 
-A certificate says it in the URIs of its subjectAltName, which the team's authority has signed:
+It is a URI in the subjectAltName of a certificate that the CA of the team has signed:
 
     lfield://host/alpha                      a host, by its name in the deployment
     lfield://person/anna?may=observe,stop    a person, with rights
 
-A certificate is of one of them. With none of ours, with several, or with one that is not written as this
-file writes it, it proves nothing: a name has one spelling only. The issuer's common name is the fingerprint
-of the authority: SHA-256 of its public key, in hex.
+A certificate contains exactly one such URI, in the normal form of this module; otherwise the peer has no
+identity. The common name of the issuer is the fingerprint of the CA: SHA-256 of its public key, in hex.
 
-Nothing here asks whether a certificate is good: TLS has seen its signature, `judge.py` judges the rest.
+Validity is not checked here: TLS verifies the signature, `peer_verification` the rest.
 """
 
 from __future__ import annotations
@@ -25,23 +24,23 @@ from urllib.parse import quote, unquote
 
 
 class Right(StrEnum):
-    """What a person may do. A host needs none of them: it speaks the protocol of hosts."""
+    """A right of an operator. A host needs none: it uses the protocol between hosts."""
 
-    #: See what runs: `ps`, `query`, status.
+    #: Read status: `ps`, `query`.
     OBSERVE = "observe"
-    #: Make everything safe: `estop`, and `pause`, which does no more.
+    #: Make devices safe: `estop` and `pause`.
     STOP = "stop"
-    #: Have things go on: `resume`, lifting a stop, `forget`, `recover`.
+    #: Continue operation: `resume`, lifting a stop, `forget`, `recover`.
     OPERATE = "operate"
-    #: Say what flies: sign bundles.
+    #: Choose the mission: sign bundles.
     COMMAND = "command"
 
 
-ALL = frozenset(Right)
-NONE: frozenset[Right] = frozenset()
+ALL_RIGHTS = frozenset(Right)
+NO_RIGHTS: frozenset[Right] = frozenset()
 
-#: What a right brings along: who may have a team go on may stop it, and who may stop it may look.
-_BRINGS = {Right.OPERATE: {Right.STOP, Right.OBSERVE}, Right.STOP: {Right.OBSERVE}}
+#: Implied rights: `resume` includes `stop`, and `stop` includes `observe`.
+_IMPLIES = {Right.OPERATE: {Right.STOP, Right.OBSERVE}, Right.STOP: {Right.OBSERVE}}
 
 Kind = Literal["host", "person", "local", "stranger"]
 
@@ -51,19 +50,19 @@ MAX_NAME = 128
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Who somebody is. `str()` is how sentences name them.
+    """An identity; `str()` is its name in messages.
 
-    `local` is a user of this computer, as the kernel says (`name` is the user's). `serial` is the number of
-    the certificate in hex (lower case, no leading zeros), `begins` and `ends` are seconds since 1970 UTC,
-    `authority` is the fingerprint of who signed it.
+    `local` is a user of this computer, identified by the kernel (`name` is the user name). `serial` is the
+    serial number of the certificate in hex (lower case, no leading zeros), `valid_from` and `valid_until` are
+    seconds since 1970 UTC, `authority` is the fingerprint of the issuing CA.
     """
 
     kind: Kind
     name: str
     may: frozenset[Right]
     serial: str = ""
-    begins: float = 0.0
-    ends: float = math.inf
+    valid_from: float = 0.0
+    valid_until: float = math.inf
     authority: str = ""
 
     def __str__(self) -> str:
@@ -72,62 +71,64 @@ class Identity:
         return self.name if self.kind == "person" else f"host {self.name}" if self.name else "a stranger"
 
 
-#: Somebody who has proven nothing.
-STRANGER = Identity("stranger", "", NONE)
+#: A peer without proof of identity.
+ANONYMOUS = Identity("stranger", "", NO_RIGHTS)
 
 
-def with_brought(rights: Iterable[Right]) -> frozenset[Right]:
-    """Rights, and those that they bring along; certificates are made with all of them."""
+def with_implied(rights: Iterable[Right]) -> frozenset[Right]:
+    """Rights with those that they imply; a certificate lists all of them."""
     given = frozenset(rights)
-    return given.union(*(_BRINGS.get(right, ()) for right in given))
+    return given.union(*(_IMPLIES.get(right, ()) for right in given))
 
 
-def in_order(rights: Iterable[Right]) -> str:
-    """Rights as certificates and sentences list them: `observe,stop`."""
+def sorted_rights(rights: Iterable[Right]) -> str:
+    """Rights as certificates and messages list them: `observe,stop`."""
     held = frozenset(rights)
     return ",".join(right for right in Right if right in held)
 
 
 def uri_of(kind: Literal["host", "person"], name: str, may: Iterable[Right] = ()) -> str:
-    """What a certificate says of a host, or of a person with rights."""
+    """The URI of a host, or of a person with rights."""
     path = f"lfield://{kind}/{quote(name, safe='')}"
-    return f"{path}?may={in_order(may)}" if kind == "person" else path
+    return f"{path}?may={sorted_rights(may)}" if kind == "person" else path
 
 
 def identity_of(certificate: Mapping[str, Any]) -> Identity:
-    """Whom a certificate names that TLS has verified, as `ssl.SSLSocket.getpeercert()` gives it.
+    """The identity in a certificate that TLS has verified, from `ssl.SSLSocket.getpeercert()`.
 
-    Whatever is not as an authority of lfield writes it is a STRANGER; nothing is raised.
+    Anything that a CA of lfield does not write is a STRANGER; nothing is raised.
     """
     try:
         return from_uris(
             (text for kind, text in certificate["subjectAltName"] if kind == "URI"),
             serial=int(certificate["serialNumber"], 16),
-            begins=seconds_of(certificate["notBefore"]),
-            ends=seconds_of(certificate["notAfter"]),
+            valid_from=seconds_of(certificate["notBefore"]),
+            valid_until=seconds_of(certificate["notAfter"]),
             authority=_common_name(certificate["issuer"]),
         )
     except (KeyError, ValueError, TypeError, AttributeError):
-        return STRANGER
+        return ANONYMOUS
 
 
-def from_uris(uris: Iterable[str], *, serial: int, begins: float, ends: float, authority: str) -> Identity:
-    """The same of the fields of a certificate that was read in another way."""
+def from_uris(
+    uris: Iterable[str], *, serial: int, valid_from: float, valid_until: float, authority: str
+) -> Identity:
+    """The same for the fields of a certificate that was parsed by other means."""
     ours = [uri for uri in uris if uri.lower().startswith("lfield:")]
     if len(ours) != 1:
-        return STRANGER
+        return ANONYMOUS
     try:
         kind, name, may = _read(ours[0])
     except ValueError:
-        return STRANGER
-    return Identity(kind, name, may, f"{serial:x}", begins, ends, authority)
+        return ANONYMOUS
+    return Identity(kind, name, may, f"{serial:x}", valid_from, valid_until, authority)
 
 
 _URI = re.compile(r"lfield://(host|person)/([^/?#]+)(?:\?may=([a-z,]*))?", re.ASCII)
 
 
 def _read(uri: str) -> tuple[Literal["host", "person"], str, frozenset[Right]]:
-    """Raises ValueError for what `uri_of` does not write. Rights of a newer lfield are left out."""
+    """Parse a URI. Raises ValueError unless `uri_of` writes it. Rights of a newer lfield are ignored."""
     found = _URI.fullmatch(uri)
     if found is None:
         raise ValueError("no name of ours")
@@ -137,14 +138,14 @@ def _read(uri: str) -> tuple[Literal["host", "person"], str, frozenset[Right]]:
     if kind == "host":
         if found[3] is not None:
             raise ValueError("a host has no rights")
-        return "host", name, NONE
+        return "host", name, NO_RIGHTS
     if found[3] is None:
         raise ValueError("a person without a list of rights")
     return "person", name, frozenset(right for right in Right if right in found[3].split(","))
 
 
 def _common_name(issuer: Iterable[Iterable[tuple[str, str]]]) -> str:
-    """The fingerprint of the authority, which is its common name."""
+    """The fingerprint of the CA, which is its common name."""
     names = [value for part in issuer for key, value in part if key == "commonName"]
     if len(names) != 1 or re.fullmatch(r"[0-9a-f]{64}", names[0]) is None:
         raise ValueError("no authority of ours")
@@ -163,7 +164,7 @@ _TIME = re.compile(r"([A-Z][a-z]{2}) ([ \d]\d) (\d\d):(\d\d):(\d\d) (\d{4}) GMT"
 def seconds_of(text: str) -> float:
     """Seconds since 1970 UTC of a time as OpenSSL prints it: `Nov  3 20:00:00 2026 GMT`.
 
-    `ssl.cert_time_to_seconds` does the same, and this room does without sockets. Raises ValueError.
+    Like `ssl.cert_time_to_seconds`, but this package does not import sockets. Raises ValueError.
     """
     found = _TIME.fullmatch(text)
     if found is None or found[1] not in _MONTHS:

@@ -1,7 +1,7 @@
-"""Certificates and keys in PEM texts of anybody: read, or a sentence about what they are not.
+"""Parses PEM certificates and keys from untrusted input.
 
-What cryptography raises for bytes that it cannot read has no common base, down to an error of OpenSSL's own
-for a bent key: whatever it is, it is a KeysError here.
+The exceptions of cryptography for malformed bytes have no common base class (a malformed key can raise an
+error of OpenSSL itself): all are converted to KeysError here.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from lfield.errors import KeysError
 Read = TypeVar("Read")
 
 
-def sound(sentence: str, read: Callable[[], Read]) -> Read:
-    """What is read; raises KeysError with this sentence when it cannot be."""
+def parse_or_error(sentence: str, read: Callable[[], Read]) -> Read:
+    """The parsed value; raises KeysError with this sentence when parsing fails."""
     try:
-        # What it only warns of, lfield does not make.
+        # lfield makes no certificates that cryptography warns about.
         with warnings.catch_warnings(action="error"):
             return read()
     except KeysError:
@@ -35,13 +35,13 @@ def sound(sentence: str, read: Callable[[], Read]) -> Read:
 def certificate_in(pem: bytes) -> x509.Certificate:
     """The first certificate in a PEM text. Raises KeysError."""
     sentence = "it is no certificate (PEM); copy it again from the authority's folder"
-    return sound(sentence, lambda: x509.load_pem_x509_certificate(pem))
+    return parse_or_error(sentence, lambda: x509.load_pem_x509_certificate(pem))
 
 
 def private_in(pem: bytes) -> Ed25519PrivateKey:
     """The private key in a PEM text. Raises KeysError."""
     sentence = "it is no private key (PEM, no password); copy it again"
-    key = sound(sentence, lambda: serialization.load_pem_private_key(pem, None))
+    key = parse_or_error(sentence, lambda: serialization.load_pem_private_key(pem, None))
     if not isinstance(key, Ed25519PrivateKey):
         raise KeysError("it is no Ed25519 key, which all keys of lfield are; make keys with 'lfield keys'")
     return key
@@ -50,7 +50,7 @@ def private_in(pem: bytes) -> Ed25519PrivateKey:
 def public_in(certificate: x509.Certificate) -> Ed25519PublicKey:
     """The public key of a certificate. Raises KeysError."""
     sentence = "it is no certificate of an Ed25519 key; make certificates with 'lfield keys'"
-    public = sound(sentence, certificate.public_key)
+    public = parse_or_error(sentence, certificate.public_key)
     if not isinstance(public, Ed25519PublicKey):
         raise KeysError(sentence)
     return public

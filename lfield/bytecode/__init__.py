@@ -1,1 +1,1 @@
-"""The contract between compiler and machine: instructions, program files, verifier."""
+"""Interface between compiler and machine: instructions, program files, verifier."""

@@ -2,8 +2,8 @@
 
     "LFLP"  u16 version  u16 0  32 bytes SHA-256 of all that follows  u32 length of core  core  debug
 
-Reading is safe for bytes from anywhere: lengths and types are checked while decoding, nothing is executed,
-and the verifier has passed the program before anybody gets it.
+Decoding is safe for untrusted bytes: lengths and types are checked while decoding, nothing is executed,
+and the verifier checks the program before it is returned.
 """
 
 from __future__ import annotations
@@ -14,20 +14,24 @@ import struct
 import msgspec
 
 from lfield.bytecode.program import Core, Debug, Program
-from lfield.bytecode.verify import verify
+from lfield.bytecode.verifier import verify
 from lfield.errors import ProgramFileError
 
 MAGIC = b"LFLP"
 VERSION = 3
-#: Programs of lfield 0.3: some instructions and built-in classes are younger.
+#: Programs of lfield 0.3, which lack some instructions and built-in classes.
 OLD_VERSION = 2
-#: A larger file is refused unread.
+#: A larger file is not read.
 MAX_SIZE = 16 << 20
 
 _HEADER = struct.Struct("<4sHH32sI")
 _encoder = msgspec.msgpack.Encoder()
 _core = msgspec.msgpack.Decoder(Core)
 _debug = msgspec.msgpack.Decoder(Debug)
+
+
+#: The reason for records that cannot be decoded; the error has the decoder's exception as its cause.
+DAMAGED = "the file is damaged: its records cannot be decoded"
 
 
 def assemble(core: Core, debug: Debug) -> Program:
@@ -52,19 +56,21 @@ def encode_core(program: Program) -> bytes:
 def decode(data: bytes) -> Program:
     """A verified program from the bytes of a program file; raises ProgramFileError."""
     if len(data) < _HEADER.size or data[:4] != MAGIC:
-        raise ProgramFileError("it does not begin as a program file does")
+        raise ProgramFileError("this is not a program file")
     if len(data) > MAX_SIZE:
-        raise ProgramFileError(f"it is larger than {MAX_SIZE >> 20} MiB")
+        raise ProgramFileError(f"the file is larger than {MAX_SIZE >> 20} MiB")
     _, version, _, checksum, length = _HEADER.unpack_from(data)
     if version not in (OLD_VERSION, VERSION):
-        raise ProgramFileError(f"it has format {version}, this lfield reads format {VERSION}")
+        raise ProgramFileError(
+            f"the file has format {version}; this lfield reads formats {OLD_VERSION} and {VERSION}"
+        )
     body = memoryview(data)[_HEADER.size :]
     if hashlib.sha256(body).digest() != checksum:
-        raise ProgramFileError("it is damaged (the checksum does not fit)")
+        raise ProgramFileError("the file is damaged: its checksum does not match")
     try:
         core, debug = _core.decode(body[:length]), _debug.decode(body[length:])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ProgramFileError(f"its records are malformed ({error})") from None
+        raise ProgramFileError(DAMAGED) from error
     return assemble(core, debug)
 
 
@@ -73,5 +79,5 @@ def decode_core(data: bytes | memoryview, debug: Debug) -> Program:
     try:
         core = _core.decode(data)
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise ProgramFileError(f"its records are malformed ({error})") from None
+        raise ProgramFileError(DAMAGED) from error
     return assemble(core, debug)

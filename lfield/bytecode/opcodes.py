@@ -1,8 +1,8 @@
-"""THE table of instructions (appendix J, extended): encoder, verifier, disassembler, engine and the
-reference page are all derived from it.
+"""The table of instructions (appendix J, extended): encoder, verifier, disassembler, engines and the
+reference page are derived from it.
 
-An instruction is a quad: an opcode and three 32-bit operands. The numbers are those that appendix B
-prints, where it prints any. An operand is one of
+An instruction is a quad: an opcode and three 32-bit operands. Opcodes have the numbers that appendix B
+gives, where it gives any. An operand is one of
 
     D   destination: a slot of the activation record          S   source: a slot, or a constant
     V   source: a slot                                         L   label: an instruction of this method
@@ -11,11 +11,11 @@ prints, where it prints any. An operand is one of
 A source operand >= 0 is a slot; below 0 it is constant number `-1 - operand`. Slot 0 is the object the
 method runs on (the thesis' `^0`), then come the parameters.
 
-**Groups.** The parameter stack of the thesis lives for the length of one group: `push ... push, head, pop`,
-where the head is the one instruction that takes the arguments (`call`, `pcall`, `find`, a library or a
-device instruction) and `pop` takes its result, if it has one. The verifier admits no jump into a group and
-no other instruction inside it. So a thread is only ever suspended at the first instruction of a group, the
-parameter stack is empty then, and it needs no place in the block.
+**Groups.** The parameter stack of the thesis exists only during one group: `push ... push, head, pop`,
+where the head is the one instruction with arguments on the stack (`call`, `pcall`, `find`, a library or a
+device instruction) and `pop` fetches its result, if it has one. The verifier rejects jumps into a group and
+other instructions inside it. So a thread is suspended only at the first instruction of a group, where the
+parameter stack is empty, and the block needs no space for it.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from typing import Literal
 
 Role = Literal["D", "S", "V", "L", "C", "T", "M", "F", "K", "I"]
 
-#: Kinds of types an operand may have. `same` ties operands of one instruction together; `ref` is any
-#: reference; `any` is decided by the instruction's other operands (the field, the element, the result).
+#: Kinds of types of an operand. `same` requires equal types of operands of one instruction; `ref` is any
+#: reference; `any` depends on the instruction's other operands (the field, the element, the result).
 Kind = Literal["boolean", "int", "real", "string", "object", "array", "ref", "same", "any", ""]
 
 
 @dataclass(frozen=True, slots=True)
 class Operand:
-    """One operand: how it is encoded, and what type a value there has."""
+    """One operand: its encoding, and the type of its value."""
 
     role: Role
     kind: Kind = ""
@@ -42,34 +42,34 @@ class Operand:
 class Opcode:
     """One row of the table.
 
-    `takes` are the kinds popped from the parameter stack by a head, in the order they were pushed, or None
-    when the instruction is no head; `gives` is the kind of its result ('' for none). `exits` is true when
-    the instruction leaves the engine, because the world can see it.
+    `argument_kinds` are the kinds that a head pops from the parameter stack, in the order of the pushes,
+    or None when the instruction is not a head; `result_kind` is the kind of its result ('' for none).
+    `leaves_engine` is true when the instruction leaves the engine, because it has an external effect.
     """
 
     code: int
     name: str
     operands: tuple[Operand, ...]
-    sentence: str
-    takes: tuple[Kind, ...] | None = None
-    gives: Kind = ""
-    exits: bool = False
+    description: str
+    argument_kinds: tuple[Kind, ...] | None = None
+    result_kind: Kind = ""
+    leaves_engine: bool = False
 
 
 def _quad(code: int, name: str, operands: str, sentence: str) -> Opcode:
     parsed = (word.partition(":") for word in operands.split())
-    return Opcode(code, name, tuple(Operand(role, kind) for role, _, kind in parsed), sentence)  # type: ignore[arg-type]  # the table's own words; a test checks them
+    return Opcode(code, name, tuple(Operand(role, kind) for role, _, kind in parsed), sentence)  # type: ignore[arg-type]  # literals of the table; a test checks them
 
 
 def _head(code: int, name: str, types: str, sentence: str, operands: str = "", exits: bool = False) -> Opcode:
-    takes, _, gives = types.partition("->")
+    arguments, _, result = types.partition("->")
     plain = _quad(code, name, operands, sentence)
-    kinds = tuple(takes.split())
-    return Opcode(code, name, plain.operands, sentence, kinds, gives.strip(), exits)  # type: ignore[arg-type]  # as above
+    kinds = tuple(arguments.split())
+    return Opcode(code, name, plain.operands, sentence, kinds, result.strip(), exits)  # type: ignore[arg-type]  # as above
 
 
 def _family(first: int, suffix: str, kind: str) -> tuple[Opcode, ...]:
-    """The six comparisons of one kind of value, as table J.8 has them."""
+    """The six comparisons of one kind of value, as in table J.8."""
     operands = f"D:boolean S:{kind} S:{kind}"
     words = (
         ("eq", "equal to"),
@@ -90,7 +90,7 @@ TABLE: tuple[Opcode, ...] = (
     _quad(10, "bnz", "L V:boolean", "Branches to the label when the variable is true."),
     _quad(11, "jmp", "L", "Branches to the label."),
     _quad(12, "bz", "L V:boolean", "Branches to the label when the variable is false."),
-    # J.2 moves; the relative and indexed addressing modes of table J.11 are instructions of their own
+    # J.2 moves; the relative and indexed addressing modes of table J.11 have their own instructions
     _quad(100, "move", "D:same S:same", "Moves 2 to 1."),
     _quad(101, "getf", "D:any V:object F", "Moves a field of object 2 to 1 (relative addressing)."),
     _quad(102, "putf", "V:object F S:any", "Moves 3 to a field of object 1 (relative addressing)."),
@@ -100,15 +100,25 @@ TABLE: tuple[Opcode, ...] = (
     # J.3 subroutines
     _head(200, "call", "", "Calls a method with the object and arguments pushed.", "M"),
     _head(202, "pcall", "", "Calls a portal; first moves the coordinator to its resource.", "M", True),
-    _quad(210, "frame", "M", "Begins a method: its activation record has the method's slots."),
+    _quad(210, "frame", "M", "Starts a method: its activation record has the method's slots."),
     _quad(220, "return", "S:any", "Leaves the method with a result."),
     _quad(221, "rtn", "", "Leaves the method without a result."),
     # J.4 memory
-    _quad(300, "new", "D:object C", "Puts a new object of a class into 1, its fields 0, false and null."),
-    _quad(301, "newarray", "D:array T S:int", "Puts a new array of type 2 with 3 elements into 1."),
+    _quad(
+        300,
+        "new",
+        "D:object C",
+        "Allocates an object of a class with fields 0, false and null, and stores its reference in 1.",
+    ),
+    _quad(
+        301,
+        "newarray",
+        "D:array T S:int",
+        "Allocates an array of type 2 with 3 elements, and stores its reference in 1.",
+    ),
     # J.5 parameter stack
     _quad(400, "push", "S:any", "Pushes an argument."),
-    _quad(401, "pop", "D:any", "Pops the result right after the head that gives it."),
+    _quad(401, "pop", "D:any", "Pops the result; follows the head that returns it."),
     # J.7 arithmetic
     _quad(500, "addi", "D:int S:int S:int", "Adds 3 to 2; ArithmeticException beyond 64 bits."),
     _quad(501, "addf", "D:real S:real S:real", "Adds 3 to 2."),
@@ -153,17 +163,17 @@ TABLE: tuple[Opcode, ...] = (
     _head(813, "print_bool", "boolean", "Writes true or false as a line of the host's log.", exits=True),
     # library: arrays and strings
     _head(820, "array_len", "array->int", "The number of elements of an array."),
-    _head(821, "str_concat", "string string->string", "The second string put behind the first."),
+    _head(821, "str_concat", "string string->string", "The concatenation of both strings."),
     _head(822, "str_len", "string->int", "The number of characters of a string."),
     _head(
         823, "substring", "string int int->string", "Characters from 2 to before 3; IndexException outside."
     ),
-    _head(824, "index_of", "string string->int", "Where the second string first occurs in the first, or -1."),
+    _head(824, "index_of", "string string->int", "The index of the second string in the first, or -1."),
     # library: conversions
     _head(830, "i2f", "int->real", "int to real."),
     _head(831, "f2i", "real->int", "real to int, towards zero; ConversionException outside 64 bits."),
-    _head(832, "s2i", "string->int", "A decimal number as int; ConversionException when it is none."),
-    _head(833, "s2f", "string->real", "A decimal number as real; ConversionException when it is none."),
+    _head(832, "s2i", "string->int", "A decimal number as int; ConversionException for other text."),
+    _head(833, "s2f", "string->real", "A decimal number as real; ConversionException for other text."),
     _head(834, "i2s", "int->string", "int to text."),
     _head(835, "f2s", "real->string", "real to the shortest text that reads back the same."),
     _head(
@@ -172,17 +182,17 @@ TABLE: tuple[Opcode, ...] = (
     _head(837, "b2s", "boolean->string", "true or false as text."),
     # library: time and threads
     _head(840, "yield", "", "Lets other threads run.", exits=True),
-    _head(841, "sleep", "real", "Pauses the thread for so many seconds.", exits=True),
+    _head(841, "sleep", "real", "Pauses the thread for a time in seconds.", exits=True),
     _head(842, "now", "->real", "Seconds since 1970-01-01 UTC on the clock of the host.", exits=True),
-    _head(847, "lived", "->real", "Seconds that the coordinator has lived, on all its hosts.", exits=True),
-    _head(843, "hops", "->int", "How often this coordinator has migrated."),
+    _head(847, "lived", "->real", "Age of the coordinator in seconds, over all its hosts.", exits=True),
+    _head(843, "hops", "->int", "The number of migrations of this coordinator."),
     _head(844, "random", "->real", "A random number from 0 up to 1.", exits=True),
     _head(845, "random_int", "int->int", "A random int from 0 up to n-1; ArithmeticException.", exits=True),
     _head(
         846,
         "heartbeat_interval",
         "real",
-        "Sets how many seconds this coordinator's shadows wait for a heartbeat, -1: for ever; "
+        "Sets how long this coordinator's shadows wait for a heartbeat, in seconds, -1: without limit; "
         "ArithmeticException.",
     ),
     # library: maths
@@ -205,15 +215,15 @@ TABLE: tuple[Opcode, ...] = (
     _head(866, "floor", "real->real", "The next whole number down."),
     _head(867, "ceil", "real->real", "The next whole number up."),
     _head(868, "round", "real->real", "The nearest whole number, halves away from zero."),
-    # exceptions (chapter V; never built in the prototype)
-    _head(870, "exc_message", "ref->string", "What an exception object says."),
+    # exceptions (chapter V; not implemented in the prototype)
+    _head(870, "exc_message", "ref->string", "The message of an exception object."),
     _head(871, "exc_type", "ref->string", "The name of the class of an exception object."),
-    _head(872, "exc_source", "ref->string", "The agent or device an exception object is about, or ''."),
+    _head(872, "exc_source", "ref->string", "The agent or device that an exception object names, or ''."),
     _head(
         873,
         "exc_others",
         "ref->ref",
-        "What other calls of a `together` have thrown beside an exception object, or an empty array.",
+        "Suppressed exceptions of other calls of a `together`, or an empty array.",
     ),
     # J.10 find
     _head(1300, "find", "string->ref", "A proxy by id; UnknownResourceException.", "C", True),
@@ -222,7 +232,7 @@ TABLE: tuple[Opcode, ...] = (
         1302,
         "offers",
         "string->ref",
-        "An array of what offers a capability and fulfils the condition (null: any), best first; "
+        "An array of the offers of a capability that satisfy the condition (null: any), best first; "
         "ConstraintException.",
         "C",
         True,
@@ -231,12 +241,12 @@ TABLE: tuple[Opcode, ...] = (
         1303,
         "explain",
         "string->string",
-        "Why others do not offer a capability on that condition (null: none); ConstraintException.",
+        "Why other agents do not offer a capability with that condition (null: none); ConstraintException.",
         "C",
         True,
     ),
-    _head(1304, "agent", "ref->string", "The id of the agent that a proxy is for.", exits=True),
-    _head(1305, "host", "ref->string", "The name of the host where the agent of a proxy is.", exits=True),
+    _head(1304, "agent", "ref->string", "The id of the agent of a proxy.", exits=True),
+    _head(1305, "host", "ref->string", "The name of the host of the agent of a proxy.", exits=True),
     _head(
         1310,
         "teams",
@@ -251,13 +261,13 @@ TABLE: tuple[Opcode, ...] = (
         1401,
         "noreturn",
         "",
-        "Throws MissingReturnException: a method with a result came to its end.",
+        "Throws MissingReturnException: a method with a result has ended without return.",
     ),
     _head(
         1500,
         "device",
         "",
-        "An instruction of a device of this resource, or of one that is pushed first.",
+        "An instruction of a device of this resource, or of a device that is pushed first.",
         "I",
         True,
     ),
@@ -266,7 +276,7 @@ TABLE: tuple[Opcode, ...] = (
         1600,
         "gather",
         "->ref",
-        "A new sentinel ticket, which will hold the calls of a `together`.",
+        "A new sentinel ticket for the calls of a `together`.",
         exits=True,
     ),
     _head(
@@ -278,34 +288,34 @@ TABLE: tuple[Opcode, ...] = (
         "M",
         True,
     ),
-    _head(1602, "start", "ref", "Begins all calls that are collected: one visit to each host.", exits=True),
+    _head(1602, "start", "ref", "Starts all collected calls: one visit to each host.", exits=True),
     _head(
         1603,
         "fetch",
         "ref",
-        "Begins what is left, waits for all calls, and puts their results into their targets, or throws what "
-        "the first of them has thrown.",
+        "Starts the remaining calls, waits for all, and stores their results in their targets, or throws the "
+        "exception of the first that failed.",
         exits=True,
     ),
     _head(
         1604,
         "leave",
         "ref ref",
-        "Cancels and waits for the calls that are not back; 2 is what was thrown, or null.",
+        "Cancels pending calls and waits for them; 2 is the thrown exception, or null.",
         exits=True,
     ),
     _head(
         1605,
         "limit",
         "real->int",
-        "The end of so many seconds on the agent's clock; ArithmeticException for NaN.",
+        "The end of a time in seconds on the agent's clock; ArithmeticException for NaN.",
         exits=True,
     ),
     _head(
         1606,
         "settle",
         "",
-        "Collects what a call has given already: pushed are sentinel, array of type 1 (null: none) and "
+        "Collects the result of a completed call: pushed are sentinel, array of type 1 (null: none) and "
         "index of its target, value.",
         "T",
         True,
@@ -315,7 +325,7 @@ TABLE: tuple[Opcode, ...] = (
         1700,
         "hold",
         "ref->ref",
-        "The resources that a proxy, an offer or an array of them leads to, as an array of ints: of each its "
+        "The resources of a proxy, an offer or an array of them, as an array of ints: for each its "
         "number in the team, and 0.",
         exits=True,
     ),
@@ -323,7 +333,7 @@ TABLE: tuple[Opcode, ...] = (
         1701,
         "take",
         "array",
-        "Goes to the hosts of these resources and has each reserved: the number of that instead of the 0; "
+        "Migrates to the hosts of these resources and reserves each: replaces 0 by the reservation's number; "
         "ReservedException.",
         exits=True,
     ),
@@ -331,7 +341,7 @@ TABLE: tuple[Opcode, ...] = (
         1702,
         "drop",
         "array",
-        "Gives these resources back, without waiting: 0 instead of the numbers.",
+        "Releases these resources without waiting: replaces the numbers by 0.",
         exits=True,
     ),
 )

@@ -1,8 +1,8 @@
-"""A program: everything the compiler knows that the machine needs, as plain records.
+"""A program: the compiler's output and the machine's input, as plain records.
 
-Every reference between records is an index. The records are msgspec structs encoded as arrays, so the same
-program is always the same bytes: their SHA-256 is its identity. Debug information is kept apart and is no
-part of the identity: where the source lay on disk does not change what a robot does.
+References between records are indexes. The records are msgspec structs encoded as arrays, so the same
+program is always the same bytes: their SHA-256 is its identity. Debug information is not part of the
+identity: the location of the sources does not change the behaviour of a robot.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from typing import Literal, NamedTuple
 
 import msgspec
 
-# Kinds of types. The first eight types of every program are those without parts, at these very indexes.
+# Kinds of types. The first eight types of every program are those without parts, at these indexes.
 VOID, BOOLEAN, INT, REAL, STRING, ANY, NULL, DEVICE = range(8)
 ARRAY, OBJECT, PROXY = 8, 9, 10
-#: A call of a `together`, and what holds them together: only ever in slots of coordinators.
+#: A call of a `together`, or the sentinel of its calls: only in slots of coordinators.
 TICKET = 11
 
 #: Kinds whose values are references into the block.
 REFERENCES = frozenset({STRING, ANY, NULL, ARRAY, OBJECT, PROXY, TICKET})
 
-#: The ninth type of every program: arrays of any objects, as `others()` gives them.
+#: The ninth type of every program: arrays of any objects, the result of `others()`.
 EXCEPTIONS = 8
 
 #: The built-in exception classes are the first classes of every program, in this order. Their objects have
 #: four fields: message, source and trace, all strings, and the exceptions of other calls of a `together`.
-#: `Exception` itself is index 0. In a program of lfield 0.3 they are fewer, and have the first three fields.
+#: `Exception` itself is index 0. In a program of lfield 0.3 there are fewer, with the first three fields.
 BUILTIN_CLASSES = (
     "Exception",
     "UnreachableResourceException",
@@ -48,22 +48,23 @@ BUILTIN_CLASSES = (
     "ReservationLostException",
     "AccessException",
 )
-#: What a built-in class is a kind of, where that is not just `Exception`: who catches that takes both.
+#: The parent of a built-in class, where that is not just `Exception`: a catch of it catches both.
 BUILTIN_PARENTS = {"DeviceTimeoutException": "DeviceException"}
-#: So many of them has a program of lfield 0.3. Later ones are only added behind.
+#: Their number in a program of lfield 0.3. Later ones are only appended.
 OLDEST_BUILTINS = 12
 MESSAGE, SOURCE, TRACE, OTHERS = 0, 1, 2, 3
-#: The name of the last field of a class of the program whose objects may be thrown: it is their OTHERS.
-BESIDE = ""
+#: The name of the last field of a class of the program whose objects may be thrown: its suppressed
+#: exceptions.
+SUPPRESSED_FIELD = ""
 
-#: The first field of a capability, and the fields of its class: what every offer tells about itself. `names`,
+#: The first field of a capability, and the fields of its class: the attributes of an offer. `names`,
 #: `numbers`, `texts`, `ages` and `sources` have one element for each attribute.
 FACTS = "facts"
 FACT_FIELDS = (
     *("agent", "host", "way", "score", "names", "numbers", "texts", "ages"),
     *("found", "note", "sources", "since"),
 )
-#: So many of them has a program of lfield 0.4. Later ones are only added behind.
+#: Their number in a program of lfield 0.4. Later ones are only appended.
 OLDEST_FACTS = 8
 
 UnitKind = Literal["class", "resource", "coordinator"]
@@ -88,7 +89,7 @@ class TypeRecord(msgspec.Struct, frozen=True, array_like=True):
 
 
 class FieldRecord(msgspec.Struct, frozen=True, array_like=True):
-    """A field: name and type index. A device field has type DEVICE and keeps its word unused."""
+    """A field: name and type index. A device field has type DEVICE; its word is unused."""
 
     name: str
     type: int
@@ -104,8 +105,8 @@ class DeviceField(msgspec.Struct, frozen=True, array_like=True):
 class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     """A class, resource or coordinator. `init` is a method index, -1 for classes.
 
-    The objects of a `capability` are offers, which only the machine makes: its first field is FACTS, each
-    other one stands for a way in which it can be served.
+    The objects of a `capability` are offers, which only the machine creates: its first field is FACTS, each
+    other one stands for one realisation.
     """
 
     name: str
@@ -117,20 +118,20 @@ class ClassRecord(msgspec.Struct, frozen=True, array_like=True):
     capability: bool = False
 
 
-#: Kinds of handlers. CATCH takes what is of its class, FINALLY anything; it throws that again at its end.
-#: The others take nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT
-#: before it is set, and minus its end once it has fired. LANDING: the code of a `finally`, where no catch is
-#: skipped for a limit around it. RESERVED: `slot` has what a `reserve` keeps, an array of members of the team
-#: and numbers in turn.
+#: Kinds of handlers. CATCH catches objects of its class, FINALLY any, and throws it again at its end.
+#: The others catch nothing. LIMIT: `slot` has the end of a `within` in ns on the agent's clock, NO_LIMIT
+#: before it is set, and its negated end once it has fired. LANDING: the code of a `finally`, where an
+#: enclosing limit does not skip catches. RESERVED: `slot` has the resources of a `reserve`, an array of
+#: alternating team members and reservation numbers.
 CATCH, FINALLY, LIMIT, LANDING, RESERVED = range(5)
-#: What the slot of a LIMIT holds before it is set.
+#: The value in the slot of a LIMIT before it is set.
 NO_LIMIT = 0
 
 
 class Handler(msgspec.Struct, frozen=True, array_like=True):
     """Instructions start..end-1 are protected; `catches` is a class index (0, Exception, takes any).
 
-    `target` and `catches` of those that take nothing are 0, and so is the slot of a LANDING.
+    `target` and `catches` are 0 for kinds that catch nothing, and so is the slot of a LANDING.
     """
 
     start: int
@@ -160,14 +161,14 @@ class MethodRecord(msgspec.Struct, frozen=True, array_like=True):
     handlers: tuple[Handler, ...] = ()
 
 
-#: The field of a call of a device that an object was given: which one, is the first value pushed.
-HELD = ""
+#: The field in the call of a device that an object holds: the device is the first pushed value.
+HELD_DEVICE = ""
 
 
-class DeviceCall(msgspec.Struct, frozen=True, array_like=True):
-    """One instruction of one device field that the program uses, or of a device that objects have (HELD).
+class DeviceCallRecord(msgspec.Struct, frozen=True, array_like=True):
+    """One instruction of a device field that the program uses, or of a device that objects have (HELD).
 
-    A device is known by its place among those of its resource, from 1; 0 is none.
+    A device value is its position among those of its resource, from 1; 0 is none.
     """
 
     owner: int  # class index of the resource, or of its class
@@ -180,7 +181,7 @@ class DeviceCall(msgspec.Struct, frozen=True, array_like=True):
 
 
 class MethodDebug(msgspec.Struct, frozen=True, array_like=True):
-    """Where a method comes from: rising (pc, line) pairs, and (slot, name) of its named slots."""
+    """The source of a method: rising (pc, line) pairs, and (slot, name) of its named slots."""
 
     source: int
     lines: tuple[tuple[int, int], ...]
@@ -189,7 +190,7 @@ class MethodDebug(msgspec.Struct, frozen=True, array_like=True):
 
 
 class SourceText(msgspec.Struct, frozen=True, array_like=True):
-    """A source file: the name it is shown under, and its text."""
+    """A source file: its displayed name, and its text."""
 
     name: str
     text: str
@@ -203,24 +204,24 @@ class Debug(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Core(msgspec.Struct, frozen=True, array_like=True):
-    """What a program is and does: the part with an identity."""
+    """The part of a program that determines its identity."""
 
     types: tuple[TypeRecord, ...]
     constants: tuple[bool | int | float | str | None, ...]
     classes: tuple[ClassRecord, ...]
     methods: tuple[MethodRecord, ...]
-    device_calls: tuple[DeviceCall, ...]
+    device_calls: tuple[DeviceCallRecord, ...]
     code: bytes
 
     @property
     def builtins(self) -> int:
-        """How many of its first classes are built in: fewer in a program that an older lfield has made."""
+        """The number of built-in classes at the start: fewer in a program of an older lfield."""
         new = bool(self.classes) and len(self.classes[0].fields) > OTHERS
         return len(BUILTIN_CLASSES) if new else OLDEST_BUILTINS
 
     @property
     def others(self) -> dict[int, int]:
-        """By class, the field that has the exceptions of other calls of a `together`."""
+        """By class, the field with suppressed exceptions of other calls of a `together`."""
         if self.builtins == OLDEST_BUILTINS:
             return {}
         own = enumerate(self.classes[self.builtins :], self.builtins)
@@ -248,27 +249,27 @@ class Program:
 
     @cached_property
     def builtins(self) -> int:
-        """How many of its first classes are built in."""
+        """The number of built-in classes at the start."""
         return self.core.builtins
 
     @cached_property
     def others(self) -> dict[int, int]:
-        """By class, the field that has the exceptions of other calls of a `together`."""
+        """By class, the field with suppressed exceptions of other calls of a `together`."""
         return self.core.others
 
     @cached_property
     def has_limits(self) -> bool:
-        """Whether any `within` is in it: then a catch may be one that is given up."""
+        """Whether it has a `within`: then a time limit may skip a catch."""
         return any(h.kind == LIMIT for method in self.core.methods for h in method.handlers)
 
     @cached_property
     def has_reserves(self) -> bool:
-        """Whether any `reserve` is in it."""
+        """Whether it has a `reserve`."""
         return any(h.kind == RESERVED for method in self.core.methods for h in method.handlers)
 
     @cached_property
     def kinds(self) -> tuple[frozenset[int], ...]:
-        """For each class, all that its objects are: the class, what that is a kind of, Exception."""
+        """For each class, the classes of its objects: itself, its parent, Exception."""
         own = [frozenset((0, index)) for index in range(len(self.core.classes))]
         for name, parent in BUILTIN_PARENTS.items():
             own[BUILTIN_CLASSES.index(name)] |= own[BUILTIN_CLASSES.index(parent)]
@@ -285,7 +286,7 @@ class Program:
         return {c.name: c.kind for c in self.core.classes[self.builtins :]}
 
     def method_name(self, index: int) -> str:
-        """`Owner.name` of a method, as tracebacks and listings show it."""
+        """`Owner.name` of a method, for tracebacks and listings."""
         record = self.core.methods[index]
         return f"{self.core.classes[record.owner].name}.{record.name}"
 

@@ -1,11 +1,11 @@
-"""The registry as plain data: what the YAML of `capabilities/` and of a mission says, joined and checked.
+"""The registry as plain data: the YAML of `capabilities/` and of a mission, merged and checked.
 
     Term            a node of the taxonomy: `skill.material_handling.lifting`
     Attribute       what an offer may state: `payload`, in kg, the more the better
     Primitive       a term that can be called: the L type `Lift` with its portals
     Provider        a resource type that serves primitives, with the portals and attributes it has
-    Equivalence     one-to-one: whoever climbs can also lift, with some loss
-    Composition     one-to-many: a grip and a climb together lift, by the L class that says how
+    Equivalence     one-to-one: an agent that climbs can also lift, with some loss
+    Composition     one-to-many: a grip and a climb together lift, by an L class that combines them
 
 Everything is in SI units here; other units end in the reader.
 """
@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from lfield.capability import condition
+from lfield.capability import condition_tree
 from lfield.manifest import Effect, Parameter
-from lfield.text.source import Source, Span
+from lfield.text.source_text import Source, Span
 
 AttributeType = Literal["real", "int", "boolean", "text", "set"]
 Better = Literal["more", "less", "none"]
@@ -33,14 +33,14 @@ NOWHERE = Span(Source("", ""), 0, 0)
 
 
 class Expression:
-    """A condition or value over attributes, parsed and checked (matching/expression.py).
+    """A condition or value over attributes, parsed and checked (matching/condition_checker.py).
 
-    No dataclass: in a bundle it is its text, and is parsed and checked again where it is read.
+    No dataclass: its form in a bundle is that of condition_encoding.py.
     """
 
     __slots__ = ("text", "tree")
 
-    def __init__(self, text: str, tree: condition.Expr) -> None:
+    def __init__(self, text: str, tree: condition_tree.ConditionExpr) -> None:
         self.text, self.tree = text, tree
 
     def __repr__(self) -> str:
@@ -54,7 +54,7 @@ class Expression:
 
 
 @dataclass(frozen=True, slots=True)
-class Key:
+class SortKey:
     """What offers are ordered by: a number, the least first, or the most first where it is `descending`."""
 
     value: Expression
@@ -62,27 +62,27 @@ class Key:
 
 
 @dataclass(frozen=True, slots=True)
-class Wish:
+class OfferQuery:
     """What is asked of offers: a condition (None: any will do), what to order by first, and how many.
 
     Where the keys are equal, and where there are none, the ranking decides; what is not known comes last.
     """
 
     condition: Expression | None = None
-    order: tuple[Key, ...] = ()
+    order: tuple[SortKey, ...] = ()
     limit: int | None = None
 
 
-#: Whoever it is.
-ANYBODY = Wish()
+#: Any agent.
+ANY_OFFER = OfferQuery()
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
-    """A node of the taxonomy. `id` is dotted, its parent is what stands before the last dot.
+class TaxonomyTerm:
+    """A node of the taxonomy. `id` is dotted, its parent is the part before the last dot.
 
-    `name` is the thesis' word for it where it has one. `aliases` are other ids that mean the same; a term
-    that is out of use says in `deprecated` what to write instead.
+    `name` is the term of the thesis, if it has one. `aliases` are other ids that mean the same; a
+    deprecated term names its replacement in `deprecated`.
     """
 
     id: str
@@ -97,7 +97,7 @@ class Term:
 class Attribute:
     """Something offers differ in.
 
-    `better` says what a coordinator would rather have; `typical` is a usual amount, against which fitness is
+    `better` is the preferred direction; `typical` is a usual amount, against which fitness is
     measured (in the attribute's unit). `values` are all members a set or a text may have, () for any.
     A `live` one changes while the team works: it comes from telemetry, and counts for `max_age` seconds.
     """
@@ -113,7 +113,7 @@ class Attribute:
     max_age: float = 10.0
     meaning: str = ""
 
-    def takes(self, value: Value) -> bool:
+    def accepts(self, value: Value) -> bool:
         """Whether a value that came from elsewhere is of its type."""
         match self.type:
             case "boolean":
@@ -169,7 +169,7 @@ class Argument:
 class PortalMap:
     """How one canonical portal is served: by the portal `target`, with `arguments` in its order.
 
-    `result` says what becomes of what the target emits; None when nothing is emitted or nothing changes.
+    `result` is the conversion of the emitted value; None when nothing is emitted or converted.
     """
 
     portal: str
@@ -180,13 +180,13 @@ class PortalMap:
 
 
 @dataclass(frozen=True, slots=True)
-class Live:
-    """An attribute that an agent tells itself: `value * factor + offset` of `device.quantity`, telemetry.
+class LiveAttribute:
+    """An attribute that an agent reports: `value * factor + offset` of `device.quantity`, telemetry.
 
-    Of a quantity that is an array, `index` says which element: `fc.position[0]` is how far north. Where no
+    Of a quantity that is an array, `index` is the element: `fc.position[0]` is how far north. Where no
     `unit` was written, factor and offset follow from the device's manifest (program_check.py). Without a
     `device` the quantity is what a `portal` of the resource gives, which is asked `every` so many seconds.
-    An attribute that is not live itself is what a device tells of itself once, as its kind.
+    An attribute that is not live is reported once by a device, for instance its kind.
     """
 
     attribute: str
@@ -206,11 +206,11 @@ class Live:
 
 
 @dataclass(frozen=True, slots=True)
-class Served:
+class ServedPrimitive:
     """A primitive as one resource type serves it; its `attributes` count before those of the type.
 
     `when` is a condition on the agent, for what not every one of the type has: a copter grips only when
-    `tools == gripper`. Of the attributes those are `nominal` that hold what is usual: nobody has said it of
+    `tools == gripper`. Of the attributes those are `nominal` that are usual values: not stated for
     these very robots.
     """
 
@@ -227,12 +227,12 @@ class Provider:
     """A resource type of L with what it serves, by primitive; `nominal` as in Served."""
 
     type: str
-    serves: Mapping[str, Served]
+    serves: Mapping[str, ServedPrimitive]
     span: Span = NOWHERE
     include: str = ""
     meaning: str = ""
     attributes: Mapping[str, Value] = field(default_factory=dict)
-    live: Mapping[str, Live] = field(default_factory=dict)
+    live: Mapping[str, LiveAttribute] = field(default_factory=dict)
     nominal: frozenset[str] = frozenset()
 
 
@@ -311,10 +311,11 @@ class Registry:
 
     `version` is that of the taxonomy: it grows with every change, and no id is ever taken away.
     `agents` are the attribute values of single agents of a mission, which count before all others.
+    `constraints` are the queries that the program of a mission holds as constants, by their text.
     `digest` changes with anything that would change an answer: hosts of one mission must agree on it.
     """
 
-    terms: Mapping[str, Term]
+    terms: Mapping[str, TaxonomyTerm]
     attributes: Mapping[str, Attribute]
     primitives: Mapping[str, Primitive]
     providers: Mapping[str, Provider]
@@ -324,3 +325,4 @@ class Registry:
     weights: Weights = field(default_factory=Weights)
     version: int = 0
     digest: bytes = b""
+    constraints: Mapping[str, OfferQuery] = field(default_factory=dict)

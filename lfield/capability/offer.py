@@ -13,17 +13,17 @@ from msgspec import Struct
 
 from lfield.capability.model import Value
 
-Kind = Literal["direct", "equivalent", "composed"]
+OfferKind = Literal["direct", "equivalent", "composed"]
 
-#: Where a value is from, the surest last: a usual one of its type, said by somebody for the mission or for
-#: the type, told by the device of itself, or measured by it lately.
+#: The provenance of a value, the most reliable last: usual for the type, stated for the mission or the type,
+#: reported by the device, or measured by it.
 Provenance = Literal["nominal", "stated", "told", "measured"]
 
 
 class Fact(Struct, frozen=True, gc=False):
     """The value of an attribute, and where it is `of`.
 
-    One that was measured may have changed unnoticed for `age` seconds; any other stands.
+    A measured one is `age` seconds old; the others have no age.
     """
 
     value: Value
@@ -32,28 +32,29 @@ class Fact(Struct, frozen=True, gc=False):
 
     @property
     def source(self) -> str:
-        """Where it is from, in words: `nominal`, `stated`, `told by the device`, `measured 0.4 s ago`."""
+        """The provenance as text: `nominal`, `stated`, `told by the device`, `measured 0.4 s ago`."""
         match self.of:
             case "told":
                 return "told by the device"
             case "measured":
                 return f"measured {self.age:.{0 if self.age >= 10 else 1}f} s ago"
-            case said:
-                return said
+            case other:
+                return other
 
 
 #: Where something is: north, east and, where that is known, down, in metres, in the frame of the team.
-Place = tuple[float, float, float | None]
+Position = tuple[float, float, float | None]
 
 
 class Candidate(Struct, frozen=True, gc=False):
     """An agent of a resource type as this host knows it now.
 
-    `facts` are what its host has told, by attribute, and `stated` what the mission says of it, which counts
-    before; what its type and the primitive say is the registry's. `hops` is 0 when it is on this host, else
-    1. `refusal` says why it cannot be called at all (`unreachable for 12 s`), '' when it can. `unknown` tells
-    of single live attributes why there is no value (`fc has not reported battery`). `number` is its place in
-    the deployment. `barred` says by primitive why whoever asks may not call it for that.
+    `facts` are the values reported by its host, by attribute, and `stated` those of the mission, which take
+    precedence; those of its type and the primitive are in the registry. `hops` is 0 when it is on this host,
+    else 1. `refusal` is the reason why it cannot be called (`unreachable for 12 s`), '' when it can.
+    `unknown` has of single live attributes why there is no value (`fc has not reported battery`). `number` is
+    its place in the deployment. `barred` has by primitive the reason why the querying coordinator may not
+    call it.
     """
 
     agent: str
@@ -68,22 +69,22 @@ class Candidate(Struct, frozen=True, gc=False):
     barred: Mapping[str, str] = {}
 
     def fact(self, name: str) -> Fact | None:
-        """What is known of an attribute, whatever its type says."""
+        """The value of an attribute of this agent, without those of its type."""
         return self.stated.get(name) or self.facts.get(name)
 
 
-class Team(Protocol):
-    """The agents of the mission, as a host's directory or the files alone know them."""
+class AgentSource(Protocol):
+    """The agents of the mission, from a host's directory or from the files."""
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
         """The agents of a resource type, in the order of the deployment."""
 
-    def here(self) -> Place | None:
-        """Where the question is asked, None when nobody knows."""
+    def here(self) -> Position | None:
+        """The place of the query, None when unknown."""
 
 
 @dataclass(frozen=True, slots=True)
-class Term:
+class CostTerm:
     """A term of a cost (matching/ranking.py): the weight called `name`, times an amount."""
 
     name: str
@@ -103,7 +104,7 @@ class Penalty:
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """Somebody who can do it. `way` is the field of the primitive's class in L (ways.py).
+    """An agent or team that serves a primitive. `way` is the field of the primitive's class in L (ways.py).
 
     A direct offer has no `parts`; an equivalent one has one, named as its way; a composed one has one for
     each need, named by `ways.part`. `agent` and `host` are those of a direct or equivalent offer; of a
@@ -112,7 +113,7 @@ class Offer:
     """
 
     primitive: str
-    kind: Kind
+    kind: OfferKind
     way: str
     agent: str
     host: str
@@ -120,7 +121,7 @@ class Offer:
     facts: Mapping[str, Fact] = field(default_factory=dict)
     parts: Mapping[str, Offer] = field(default_factory=dict)
     rule: str = ""
-    terms: tuple[Term, ...] = ()
+    terms: tuple[CostTerm, ...] = ()
     penalties: tuple[Penalty, ...] = ()
 
     @property
@@ -130,7 +131,7 @@ class Offer:
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class Rejection:
     """A candidate that is not offered: an agent, or a rule, with every reason why.
 
     `str()` is a line: `arm2: payload 1.2 < 2.0`. The `inner` refusals of a rule are those of its needs.
@@ -138,7 +139,7 @@ class Refusal:
 
     subject: str
     reasons: tuple[str, ...]
-    inner: tuple[Refusal, ...] = ()
+    inner: tuple[Rejection, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.subject}: {'; '.join(self.reasons)}"

@@ -1,7 +1,8 @@
-"""The ways in which a primitive can be served, and the field that stands for each in its class in L.
+"""The realisations of a primitive, and the field of each in its class in L.
 
-The class that the compiler makes for a primitive (generate.py) has one field for every way; of an offer just
-the fields of its own way are filled. The names are made here, for the compiler and for the machine alike.
+The class that the compiler makes for a primitive (class_generator.py) has one field for every way; of an
+offer just the fields of its own way are filled. The names are made here, for the compiler and for the machine
+alike.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ def direct(resource: str) -> str:
 
 
 def equivalent(rule: str) -> str:
-    """The field of what stands in by a one-to-one rule: an offer of another primitive."""
+    """The field of a substitution by a one-to-one rule: an offer of another primitive."""
     return f"as_{identifier(rule)}"
 
 

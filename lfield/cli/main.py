@@ -1,27 +1,29 @@
-"""The command `lfield`: finds the subcommand, runs it, makes failures a sentence and a status (exits.py)."""
+"""The command `lfield`: runs the subcommand, and turns errors into a sentence and an exit status."""
 
 from __future__ import annotations
 
 import argparse
+import gc
 import io
+import json
 import os
 import re
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
-from lfield import __version__, exits
-from lfield.cli.of_the_system import of_the_system
+from lfield import __version__, exit_status
+from lfield.cli.os_errors import system_refusal
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
-from lfield.text.outlet import silence
-from lfield.text.visible import ESCAPES, as_text, continued, on_terminal, visible
+from lfield.text.nonblocking_output import discard_output
+from lfield.text.terminal_escape import ESCAPES, escape, escape_indented, escaping_stream, printable_argument
 
 if TYPE_CHECKING:
     from _typeshed import SupportsWrite
 
-#: Subcommands, each a module of a room of this package, and what they are for.
+#: Subcommands with their purpose; each is a module of a subpackage.
 COMMANDS = {
     "check": "report errors and warnings in programs, deployments and bindings",
     "build": "compile a mission into one bundle, or a program into a program file",
@@ -49,10 +51,10 @@ COMMANDS = {
     "kit": "run a driver's conformance tests on a device",
     "sim": "run a simulated device, or inject faults into one",
 }
-_ROOMS = {
-    "desk": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
+_PACKAGES = {
+    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
     "run": ("up",),
-    "team": (
+    "operations": (
         "ps",
         "watch",
         "events",
@@ -65,63 +67,62 @@ _ROOMS = {
         "forget",
         "recover",
     ),
-    "robot": ("doctor", "driver", "setup", "kit", "sim"),
+    "device": ("doctor", "driver", "setup", "kit", "sim"),
 }
-#: The module of every subcommand.
-MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _ROOMS.items() for name in names}
+#: The module of each subcommand.
+MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _PACKAGES.items() for name in names}
 
 
-#: The commands that a Ctrl-C lets end in order, by an exception, and what they import first: msgspec crashes
-#: when one comes while it makes a class. All others leave nothing behind; the system ends them at once.
-ORDERLY = {
-    "up": ("mission.bundle", "mission.cache", "operator.runs", "host.process.run"),
-    "estop": ("operator.addressed", "operator.descent", "operator.runs"),
-    "pause": ("operator.addressed", "operator.descent", "operator.runs"),
-    "watch": ("operator.addressed", "operator.runs", "operator.sight.watched"),
-    "events": ("operator.addressed", "operator.sight.listening", "operator.runs"),
-    "logs": ("operator.addressed", "operator.sight.listening", "operator.runs"),
-    "doctor": ("operator.doctor", "mission.load"),
-    "setup": ("devices.setup", "mission.load"),
-    "test": ("mission.load",),
-    "kit": ("devices.try_out", "mission.one_device"),
+#: The commands that end in order after a Ctrl-C, and their imports before that: msgspec crashes when a
+#: KeyboardInterrupt comes while it makes a class. The kernel ends all other commands at once.
+INTERRUPTIBLE = {
+    "up": ("mission.bundle", "mission.build_cache", "operator.runs", "host.process.host_process"),
+    "estop": ("operator.targets", "operator.safe_state_progress", "operator.runs"),
+    "pause": ("operator.targets", "operator.safe_state_progress", "operator.runs"),
+    "watch": ("operator.targets", "operator.runs", "operator.dashboard.team_watch"),
+    "events": ("operator.targets", "operator.dashboard.event_feed", "operator.runs"),
+    "logs": ("operator.targets", "operator.dashboard.event_feed", "operator.runs"),
+    "doctor": ("operator.diagnostics", "mission.loader"),
+    "setup": ("devices.device_setup", "mission.loader"),
+    "test": ("mission.loader",),
+    "kit": ("devices.conformance_run", "mission.device_selection"),
     "sim": ("driver.sims",),
 }
-_HALF = re.compile(r"\\u(d[89a-f][0-9a-f]{2})")
-#: What may be empty: no emergency stop is refused for want of a reason.
+_LONE_SURROGATE = re.compile(r"\\u(d[89a-f][0-9a-f]{2})")
+#: The option that may be empty: an emergency stop needs no reason.
 REASON = "--reason"
 
 
 class Command(Protocol):
-    """What a module of a subcommand provides."""
+    """The interface of a subcommand's module."""
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
         """Declare its options."""
 
     def run(self, args: argparse.Namespace) -> int:
-        """Do it; returns the exit status. Raises LfieldError."""
+        """Run the command; returns the exit status. Raises LfieldError."""
 
 
 class _Parser(argparse.ArgumentParser):
     def _print_message(self, message: str, file: SupportsWrite[str] | None = None) -> None:
-        # argparse's own says nothing of a full disk.
+        # That of argparse ignores a full disk.
         if message:
             (file or sys.stderr).write(message)
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
-        """Options may stand between the words of a list: `test -k charge A -x B`. argparse's own takes none
-        of the list after that."""
+        """Allows options between the arguments of a list: `test -k charge A -x B`."""
         lists = any(not a.option_strings and a.nargs in ("*", "+") for a in self._actions)
-        if not lists or self._intermixes:
+        if not lists or self._is_intermixed:
             return super().parse_known_args(args, namespace)
-        self._intermixes = True
+        self._is_intermixed = True
         return self.parse_known_intermixed_args(args, namespace)
 
-    #: Whether that is under way, which asks for both halves in turn.
-    _intermixes = False
+    #: Guards against recursion: the intermixed parser calls this method.
+    _is_intermixed = False
 
     def error(self, message: str) -> NoReturn:
-        # argparse shows words as Python writes them.
-        message = _HALF.sub(r"\\u{\1}", message)
+        # argparse prints arguments as Python literals.
+        message = _LONE_SURROGATE.sub(r"\\u{\1}", message)
         raise UsageError(f"{message} (see '{self.prog} --help')")
 
 
@@ -133,41 +134,52 @@ def main(argv: Sequence[str] | None = None) -> int:
         status = _dispatch(words)
         sys.stdout.flush()
         return status
-    except ProgramError as error:
-        print(visible("\n".join(d.render() for d in error.diagnostics)), file=sys.stderr)
-        _tell(f"lfield: {error}")
-        return error.exit_status
-    except BindingError as error:
-        for line in filter(None, [*error.problems, error.cure]):
-            _tell(line)
-        _tell(f"lfield: {len(error.problems)} problem(s) with the devices")
-        return error.exit_status
     except LfieldError as error:
-        _tell(f"lfield: {error}")
-        return error.exit_status
+        return _report(error, words)
     except KeyboardInterrupt:
-        return exits.INTERRUPTED
+        return exit_status.INTERRUPTED
     except BrokenPipeError:
-        # Whoever read our output has left.
-        silence(sys.stdout)
-        return exits.INPUT_OUTPUT
+        # The reader of the output has exited.
+        discard_output(sys.stdout)
+        return exit_status.INPUT_OUTPUT
     except OSError as error:
-        _let_out()
-        status, told = of_the_system(error)
-        _tell(f"lfield: {told}")
-        return status
+        _flush_streams()
+        return _report(system_refusal(error), words)
     except Exception as error:
         if os.environ.get("LFIELD_TRACEBACK"):
             raise
-        _tell(f"lfield: a bug in lfield itself: {type(error).__name__}: {error}")
-        _tell("lfield: run again with LFIELD_TRACEBACK=1 and report what it prints")
-        return exits.SOFTWARE
+        return _report(LfieldError(f"bug in lfield: {type(error).__name__}: {error}"), words)
+
+
+def _report(error: LfieldError, words: Sequence[str]) -> int:
+    """Print an error, with --json also as an object on stdout; returns the exit status."""
+    match error:
+        case ProgramError():
+            from lfield.text.message_tables import render_findings
+
+            print(escape(render_findings(error.diagnostics)), file=sys.stderr)
+        case BindingError():
+            for line in filter(None, [*error.problems, error.cure]):
+                _print_error(line)
+    # The message of a BindingError repeats its problems.
+    summary = (
+        f"{len(error.problems)} problem(s) with the devices" if isinstance(error, BindingError) else error
+    )
+    _print_error(f"lfield: {summary}")
+    if type(error) is LfieldError:
+        _print_error(f"lfield: {error.remedy}")
+    if "--json" in words:
+        try:
+            print(json.dumps({**error.as_data(), "exit_status": error.exit_status}), flush=True)
+        except OSError:
+            discard_output(sys.stdout)
+    return error.exit_status
 
 
 def _fill_streams() -> None:
-    """Of standard streams that were closed (`>&-`) Python has none; those that are there take every text.
+    """Open standard streams that were closed (`>&-`), and make all of them accept every text.
 
-    What is said to stderr goes nowhere then; what is printed cannot be written, as on a full disk.
+    A closed stderr is discarded; writing to a closed stdout fails, as on a full disk.
     """
     for name, mode in (("stdin", "r"), ("stderr", "w")):
         if getattr(sys, name) is None:
@@ -175,68 +187,79 @@ def _fill_streams() -> None:
     if sys.stdout is None:
         sys.stdout = open(os.open(os.devnull, os.O_RDONLY), "w", encoding="utf-8")  # noqa: SIM115  # never closed
     for stream in (sys.stdout, sys.stderr):
-        # A stream of another kind encodes nothing, or by itself.
+        # Other streams do not encode, or do it themselves.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=ESCAPES)
-    sys.stdout, sys.stderr = on_terminal(sys.stdout), on_terminal(sys.stderr)
+    sys.stdout, sys.stderr = escaping_stream(sys.stdout), escaping_stream(sys.stderr)
 
 
-def _let_out() -> None:
+def _flush_streams() -> None:
     try:
         sys.stdout.flush()
     except OSError:
-        # It is the output that cannot be written.
-        silence(sys.stdout)
+        # The output cannot be written.
+        discard_output(sys.stdout)
 
 
-def _tell(text: str) -> None:
-    """An error may repeat what a program, a file or a host has said."""
-    print(continued(text), file=sys.stderr)
+def _print_error(text: str) -> None:
+    """Print an error; text from programs, files and hosts is escaped."""
+    print(escape_indented(text), file=sys.stderr)
 
 
-def _refuse_empty(words: list[str]) -> None:
-    """An empty word names nothing; taken for none, it would mean all, or this folder. Raises UsageError."""
-    for before, word in zip(["", *words], words, strict=False):
+def _refuse_empty(arguments: list[str]) -> None:
+    """Refuse empty arguments, which would mean all, or this directory. Raises UsageError."""
+    for before, word in zip(["", *arguments], arguments, strict=False):
         option = before if not word else word[:-1] if re.fullmatch(r"--[a-z-]+=", word) else None
         if option is None or option == REASON:
             continue
-        what = f"the value of {option}" if option.startswith("-") else "a word of the command line"
-        raise UsageError(f"{what} is empty; is it a variable of the shell that is not set?")
+        what = f"the value of {option}" if option.startswith("-") else "an argument"
+        raise UsageError(f"{what} is empty; is a shell variable not set?")
 
 
-def _dispatch(words: list[str]) -> int:
-    _refuse_empty(words)
+def _dispatch(arguments: list[str]) -> int:
+    _refuse_empty(arguments)
     parser = _Parser(prog="lfield", description="Run one program on a team of robots.", epilog=_STATUSES)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    chosen = next((word for word in words if not word.startswith("-")), "")
+    chosen = next((word for word in arguments if not word.startswith("-")), "")
     for name, purpose in COMMANDS.items():
         subparser = commands.add_parser(name, help=purpose, description=purpose.capitalize() + ".")
-        # Only the chosen command is imported: a small command starts fast, whatever the others need.
+        # Only the chosen command is imported, so that small commands start fast.
         if name == chosen:
             _command(name).add_arguments(subparser)
     try:
-        args = _in_text(parser.parse_args(words))
+        args = _printable_args(parser.parse_args(arguments))
     except SystemExit:
-        # --help or --version has been answered: whether the answer got out is for `main` to see.
-        return exits.DONE
+        # --help or --version was printed; `main` flushes the output.
+        return exit_status.DONE
     command = _command(args.command)
     # Until here it ends the process (lfield/__main__.py).
-    if args.command in ORDERLY and signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
-        for module in ORDERLY[args.command]:
-            import_module(f"lfield.{module}")
+    if args.command in INTERRUPTIBLE and signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
+        _import_all(INTERRUPTIBLE[args.command])
         signal.signal(signal.SIGINT, signal.default_int_handler)
     return command.run(args)
 
 
-def _in_text(args: argparse.Namespace) -> argparse.Namespace:
-    """What was said, as text that can be printed, kept and sent. What names a file stays as it is."""
+def _import_all(modules: Iterable[str]) -> None:
+    """Import modules of lfield without Python's collector, which finds no garbage in modules."""
+    gc.disable()
+    try:
+        for module in modules:
+            import_module(f"lfield.{module}")
+    finally:
+        gc.enable()
+
+
+def _printable_args(args: argparse.Namespace) -> argparse.Namespace:
+    """The arguments as text that can be printed, stored and sent. File names stay as they are."""
     for name, value in vars(args).items():
         if isinstance(value, str):
-            setattr(args, name, as_text(value))
+            setattr(args, name, printable_argument(value))
         elif isinstance(value, list):
-            setattr(args, name, [as_text(each) if isinstance(each, str) else each for each in value])
+            setattr(
+                args, name, [printable_argument(each) if isinstance(each, str) else each for each in value]
+            )
     return args
 
 
@@ -244,7 +267,7 @@ def _command(name: str) -> Command:
     return import_module(MODULES[name])
 
 
-_STATUSES = "exit statuses:\n" + "\n".join(f"  {n:>4}  {words}" for n, words in exits.MEANINGS.items())
+_STATUSES = "exit statuses:\n" + "\n".join(f"  {n:>4}  {words}" for n, words in exit_status.MEANINGS.items())
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""The mission that a command is about: a bundle, or a deployment with its files; or all that run here."""
+"""The arguments that name the mission of a command: a bundle, a deployment, or a run on this computer."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.errors import NothingRuns, UsageError
-from lfield.text.suggest import listed
+from lfield.errors import NoMissionRunning, UsageError
+from lfield.text.suggestions import listed
 
 if TYPE_CHECKING:
-    from lfield.operator.addressed import Party
     from lfield.operator.runs import Run
+    from lfield.operator.targets import TargetTeam
 
 
 def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> None:
-    """Declare it: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
+    """Declare the mission: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
     named = parser.add_mutually_exclusive_group(required=required)
     what = "deployment (.dL) or bundle (.lfm)" + (
         "" if required else " (default: all missions that run on this computer)"
     )
     # Positional arguments stand first in the help.
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
-    named.add_argument("--deploy", metavar="MISSION", type=Path, action=_Once, help="same as MISSION")
+    named.add_argument("--deploy", metavar="MISSION", type=Path, action=_GivenOnce, help="same as MISSION")
 
 
 def add_program(parser: argparse.ArgumentParser) -> None:
@@ -41,8 +41,8 @@ def add_bindings(parser: argparse.ArgumentParser) -> None:
     )
 
 
-class _Once(argparse.Action):
-    """Of two missions the first would be forgotten silently."""
+class _GivenOnce(argparse.Action):
+    """An option that may be given once."""
 
     def __call__(
         self,
@@ -57,7 +57,7 @@ class _Once(argparse.Action):
 
 
 def add_running_mission(parser: argparse.ArgumentParser) -> None:
-    """Declare it, or the run, and where its hosts are reached; with neither, all that runs here is meant."""
+    """Declare the mission or the run, and the addresses of its hosts; default: all runs on this computer."""
     add_mission(parser, required=False)
     parser.add_argument(
         "--run", metavar="ID", default="", help="one run on this computer, with the id that 'ps' prints"
@@ -71,7 +71,7 @@ def add_running_mission(parser: argparse.ArgumentParser) -> None:
 
 
 def mission_path(args: argparse.Namespace) -> Path:
-    """The file that was named."""
+    """The named file."""
     path = named_mission(args)
     assert path is not None
     return path
@@ -85,49 +85,52 @@ def setup_command(path: Path, host: str = "", devices: Path | None = None) -> st
 
 
 def named_mission(args: argparse.Namespace) -> Path | None:
-    """The same, None when none was."""
+    """The named file, or None."""
     path: Path | None = args.mission or args.deploy
     return path
 
 
-def meant_runs(args: argparse.Namespace) -> list[Run]:
-    """The runs that this user may see, or the one that was named. Raises UsageError, NothingRuns."""
-    from lfield.operator.addressed import picked
-    from lfield.operator.runs import nothing_here, runs_here
+def selected_runs(args: argparse.Namespace) -> list[Run]:
+    """The runs that this user may see, or the named one. Raises UsageError, NoMissionRunning."""
+    from lfield.operator.runs import no_runs_hint, runs_here
+    from lfield.operator.targets import select_runs
 
-    runs = picked(runs_here(), args.run)
+    runs = select_runs(runs_here(), args.run)
     if named_mission(args) is not None:
         return runs
     if args.map:
         raise UsageError("--map is for the hosts of a mission: name the mission too")
     if not runs:
-        raise NothingRuns(f"no mission runs here: {nothing_here()}")
+        raise NoMissionRunning(f"no mission is running on this computer: {no_runs_hint()}")
     return runs
 
 
-def meant_parties(args: argparse.Namespace, runs: list[Run]) -> list[Party]:
-    """The hosts that were named: of a mission, or of all these runs. Raises UsageError."""
-    from lfield.operator.addressed import open_team, parties_of, parties_of_team
+def selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam]:
+    """The hosts of the named mission, or of all these runs. Raises UsageError."""
+    from lfield.operator.targets import open_team, targets_of_runs, targets_of_team
 
     path = named_mission(args)
     if path is None:
-        return parties_of(runs)
+        return targets_of_runs(runs)
     team = open_team(path)
-    if args.run and runs[0].note.deployment != team.deployment.hex():
+    if args.run and runs[0].manifest.deployment != team.deployment.hex():
         raise UsageError(f"{runs[0].id} is no run of {path}")
-    return parties_of_team(team, runs, args.map)
+    return targets_of_team(team, runs, args.map)
 
 
-def meant_party(args: argparse.Namespace) -> Party:
-    """The one team that was named, or that runs here; on stderr, which other users say they run.
+def selected_team(args: argparse.Namespace) -> TargetTeam:
+    """The one named or running team; prints to stderr which runs of other users were left out.
 
-    Raises UsageError, NothingRuns.
+    Raises UsageError, NoMissionRunning.
     """
-    from lfield.operator.addressed import only_party
+    from lfield.operator.targets import single_target
 
-    parties = meant_parties(args, meant_runs(args))
-    party = only_party(parties)
+    parties = selected_teams(args, selected_runs(args))
+    party = single_target(parties)
     beside = [other.id for other in parties if other.user and other is not party]
     if beside:
-        print(f"lfield: not asked is what other users run: --run names {listed(beside)}", file=sys.stderr)
+        print(
+            f"lfield: runs of other users were not asked: name one with --run: {listed(beside)}",
+            file=sys.stderr,
+        )
     return party

@@ -1,1 +1,1 @@
-"""Checked tree to program."""
+"""Compiler back end: checked syntax tree to program."""

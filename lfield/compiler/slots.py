@@ -1,9 +1,9 @@
 """Slots of one activation record: the object, parameters, locals, temporaries.
 
 A slot has one type for the whole method, so the machine always knows which words are references.
-Temporaries are used again as soon as their value is consumed. A local gets the slot of an earlier local of
-the same name and type whose scope is over (`int i` in one loop after another), so every named slot has one
-name and a debugger is never in doubt.
+A temporary is reused as soon as its value is consumed. A local gets the slot of an earlier local of
+the same name and type whose scope has ended (`int i` in consecutive loops), so every named slot has one
+name, which a debugger can show.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ class Slots:
         self.names = [(0, "this")]
         self._of_local: dict[Local, int] = {}
         self._scopes: list[list[tuple[str, int]]] = []
-        self._left: dict[tuple[str, int], list[int]] = {}
+        self._released: dict[tuple[str, int], list[int]] = {}
         self._free: dict[int, list[int]] = {}
         self._temporaries: set[int] = set()
 
     def of(self, local: Local) -> int:
-        """The slot of a local that was declared."""
+        """The slot of a declared local."""
         return self._of_local[local]
 
     def parameter(self, local: Local, kind: int) -> int:
@@ -38,23 +38,23 @@ class Slots:
 
     def declare(self, local: Local, kind: int) -> tuple[int, bool]:
         """A slot for a local in the current scope, and whether an earlier local may have written to it."""
-        left = self._left.get((local.name, kind))
-        used = bool(left)
-        slot = left.pop() if left else self._named(local, kind)
+        released = self._released.get((local.name, kind))
+        used = bool(released)
+        slot = released.pop() if released else self._named(local, kind)
         self._of_local[local] = slot
         self._scopes[-1].append((local.name, slot))
         return slot, used
 
     @contextmanager
     def scope(self) -> Iterator[None]:
-        """Locals declared inside give their slots back at the end."""
+        """The slots of locals that are declared inside are reusable after it."""
         self._scopes.append([])
         yield
         for name, slot in reversed(self._scopes.pop()):
-            self._left.setdefault((name, self.types[slot]), []).append(slot)
+            self._released.setdefault((name, self.types[slot]), []).append(slot)
 
     def temporary(self, kind: int) -> int:
-        """A slot for a value on its way; give it back with `release`."""
+        """A slot for an intermediate value; `release` frees it."""
         free = self._free.get(kind)
         if free:
             return free.pop()
@@ -63,7 +63,7 @@ class Slots:
         return slot
 
     def release(self, *operands: int) -> None:
-        """The values of these operands were consumed; only temporaries become free."""
+        """Mark the values of these operands as consumed; only temporaries become free."""
         for operand in operands:
             if operand in self._temporaries:
                 self._free.setdefault(self.types[operand], []).append(operand)

@@ -1,4 +1,4 @@
-"""The first pass: types, classes, methods and their indexes, before any instruction is made."""
+"""The first pass: types, classes, methods and their indexes, before any code is generated."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from collections.abc import Iterator
 from lfield.bytecode.program import (
     ANY,
     ARRAY,
-    BESIDE,
     BOOLEAN,
     BUILTIN_CLASSES,
     DEVICE,
     EXCEPTIONS,
-    HELD,
+    HELD_DEVICE,
     INT,
     OBJECT,
     PROXY,
     REAL,
     STRING,
+    SUPPRESSED_FIELD,
     TICKET,
     VOID,
     ClassRecord,
-    DeviceCall,
+    DeviceCallRecord,
     DeviceField,
     FieldRecord,
     TypeRecord,
 )
-from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
-from lfield.compiler.begun.twins import TICKET as TICKET_TYPE
-from lfield.compiler.begun.twins import twins_of
-from lfield.compiler.begun.work import Work
-from lfield.compiler.constants import Pool
+from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.compiler.async_variants.async_methods import TICKET as TICKET_TYPE
+from lfield.compiler.async_variants.async_methods import async_variants_of
+from lfield.compiler.async_variants.effect_analysis import EffectAnalysis
+from lfield.compiler.constant_folding import ConstantPool
 from lfield.lang import tree, types
 from lfield.lang.types import ArrayType, ClassType, DeviceType, ResourceType, Type
 
@@ -41,7 +41,7 @@ _SIMPLE = {
     types.REAL: REAL,
     types.STRING: STRING,
     types.EXCEPTION: ANY,
-    # A variable for nothing but null, as in `throw null`, may be of any class.
+    # A variable of only null, as in `throw null`, may be of any class.
     types.NULL: ANY,
 }
 
@@ -60,20 +60,20 @@ _DEVICE_TYPES = {
 }
 
 
-class Tables:
-    """The tables of a program, filled by the first pass and, for types and constants, by need."""
+class ProgramTables:
+    """The tables of a program, filled by the first pass and, for types and constants, on demand."""
 
     def __init__(self, units: list[tree.Unit]) -> None:
-        self.pool = Pool()
+        self.pool = ConstantPool()
         self.types: list[TypeRecord] = list(FIXED_TYPES)
-        self.device_calls: list[DeviceCall] = []
+        self.device_calls: list[DeviceCallRecord] = []
         written = [method for unit in units for method in unit.methods]
-        self._twins = twins_of(written)
-        self._tickets = {twin.method: twin.ticket for twin in self._twins.values()}
+        self._async_variants = async_variants_of(written)
+        self._tickets = {twin.method: twin.ticket for twin in self._async_variants.values()}
         self.methods = [*written, *self._tickets]
-        self.work = Work(written)
+        self.effect_analysis = EffectAnalysis(written)
         self._type_indexes: dict[TypeRecord, int] = {record: i for i, record in enumerate(self.types)}
-        self._device_indexes: dict[DeviceCall, int] = {}
+        self._device_indexes: dict[DeviceCallRecord, int] = {}
         self._methods = {method: i for i, method in enumerate(self.methods)}
         names = [*BUILTIN_CLASSES, *(unit.name for unit in units)]
         self._classes = {name: i for i, name in enumerate(names)}
@@ -87,21 +87,21 @@ class Tables:
         """The index of a method."""
         return self._methods[method]
 
-    def twin(self, method: tree.Method) -> tree.Method:
-        """What a `together` calls instead of a method of an offer."""
-        return self._twins[method].method
+    def async_variant(self, method: tree.Method) -> tree.Method:
+        """The method that a `together` calls instead of a method of an offer."""
+        return self._async_variants[method].method
 
     def ticket_of(self, method: tree.Method) -> tree.Local | None:
-        """The parameter of a twin that has the ticket of its caller's `together`."""
+        """The parameter of an asynchronous variant that has the ticket of its caller's `together`."""
         return self._tickets.get(method)
 
     @property
     def ticket_type(self) -> int:
-        """The type of what holds the calls of a `together`."""
+        """The type of a ticket of a `together`."""
         return self.type_index(TICKET_TYPE)
 
     def type_index(self, kind: Type) -> int:
-        """The index of a type; its record is added when the program had not used the type before."""
+        """The index of a type; its record is added at the first use."""
         if kind in _SIMPLE:
             return _SIMPLE[kind]
         match kind:
@@ -118,14 +118,14 @@ class Tables:
         raise AssertionError(f"the checker let the type {kind} through")
 
     def object_type(self, name: str) -> int:
-        """The type of the objects of a class, or of an agent that looks at itself."""
+        """The type of the objects of a class, or of an agent's own object."""
         return self._type(TypeRecord(OBJECT, self.class_index(name)))
 
     def device_call(self, call: tree.DeviceCall, owner: tree.Unit) -> int:
-        """The index of an instruction of a device field; the same one is kept once."""
-        row = DeviceCall(
+        """The index of an instruction of a device field, without duplicates."""
+        row = DeviceCallRecord(
             self.class_index(owner.name),
-            call.device.name if isinstance(call.device, tree.Field) else HELD,
+            call.device.name if isinstance(call.device, tree.Field) else HELD_DEVICE,
             call.manifest.type,
             call.instruction.name,
             tuple(self.type_index(_DEVICE_TYPES[p.type]) for p in call.instruction.parameters),
@@ -144,10 +144,10 @@ class Tables:
         return self._type_indexes[record]
 
     def _fields(self, unit: tree.Unit) -> Iterator[FieldRecord]:
-        """The fields, and a last one for what is beside an object that may be thrown."""
+        """The fields, and a last one for suppressed exceptions of an object that may be thrown."""
         yield from (FieldRecord(field.name, self.type_index(field.type)) for field in unit.fields)
         if unit.thrown and not unit.capability:
-            yield FieldRecord(BESIDE, EXCEPTIONS)
+            yield FieldRecord(SUPPRESSED_FIELD, EXCEPTIONS)
 
     def _class_record(self, unit: tree.Unit) -> ClassRecord:
         inits = (self._methods[method] for method in unit.methods if method.kind == "init")

@@ -1,1 +1,1 @@
-"""The host's end of its guards: devices opened, called, and read."""
+"""The host's side of its guards: opens devices, calls them and reads their telemetry."""

@@ -1,7 +1,8 @@
-"""All that a driver imports; its conformance kit imports `lfield.driver.kit` beside it (docs/drivers.md).
+"""The public interface for driver authors (docs/drivers.md); conformance kits also import
+`lfield.driver.kit`.
 
-The contract is here: a plugin's `Driver` and its `Device`s, what they are bound by, what they tell, and the
-few words of lfield that they speak.
+A plugin provides a `Driver` with its `Device`s. Also here: their bindings, what they report, and the helper
+types.
 """
 
 from lfield.clock import Clock
@@ -12,9 +13,10 @@ from lfield.driver.frame import Frame, Origin, Placement, Pose, Vector
 from lfield.driver.plugin import Plugin
 from lfield.driver.settings import Setting
 from lfield.errors import DeviceError
-from lfield.text.files import read_within
-from lfield.text.findings import Table
-from lfield.text.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.input_files import read_within
+from lfield.text.log_messages import LogMessage
+from lfield.text.message_tables import FindingTable
+from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
 __all__ = [
     "WATCHDOG",
@@ -25,7 +27,9 @@ __all__ = [
     "Diagnostic",
     "Diagnostics",
     "Driver",
+    "FindingTable",
     "Frame",
+    "LogMessage",
     "Manifest",
     "Origin",
     "Placement",
@@ -35,7 +39,6 @@ __all__ = [
     "Setting",
     "Source",
     "Span",
-    "Table",
     "Vector",
     "read_within",
 ]

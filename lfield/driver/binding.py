@@ -1,4 +1,4 @@
-"""One bound device: what `mission.devices.yaml` says about one field of one agent."""
+"""A bound device: what `mission.devices.yaml` says about one field of one agent."""
 
 from __future__ import annotations
 
@@ -9,35 +9,36 @@ import msgspec
 
 from lfield.driver.frame import Placement
 
-#: The endpoint of a device whose fake has not been started yet begins so; what follows names the bus.
+#: Prefix of the endpoint of a device whose fake has not been started yet; the rest names the bus.
 SIMULATED = "sim:"
 
-#: A shorter time without a sign of a coordinator says nothing, in seconds: a sign may be as long on its way.
-LEAST_AFTER = 5.0
+#: Shortest allowed time-out without contact to a coordinator, in seconds: a heartbeat may take as long to
+#: arrive.
+MIN_ORPHAN_TIMEOUT = 5.0
 
 #: A value of an option in a devices file.
 OptionValue = bool | int | float | str | list[int | str]
 
 
-class WithoutPolicy(msgspec.Struct, frozen=True):
-    """After so many seconds without a sign of a coordinator that used a device: a safe state of its type."""
+class OrphanPolicy(msgspec.Struct, frozen=True):
+    """Brings a device into a safe state when no coordinator that used it has been reachable for `after`
+    seconds."""
 
     after: float
     do: str
 
 
 class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
-    """A device with its driver, place and limits; travels to the guard as it is.
+    """A device with its driver, endpoint and limits; sent to the guard unchanged.
 
-    `ttl` is the time-to-live of a setpoint in seconds, and how long a command may take to begin; within
-    `rest_within` seconds of a stop the device is at rest, or its guard gives up and says so.
-    `without_policy` says what becomes of it when no coordinator that used it is heard of any more, None
-    for nothing. `limits` are in the SI units that the manifest names, `options` are the driver's own
-    (`system`, `kind`). An absent limit does not limit. `waivers` name the protections that whoever wrote
-    the binding has knowingly given up, `reasons` why, by their names. `frame` says where its agent is in
-    the team's frame, None where nobody has said that. `sim` are faults and conditions of its fake,
-    `NAME=VALUE`, for simulated missions. `type` is the device type in L. A pure sensor has no
-    `safe_state`, and nothing of its `ttl` and `rest_within` applies.
+    `ttl` is the time-to-live of a setpoint in seconds, and the longest time before a command starts. A
+    stopped device must be at rest within `rest_within` seconds; otherwise the guard stops waiting and reports
+    it. `without_policy` is the reaction when every coordinator that used the device is unreachable (None: no
+    reaction). `limits` are in the SI units of the manifest; an absent limit does not apply. `options` are
+    specific to the driver (`system`, `kind`). `waivers` are the protections that the binding gives up,
+    `reasons` the reason for each. `frame` is the pose of the agent in the team's frame, None if unknown.
+    `sim` holds faults and conditions of the fake (`NAME=VALUE`) for simulated missions. `type` is the device
+    type in L. A pure sensor has no `safe_state`; its `ttl` and `rest_within` are ignored.
     """
 
     agent: str
@@ -52,7 +53,7 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     options: dict[str, OptionValue] = {}
     waivers: list[str] = []
     reasons: dict[str, str] = {}
-    without_policy: WithoutPolicy | None = None
+    without_policy: OrphanPolicy | None = None
     frame: Placement | None = None
     sim: list[str] = []
 
@@ -68,20 +69,20 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def is_sensor(self) -> bool:
-        """Whether it only senses: nothing that it does could be made safe."""
+        """Whether it is a pure sensor, which needs no safe state."""
         return not self.safe_state
 
     def waives(self, protection: str) -> bool:
-        """Whether the binding gives this protection up, by its name."""
+        """Whether the binding waives the named protection."""
         return protection in self.waivers
 
     def option(self, name: str) -> Any:
-        """An option of the manifest; always present, since the loader fills in defaults."""
+        """The value of an option of the manifest; the loader fills in defaults, so it is always present."""
         return self.options[name]
 
 
 def by_bus(devices: Iterable[DeviceBinding]) -> dict[tuple[str, str], list[DeviceBinding]]:
-    """The devices of each bus, in their order."""
+    """The devices grouped by bus, in their order."""
     buses: dict[tuple[str, str], list[DeviceBinding]] = {}
     for device in devices:
         buses.setdefault(device.bus, []).append(device)
@@ -89,8 +90,5 @@ def by_bus(devices: Iterable[DeviceBinding]) -> dict[tuple[str, str], list[Devic
 
 
 def longest_rest(devices: Iterable[DeviceBinding]) -> float:
-    """How long the slowest of these devices may take to come to rest, in seconds; 0 without any.
-
-    A sensor is at rest at once.
-    """
+    """The longest `rest_within` of these devices in seconds; 0 without actuators."""
     return max((device.rest_within for device in devices if not device.is_sensor), default=0.0)

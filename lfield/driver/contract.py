@@ -1,4 +1,4 @@
-"""The contract of a driver as data: what L may call and bindings may say. `manifest_file` reads it."""
+"""The contract of a driver as data: what L may call and what bindings may contain."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Protocol
 from lfield.driver.binding import OptionValue
 from lfield.manifest import NEVER, DeviceManifest, DeviceValue, Instruction
 
-#: What every device can do; the guard and the host answer them.
+#: Instructions of every device, implemented by the guard and the host.
 RELEASE = Instruction(
     "release",
     effect="idempotent",
@@ -20,20 +20,20 @@ RELEASE = Instruction(
     cancel=NEVER,
 )
 AGE = Instruction(
-    "age", result="real", unit="s", effect="query", meaning="seconds since the device was last heard"
+    "age", result="real", unit="s", effect="query", meaning="seconds since the last message from the device"
 )
-STANDARD = (RELEASE, AGE)
+STANDARD_INSTRUCTIONS = (RELEASE, AGE)
 
-#: In `Manifest.fakes`: of every resource type that is not named there.
+#: Key in `Manifest.fakes` for all resource types that are not listed.
 ANY = "any"
 
-#: The waiver that every device knows: it has no watchdog of its own, or a slower one than is wanted.
+#: Waiver of every device: it has no watchdog of its own, or one slower than required.
 WATCHDOG = "device_watchdog"
 
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """A key of a binding that only this driver knows; `default` None means that it must be given."""
+    """A key of a binding that is specific to this driver; `default` None means that it is required."""
 
     name: str
     type: str
@@ -46,7 +46,7 @@ class Option:
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """A limit that a binding may set; the driver refuses what would exceed it."""
+    """A limit that a binding may set; the driver refuses commands that exceed it."""
 
     name: str
     unit: str = ""
@@ -55,11 +55,11 @@ class Limit:
 
 @dataclass(frozen=True, slots=True)
 class Manifest:
-    """A manifest file: the device type for L, and what its bindings may say.
+    """A manifest file: the device type for L, and what its bindings may contain.
 
-    `fakes` are the options, by resource type of L or ANY, of a device that is simulated and bound nowhere.
-    `reasoned` waivers count only with a reason. `geographic` devices tell where on the Earth their own frame
-    begins, once they know it.
+    `fakes` are the options of a simulated device without a binding, by resource type of L or ANY. Waivers in
+    `reasoned` require a reason. `geographic` devices report where on the Earth their own frame begins, once
+    they know it.
     """
 
     device: DeviceManifest
@@ -72,52 +72,61 @@ class Manifest:
 
     @property
     def has_places(self) -> bool:
-        """Whether anything that it is told or tells is about the team's frame."""
+        """Whether any parameter or quantity refers to the team's frame."""
         parameters = (p for instruction in self.device.instructions for p in instruction.parameters)
         return any(q.frame for q in self.device.telemetry) or any(p.frame for p in parameters)
 
     def fake_options(self, resource: str) -> dict[str, OptionValue]:
-        """The options of a device on a fake that nobody has bound, in a resource of this type.
+        """The default options of a fake without a binding, in a resource of this type.
 
-        An option is not among them that only a binding can know.
+        Options without a default are absent.
         """
         defaults = {option.name: option.default for option in self.options if option.default is not None}
-        return {**defaults, **self.fakes.get(ANY, {}), **self.fakes.get(resource, {})}
+        return {**defaults, **self.fakes.get(ANY, {}), **self.resource_options(resource)}
 
-    def fake_words(self, resource: str) -> str:
-        """What a fake that nobody has bound is in such a resource, '' where there is nothing to choose."""
+    def resource_options(self, resource: str) -> Mapping[str, OptionValue]:
+        """The options that follow from the type of a resource: of `Rover` or `SurveyRover`, kind rover."""
+        if resource in self.fakes:
+            return self.fakes[resource]
+        like = [key for key in self.fakes if key != ANY and key.lower() in resource.lower()]
+        return self.fakes[like[0]] if len(like) == 1 else {}
+
+    def fake_label(self, resource: str) -> str:
+        """Describes the fake of a resource without a binding; '' when there is only one kind."""
         chosen = {key for options in self.fakes.values() for key in options}
-        given = self.fake_options(resource)
-        words = ", ".join(f"{o.name} {given[o.name]}" for o in self.options if o.name in chosen)
-        if not words:
+        values = self.fake_options(resource)
+        kinds = ", ".join(f"{o.name} {values[o.name]}" for o in self.options if o.name in chosen)
+        if not kinds:
             return ""
-        guessed = ANY not in self.fakes and resource not in self.fakes
-        why = f"nothing tells what a {resource} is, so it is " if guessed else ""
-        return f"{why}simulated with {words}"
+        guessed = ANY not in self.fakes and not self.resource_options(resource)
+        why = f"the kind of a {resource} is not known, so it is " if guessed else ""
+        return f"{why}simulated with {kinds}"
 
     @property
     def default_safe_state(self) -> str:
-        """The first that the manifest lists; '' for a pure sensor."""
+        """The first safe state of the manifest; '' for a pure sensor."""
         return next(iter(self.device.safe_states), "")
 
 
 class Reports(Protocol):
-    """What a driver can tell the guard."""
+    """Callbacks from a driver to the guard."""
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        """New values of telemetry quantities, true now."""
+        """Publishes current values of telemetry quantities."""
 
     def heard(self, device: str) -> None:
-        """The device has just shown that it is alive."""
+        """Records that the device has sent something."""
 
     def note(self, device: str, text: str) -> None:
-        """One sentence for the log of the host."""
+        """Writes one sentence into the log of the host."""
 
     def breach(self, device: str, reason: str) -> None:
-        """The device is beyond a limit of its binding and cannot be corrected: it alone goes safe."""
+        """Reports that the device exceeds a limit and cannot be corrected: this device is made safe."""
 
     def lock_out(self, device: str, reason: str) -> None:
-        """The device must be inspected: it alone goes safe, until an operator ends that."""
+        """Reports that the device must be inspected: it is made safe until an operator clears the
+        lock-out.
+        """
 
     def crashed(self, reason: str | BaseException) -> None:
-        """Something in the driver has broken, or this was raised in it: every device goes safe."""
+        """Reports a failure of the driver itself: every device is made safe."""

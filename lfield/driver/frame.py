@@ -1,11 +1,11 @@
-"""The team's frame: metres north, east and down of one origin, and where a device's own frame lies in it.
+"""The team's frame (metres north, east and down of one origin) and the pose of a device's own frame in it.
 
-A vehicle reckons from where it was switched on or armed, each from a place of its own. A devices file says
-where these lie (`frame`), and then all that a program hears and says of places is about the team's origin:
-`Device` converts at its edge what the manifest marks, by a kind of `lfield.manifest`:
+A vehicle measures positions from where it was switched on or armed. A devices file gives the pose of that
+place (`frame`); all positions in a program then refer to the team's origin. `Device` converts what the
+manifest marks with a kind of `lfield.manifest`:
 
-    place       north, east, down in metres: as three (or two) parameters in a row, or as an array of them
-    direction   the same turned and not shifted: velocities
+    place       north, east, down in metres: three (or two) parameters in a row, or an array of them
+    direction   rotated, not translated: velocities
     heading     radians clockwise from north; the last element of an array
 """
 
@@ -24,7 +24,7 @@ Vector = tuple[float, float, float]
 
 
 class Origin(msgspec.Struct, frozen=True):
-    """Where on the Earth the team's frame begins: degrees, and metres above mean sea level."""
+    """Origin of the team's frame on the Earth: degrees, and metres above mean sea level."""
 
     latitude: float
     longitude: float
@@ -35,21 +35,23 @@ class Origin(msgspec.Struct, frozen=True):
 
 
 class Frame(Protocol):
-    """A frame in the team's: places there and back, and how its north is turned (rad, clockwise)."""
+    """A device's own frame: conversion of positions to and from the team's frame, and its heading (rad,
+    clockwise).
+    """
 
     @property
     def heading(self) -> float:
-        """Where its own north points in the team's frame."""
+        """Direction of its own north in the team's frame."""
 
     def to_team(self, place: Vector) -> Vector:
-        """A place of its own in the team's frame."""
+        """A position of its own frame, in the team's frame."""
 
     def from_team(self, place: Vector) -> Vector:
-        """A place of the team's frame in its own."""
+        """A position of the team's frame, in its own frame."""
 
 
 class Pose(msgspec.Struct, frozen=True):
-    """A frame whose origin is so many metres from the team's, its north turned by `heading` radians."""
+    """A frame with an offset from the team's origin in metres, rotated by `heading` radians."""
 
     north: float
     east: float
@@ -57,22 +59,21 @@ class Pose(msgspec.Struct, frozen=True):
     heading: float = 0.0
 
     def to_team(self, place: Vector) -> Vector:
-        """A place of its own in the team's frame."""
-        north, east, down = turned(place, self.heading)
+        """A position of its own frame, in the team's frame."""
+        north, east, down = rotated(place, self.heading)
         return (self.north + north, self.east + east, self.down + down)
 
     def from_team(self, place: Vector) -> Vector:
-        """A place of the team's frame in its own."""
-        way = (place[0] - self.north, place[1] - self.east, place[2] - self.down)
-        return turned(way, -self.heading)
+        """A position of the team's frame, in its own frame."""
+        offset = (place[0] - self.north, place[1] - self.east, place[2] - self.down)
+        return rotated(offset, -self.heading)
 
 
 class Placement(msgspec.Struct, frozen=True):
-    """What a devices file says of where one agent is.
+    """The pose of an agent according to a devices file.
 
-    With a `pose` its own frame lies there; without one it must find itself on the Earth, where the team's
-    frame has its `origin`. `number` is the agent's in the deployment: fakes that nobody has put anywhere
-    stand apart by it.
+    Without a `pose` the device must locate itself on the Earth, where the team's frame has its `origin`.
+    `number` is the agent's index in the deployment, which separates fakes that have no position.
     """
 
     origin: Origin | None = None
@@ -80,9 +81,9 @@ class Placement(msgspec.Struct, frozen=True):
     number: int = 0
 
 
-def turned(way: Vector, heading: float) -> Vector:
-    """A way in a frame whose north points to `heading`, as whoever has that heading sees it."""
-    north, east, down = way
+def rotated(offset: Vector, heading: float) -> Vector:
+    """Rotates a vector into a frame whose north points to `heading`."""
+    north, east, down = offset
     cos, sin = math.cos(heading), math.sin(heading)
     return (cos * north - sin * east, sin * north + cos * east, down)
 
@@ -90,7 +91,7 @@ def turned(way: Vector, heading: float) -> Vector:
 def arguments_from_team(
     parameters: Sequence[Parameter], values: Sequence[object], frame: Frame
 ) -> list[object]:
-    """The arguments of an instruction, those about the team's frame as the device's own has them."""
+    """The arguments of an instruction, converted from the team's frame to the device's own."""
     found, at = list(values), 0
     while at < len(found):
         kind, value = parameters[at].frame, found[at]
@@ -112,9 +113,9 @@ def arguments_from_team(
 def values_to_team(
     kinds: Mapping[str, str], values: Mapping[str, object], frame: Frame | None
 ) -> dict[str, object]:
-    """Telemetry as the team has it; `kinds` are the quantities that are about its frame.
+    """Telemetry converted to the team's frame; `kinds` are the quantities that refer to it.
 
-    As long as it is not known where the device's own frame lies, those are left out.
+    They are omitted while the pose of the device's own frame is unknown.
     """
     if frame is None:
         return {name: value for name, value in values.items() if name not in kinds}
@@ -139,17 +140,17 @@ def _array(kind: str, values: list[object], frame: Frame, *, back: bool) -> list
 
 
 def _converted(kind: str, row: Sequence[object], frame: Frame, *, back: bool) -> list[float]:
-    """One place or direction of up to three numbers; what it does not say is 0."""
+    """Converts one position or direction of up to three numbers; missing ones are 0."""
     numbers = [_number(each) for each in row]
     north, east, down = [*numbers, 0.0, 0.0, 0.0][:3]
-    way = (north, east, down)
+    offset = (north, east, down)
     if kind == "direction":
-        found = turned(way, -frame.heading if back else frame.heading)
+        found = rotated(offset, -frame.heading if back else frame.heading)
     else:
-        found = frame.from_team(way) if back else frame.to_team(way)
+        found = frame.from_team(offset) if back else frame.to_team(offset)
     return list(found[: len(numbers)])
 
 
 def _number(value: object) -> float:
-    assert isinstance(value, int | float), "the manifest says so, and was checked"
+    assert isinstance(value, int | float), "the manifest was checked"
     return float(value)

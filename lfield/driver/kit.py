@@ -1,20 +1,21 @@
-"""The conformance kit: what every driver promises, tried on whatever is at an endpoint, fake or real.
+"""The conformance kit: tests a driver's contract against a device, real or simulated.
 
 A driver adds its own checks in a module that its Plugin names (`kit="lfield_servo.kit:KIT"`):
 
 ```python
 KIT = Kit()
 
-@KIT.check("turns and says so", moves=True)
+@KIT.check("turns and reports its angle", moves=True)
 async def turns(bench: Bench) -> str:
     await bench.call("turn", 0.5)
     await bench.until(lambda: abs(bench.query("angle") - 0.5) < 0.02, 1.0, "the angle to be 0.5 rad")
-    return f"0.5 rad asked, {bench.query('angle'):.3f} rad seen"
+    return f"0.5 rad commanded, {bench.query('angle'):.3f} rad measured"
+
 ```
 
-A check returns in words what it has seen; it fails by DeviceError or CheckFailed, and says by NotTried that
-it does not apply. What can move something, or changes what a device keeps, says so: nothing of that kind
-runs unless somebody has agreed to it.
+A check returns a description of what it has observed. It raises DeviceError or CheckFailed when it fails, and
+NotTried when it does not apply. A check that can move something or change a setting declares `moves=True`; it
+runs only with the user's consent.
 """
 
 from __future__ import annotations
@@ -29,80 +30,81 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
 from lfield.errors import DeviceError
 
-#: The kind of the answer to a call that was cancelled.
+#: The error kind of a call that was cancelled.
 CANCELLED = "CancelledException"
-#: Seconds that one check may take beyond `rest_within`, and a safe state to be confirmed.
+#: Seconds for one check in addition to `rest_within`; seconds for a safe state to be confirmed.
 BOUND, SAFE = 60.0, 20.0
 
 
 class CheckFailed(Exception):
-    """Something that was promised was not seen; the sentence says what."""
+    """An expected behaviour was not observed; the sentence says which."""
 
 
 class NotTried(Exception):
-    """A check is not for a device that is bound like this; the sentence says why."""
+    """The check does not apply to this binding; the sentence says why."""
 
 
 class Bench(Protocol):
-    """One device behind its guard, as a check sees it."""
+    """One device behind its guard, as a check uses it."""
 
     binding: DeviceBinding
     manifest: Manifest
-    #: How long the host may be silent, in seconds, before the device goes safe.
+    #: Longest time without a heartbeat of the host before the device is made safe, in seconds.
     silence: float
-    #: Seconds from the host's last sign of life until its bus is made quiet, at the latest.
+    #: Longest time from the host's last heartbeat until its bus is muted, in seconds.
     quiet_after: float
-    #: What the guard has told since it was opened, one sentence each.
+    #: Log lines of the guard since the device was opened.
     notes: list[str]
 
     @property
     def now(self) -> float:
-        """Seconds of the host's clock, for what a check measures: a kit may run on virtual time too."""
+        """Seconds on the host's clock; virtual time in tests."""
 
     @property
     def identity(self) -> str:
-        """Who the device is, in its driver's words."""
+        """The identity of the device, as reported by its driver."""
 
     async def call(self, instruction: str, *arguments: object) -> Any:
-        """Carry an instruction out and return its result. Raises DeviceError."""
+        """Executes an instruction and returns its result. Raises DeviceError."""
 
     async def give_up(self, begun: Callable[[], bool], instruction: str, *arguments: object) -> Any:
-        """Begin an instruction, cancel it as soon as `begun` holds, and wait for its end; its result.
+        """Starts an instruction, cancels it as soon as `begun` holds, waits for its end and returns its
+        result.
 
-        Raises DeviceError, of the kind CancelledException when it was cancelled, and CheckFailed when it is
-        not begun within SAFE seconds.
+        Raises DeviceError (of kind CancelledException if it was cancelled), and CheckFailed if `begun` does
+        not hold within SAFE seconds.
         """
 
     @property
     def given_up(self) -> set[str]:
-        """The names of the instructions that were."""
+        """The names of the cancelled instructions."""
 
     def query(self, quantity: str) -> Any:
         """The present value of a telemetry quantity. Raises DeviceError when there is none."""
 
     async def until(self, condition: Callable[[], bool], bound: float, what: str) -> None:
-        """Wait until the condition holds (a query that has no value counts as no). Raises CheckFailed."""
+        """Waits for a condition; a query without a value counts as false. Raises CheckFailed."""
 
     async def make_safe(self) -> None:
-        """Ask the guard for the safe state, and wait until it is confirmed. Raises CheckFailed."""
+        """Requests the safe state and waits until it is confirmed. Raises CheckFailed."""
 
     async def fall_silent(self, seconds: float) -> None:
-        """Be a host that hangs for so long."""
+        """Stops the host's heartbeats for so many seconds."""
 
     async def kill_guard(self) -> None:
-        """Kill the guard's process, and wait until the next one has opened the device."""
+        """Kills the guard process and waits until its successor has opened the device."""
 
     @property
     def latched(self) -> str:
-        """Why the device is held in its safe state, '' when it is free."""
+        """Why the device is latched in its safe state, '' when it is not."""
 
     @property
     def confirmed(self) -> bool:
-        """Whether it has been seen there."""
+        """Whether the safe state is confirmed."""
 
     @property
     def moving(self) -> str | None:
-        """What it still does there, in its driver's words; '' at rest, None when nobody has said."""
+        """How the device still moves in its safe state; '' at rest, None when unknown."""
 
 
 CheckFunction = Callable[[Bench], Awaitable[str]]
@@ -110,7 +112,7 @@ CheckFunction = Callable[[Bench], Awaitable[str]]
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One check; `types` are the device types it is for, none means all."""
+    """One check; `types` are the device types that it applies to, empty for all."""
 
     name: str
     run: CheckFunction
@@ -118,20 +120,20 @@ class Check:
     types: tuple[str, ...] = ()
 
     def suits(self, device_type: str) -> bool:
-        """Whether it is for devices of this type."""
+        """Whether it applies to devices of this type."""
         return not self.types or device_type in self.types
 
 
 @dataclass(slots=True)
 class Kit:
-    """The checks of one driver, in the order in which they run."""
+    """The checks of one driver, in execution order."""
 
     checks: list[Check] = field(default_factory=list)
 
     def check(
         self, name: str, *, moves: bool, types: Sequence[str] = ()
     ) -> Callable[[CheckFunction], CheckFunction]:
-        """Add a coroutine as a check."""
+        """Decorator that adds a coroutine as a check."""
 
         def add(function: CheckFunction) -> CheckFunction:
             self.checks.append(Check(name, function, moves, tuple(types)))
@@ -141,18 +143,18 @@ class Kit:
 
 
 async def refused(bench: Bench, instruction: str, *arguments: object) -> str:
-    """The reason for which an instruction is refused. Raises CheckFailed when it is carried out."""
+    """The reason for which an instruction is refused. Raises CheckFailed when it is executed."""
     try:
         await bench.call(instruction, *arguments)
     except DeviceError as error:
         return error.reason
-    told = ", ".join(map(str, arguments))
-    raise CheckFailed(f"{instruction}({told}) was carried out instead of being refused")
+    argument_text = ", ".join(map(str, arguments))
+    raise CheckFailed(f"{instruction}({argument_text}) was executed instead of being refused")
 
 
 async def held(bench: Bench, bound: float) -> str:
-    """Wait until the device is latched, at most `bound` seconds, and has been seen in its safe state; then
-    release it. Why it was latched. Raises CheckFailed.
+    """Waits until the device is latched, at most `bound` seconds, and in its confirmed safe state; then
+    releases it. Returns why it was latched. Raises CheckFailed.
     """
     await bench.until(lambda: bool(bench.latched), bound, "the device to go safe")
     reason = bench.latched
@@ -162,14 +164,14 @@ async def held(bench: Bench, bound: float) -> str:
 
 
 async def cancelled(bench: Bench, begun: Callable[[], bool], instruction: str, *arguments: object) -> str:
-    """Cancel an instruction on its way, as soon as `begun` holds; its end, in words.
+    """Cancels an instruction as soon as `begun` holds; returns how it ended.
 
-    What may `never` be cancelled goes on to its end. Anything else ends as its manifest says, within SAFE
-    seconds, and leaves the device free; whether it then does what that says the caller looks at. Raises
-    CheckFailed, and DeviceError for what fails.
+    An instruction with `cancel: never` runs to its end. Any other must end within SAFE seconds, as its
+    manifest says, and leave the device free; the caller checks the resulting motion. Raises CheckFailed, and
+    DeviceError.
     """
     declared = bench.manifest.device.instruction(instruction)
-    assert declared is not None, "a kit knows the instructions of its device"
+    assert declared is not None, "a kit contains instructions of its device only"
     start = bench.now
 
     def since() -> bool:
@@ -182,39 +184,40 @@ async def cancelled(bench: Bench, begun: Callable[[], bool], instruction: str, *
     except DeviceError as error:
         if error.kind != CANCELLED or not declared.may_be_cancelled:
             raise
-        took = bench.now - start
-        if took > SAFE or bench.latched:
-            why = f"it is latched because {bench.latched}" if bench.latched else f"that took {took:.1f} s"
+        duration = bench.now - start
+        if duration > SAFE or bench.latched:
+            why = f"it is latched because {bench.latched}" if bench.latched else f"that took {duration:.1f} s"
             raise CheckFailed(f"{error.reason}; {why}") from None
-        return f"{error.reason} after {took:.2f} s"
+        return f"{error.reason} after {duration:.2f} s"
     if declared.may_be_cancelled:
-        raise CheckFailed(f"{instruction}() was cancelled on its way and went on to its end")
-    return f"{instruction}() goes on to its end"
+        raise CheckFailed(f"{instruction}() was cancelled and ran to its end")
+    return f"{instruction}() runs to its end"
 
 
 async def rested(bench: Bench) -> list[str]:
-    """Wait until the device is at rest in its safe state, at most `rest_within`; what was said on the way.
+    """Waits until the device is at rest in its safe state, at most `rest_within`; returns the reported
+    motion.
 
     Raises CheckFailed.
     """
-    words, within = list[str](), bench.binding.rest_within
+    reports, within = list[str](), bench.binding.rest_within
 
     def at_rest() -> bool:
-        if bench.moving and bench.moving not in words:
-            words.append(bench.moving)
+        if bench.moving and bench.moving not in reports:
+            reports.append(bench.moving)
         return bench.moving == ""
 
     try:
         await bench.until(at_rest, within, "it to come to rest")
     except CheckFailed:
-        last = words[-1] if words else "nothing was said of it"
+        last = reports[-1] if reports else "no motion was reported"
         raise CheckFailed(f"it was not at rest within {within:g} s: {last}") from None
-    return words
+    return reports
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What became of one check on one device: what was seen, or why it failed or did not run."""
+    """The result of one check on one device: what it observed, or why it failed or did not run."""
 
     device: str
     check: str
@@ -223,17 +226,17 @@ class Finding:
 
 
 async def run_kit(bench: Bench, checks: Iterable[Check], may_move: bool) -> AsyncIterator[Finding]:
-    """Run the checks that suit the device one after the other; a failure does not end the run."""
+    """Runs the checks that apply to the device, one after the other; a failure does not end the run."""
     name = bench.binding.name
     for check in checks:
         if not check.suits(bench.binding.type):
             continue
         if check.moves and not may_move and not bench.binding.is_sensor:
-            yield Finding(name, check.name, "not run", "it would move the device, and nobody agreed to that")
+            yield Finding(name, check.name, "not run", "it would move the device, which was not permitted")
             continue
         finding = await _run(bench, check)
         if finding.outcome == "failed" and bench.confirmed:
-            # The checks that follow are not to fail for the same reason.
+            # Release the device so that later checks do not fail for the same reason.
             with suppress(DeviceError):
                 await bench.call("release")
         yield finding
@@ -252,5 +255,5 @@ async def _run(bench: Bench, check: Check) -> Finding:
         return Finding(name, check.name, "failed", str(error))
     except NotTried as error:
         return Finding(name, check.name, "not run", str(error))
-    except Exception as error:  # a kit is foreign code, as a driver is
+    except Exception as error:  # a kit is third-party code, as a driver is
         return Finding(name, check.name, "failed", f"the check itself is broken: {error!r}")

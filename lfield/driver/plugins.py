@@ -1,6 +1,6 @@
-"""Finds the installed driver plugins by their entry points (`lfield.drivers.v1`) and reads their manifests.
+"""Discovers installed driver plugins by their entry points (`lfield.drivers.v1`) and reads their manifests.
 
-For the desk: a robot gets what it must know of its drivers with the mission (lfield.driver.known).
+Runs on the development computer; a robot receives this data with the mission (lfield.driver.driver_index).
 """
 
 from __future__ import annotations
@@ -10,23 +10,23 @@ from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path, PurePosixPath
 
-from lfield.driver.known import GROUP, KnownDriver, ManifestFile
+from lfield.driver.driver_index import GROUP, DriverInfo, ManifestFile
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import PluginError
 from lfield.manifest import DeviceManifest
 
 
 @dataclass(frozen=True, slots=True)
-class Installed(KnownDriver):
-    """One usable plugin with what is known of it."""
+class InstalledPlugin(DriverInfo):
+    """A usable plugin and its metadata."""
 
     plugin: Plugin
 
 
-def _installed(reference: str, distribution: str) -> Installed:
+def _installed(reference: str, distribution: str) -> InstalledPlugin:
     plugin = load_plugin(reference)
     read = plugin.manifest_files()
-    return Installed(
+    return InstalledPlugin(
         name=plugin.name,
         reference=reference,
         manifests={manifest.device.type: manifest for manifest in read.values()},
@@ -38,14 +38,14 @@ def _installed(reference: str, distribution: str) -> Installed:
 
 @dataclass(slots=True)
 class Plugins:
-    """What is installed, and a sentence for each plugin that cannot be used."""
+    """The installed plugins, and a sentence for each that cannot be used."""
 
-    by_driver: dict[str, Installed] = field(default_factory=dict)
+    by_driver: dict[str, InstalledPlugin] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
 
     @property
     def device_types(self) -> dict[str, DeviceManifest]:
-        """Device types by their name in L, as the compiler needs them."""
+        """Device types by their name in L, for the compiler."""
         return {
             name: manifest.device
             for found in self.by_driver.values()
@@ -54,11 +54,11 @@ class Plugins:
 
     @property
     def capabilities(self) -> list[Path]:
-        """What the drivers say in registry files of the resource types that they bring, in a fixed order."""
+        """The capability registry files of the drivers, in a fixed order."""
         found = (installed.plugin.capabilities for _, installed in sorted(self.by_driver.items()))
         return [path for path in found if path is not None]
 
-    def for_type(self, device_type: str) -> Installed | None:
+    def for_type(self, device_type: str) -> InstalledPlugin | None:
         """The plugin of a device type."""
         return next((found for found in self.by_driver.values() if device_type in found.manifests), None)
 
@@ -66,16 +66,15 @@ class Plugins:
         """The file of `include <driver/name.L>;`, or None when no installed driver ships it."""
         driver, _, file = path.partition("/")
         found = self.by_driver.get(driver)
-        # One folder, no way out of it: the rest is a plain file name.
+        # A plain file name only: the path must not leave the folder.
         if found is None or PurePosixPath(file).name != file or file in ("", ".", ".."):
             return None
         return found.plugin.source(file)
 
     def add(self, reference: str, distribution: str = "") -> None:
-        """Take a plugin in, or note why it cannot be. Raises PluginError on a duplicate name.
+        """Adds a plugin, or records why it cannot be used. Raises PluginError on a duplicate name.
 
-        A duplicate stops everything, since the same program would then mean two things. `distribution` is
-        what was installed to have it.
+        With duplicates the meaning of a program would be ambiguous. `distribution` is the installed package.
         """
         try:
             installed = _installed(reference, distribution)
@@ -100,7 +99,7 @@ def discover(entries: Iterable[EntryPoint] | None = None) -> Plugins:
     """Every installed driver. No vendor library is imported. Raises PluginError on duplicate names."""
     plugins = Plugins()
     found = entry_points(group=GROUP) if entries is None else entries
-    # One distribution may be seen twice (an editable install beside a wheel): the same value is one plugin.
+    # One distribution may be found twice (an editable install beside a wheel): equal values are one plugin.
     for reference, entry in sorted({entry.value: entry for entry in found}.items()):
         plugins.add(reference, f"{entry.dist.name} {entry.dist.version}" if entry.dist else "")
     return plugins

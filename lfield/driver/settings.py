@@ -1,7 +1,6 @@
-"""Lasting settings: what a device keeps when it is off, of which a binding needs some to be as it says.
+"""Settings that a device stores permanently and that a binding requires.
 
-Opening a device writes none of them, and neither does anything else that a mission does by itself: they are
-the owner's. `lfield setup` writes them, after a yes, and keeps what was there.
+A mission never writes them. `lfield setup` writes them after confirmation and backs up the old values.
 """
 
 from __future__ import annotations
@@ -13,9 +12,9 @@ import msgspec
 
 
 class Setting(msgspec.Struct, frozen=True):
-    """One lasting setting that a binding needs: what it is, what it must be, and why, in a few words.
+    """One stored setting that a binding requires: its name, the required value and the reason.
 
-    Values are in the device's own units, as whoever looks it up in its manual expects them.
+    Values are in the device's own units, as in its manual.
     """
 
     name: str
@@ -25,18 +24,18 @@ class Setting(msgspec.Struct, frozen=True):
 
     @property
     def is_right(self) -> bool:
-        """Whether nothing is to be written; a device that keeps 32 bits of a real is as good as exact."""
-        return same(self.present, self.wanted)
+        """Whether the present value is right, within the precision of a 32-bit float."""
+        return is_same_value(self.present, self.wanted)
 
     def __str__(self) -> str:
         return f"{self.name} is {self.present:.9g} and must be {self.wanted:.9g}"
 
 
-def same(one: float, other: float) -> bool:
-    """Whether two values of a setting are the same to a device that keeps them in 32 bits."""
+def is_same_value(one: float, other: float) -> bool:
+    """Whether two values are equal to a device that stores 32-bit floats."""
     return math.isclose(one, other, rel_tol=1e-6)
 
 
-def wrong(settings: Sequence[Setting]) -> list[Setting]:
-    """Those that are not as they must be."""
+def mismatched(settings: Sequence[Setting]) -> list[Setting]:
+    """The settings that have a wrong value."""
     return [setting for setting in settings if not setting.is_right]

@@ -1,4 +1,4 @@
-"""Fakes: the other end of the wire, found by the entry-point group `lfield.sims.v1`.
+"""Fakes: simulated devices, found by the entry-point group `lfield.sims.v1`.
 
 `python -m lfield.driver.sims package.module:SIM ...` runs one, as the host does for `--sim`.
 """
@@ -10,20 +10,22 @@ import importlib
 import signal
 import sys
 from collections.abc import Collection, Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from lfield import exits
+from lfield import exit_status
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import LfieldError, PluginError
-from lfield.text.outlet import never_waiting
-from lfield.text.own_folders import own_place, own_places
+from lfield.text.nonblocking_output import nonblocking_output
+from lfield.text.secure_files import open_private_folder
+from lfield.text.user_dirs import private_runtime_dir, runtime_dir
 
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
 GROUP = "lfield.sims.v1"
-_DOORS = "lfield-sims"
+_SOCKET_DIR = "sims"
 
 
 @runtime_checkable
@@ -34,33 +36,33 @@ class Sim(Protocol):
     help: str
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Add its options to a command line; they include `--listen` and `--until-stdin-closes`."""
+        """Adds its options to a command line; they include `--listen` and `--until-stdin-closes`."""
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The options that make it the bus with these devices, on a free port.
+        """The options that simulate a bus with these devices, on a free port.
 
-        They name each device as its binding does, so that its faults can be set by that name.
+        Devices are named as their bindings are, so that faults can be set by that name.
         """
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until SIGINT, SIGTERM or, if asked, the end of stdin and nothing less; the exit status.
+        """Serves until SIGINT, SIGTERM or, if requested, the end of stdin; returns the exit status.
 
-        Prints one line when ready: `ready ENDPOINT words...`, ENDPOINT as a binding would have it.
+        Prints one line when ready: `ready ENDPOINT words...`, ENDPOINT as in a binding.
         """
 
 
 @runtime_checkable
 class SimOnLoop(Sim, Protocol):
-    """A fake that can serve on a loop that runs already: so it can stand in a mission's test too."""
+    """A fake that can run on an existing event loop, for tests of missions."""
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """As `run`, with the loop's time only: no thread, no clock and no file of the computer."""
+        """As `run`, but on the loop's time only: no thread, clock or file."""
 
 
 class Sims(dict[str, Sim]):
-    """The fakes that are installed, by driver name.
+    """The installed fakes by driver name.
 
-    `references` are how another process imports them; `problems` has a sentence for each broken one.
+    `references` are their import paths; `problems` has a sentence for each broken one.
     """
 
     def __init__(self) -> None:
@@ -69,7 +71,7 @@ class Sims(dict[str, Sim]):
         self.problems: list[str] = []
 
     def add(self, reference: str) -> None:
-        """Take a fake in, or note why it cannot be. Raises PluginError on a duplicate name."""
+        """Adds a fake, or records why it cannot be used. Raises PluginError on a duplicate name."""
         try:
             sim = load_sim(reference)
         except PluginError as error:
@@ -92,17 +94,17 @@ def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
 
 
 def installed() -> list[EntryPoint]:
-    """How the installed fakes announce themselves."""
-    # Here, since a host without fakes has no use for it, and it takes a while to load.
+    """The entry points of the installed fakes."""
+    # Imported here: it is slow to load and a host without fakes does not need it.
     from importlib.metadata import entry_points
 
     return list(entry_points(group=GROUP))
 
 
 def sims_of(drivers: Collection[str]) -> Sims:
-    """The fakes of some drivers, the others not even imported. Raises PluginError on duplicate names.
+    """The fakes of some drivers; others are not imported. Raises PluginError on duplicate names.
 
-    Fakes are announced under the names of their drivers; where one is not, all are looked at.
+    Fakes are registered under the names of their drivers; if one is missing, all are examined.
     """
     entries = installed()
     sims = discover_sims(entry for entry in entries if entry.name in drivers)
@@ -110,16 +112,19 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
 
 def control_folder() -> Path:
-    """Where a running fake has the socket at which its faults are set; made on demand.
+    """The folder for the fault-injection sockets of running fakes; created on demand.
 
-    Raises OutputFileError when there is none where others could not put theirs.
+    Raises OutputFileError when no folder is protected from other users.
     """
-    return own_place(_DOORS)
+    return private_runtime_dir(_SOCKET_DIR)
 
 
-def control_doors() -> list[Path]:
-    """The sockets of this user's fakes, also of those that were killed."""
-    return sorted(door for folder in own_places(_DOORS) for door in folder.glob("*.sock"))
+def control_sockets() -> list[Path]:
+    """The sockets of this user's fakes, including those that were killed."""
+    base = runtime_dir()
+    with suppress(OSError), open_private_folder(base), open_private_folder(base / _SOCKET_DIR):
+        return sorted((base / _SOCKET_DIR).glob("*.sock"))
+    return []
 
 
 def load_sim(reference: str) -> Sim:
@@ -127,26 +132,26 @@ def load_sim(reference: str) -> Sim:
     module, _, name = reference.partition(":")
     try:
         sim = getattr(importlib.import_module(module), name)
-    except Exception as error:  # a plugin is foreign code: whatever it raises on import is its fault
+    except Exception as error:  # third-party code: an import may raise anything
         raise PluginError(f"the fake '{reference}' cannot be imported: {error}") from error
     if not isinstance(sim, Sim):
-        raise PluginError(f"the fake '{reference}' is not a lfield.driver.sims.Sim")
+        raise PluginError(f"the fake '{reference}' is not an lfield.driver.sims.Sim")
     return sim
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the fake named by the first argument with the options that follow."""
+    """Runs the fake named by the first argument with the options that follow."""
     if not arguments:
         print("usage: python -m lfield.driver.sims package.module:SIM [options]", file=sys.stderr)
-        return exits.USAGE
-    with never_waiting():
+        return exit_status.USAGE
+    with nonblocking_output():
         try:
             sim = load_sim(arguments[0])
             parser = argparse.ArgumentParser(prog=f"lfield sim {sim.name}", description=sim.help)
             sim.add_arguments(parser)
             args = parser.parse_args(arguments[1:])
             if args.until_stdin_closes:
-                # A service manager signals all processes of a service; hardware would not hear it.
+                # A service manager signals all processes of a service; hardware would not react.
                 for number in (signal.SIGTERM, signal.SIGHUP):
                     signal.signal(number, signal.SIG_IGN)
             return sim.run(args)

@@ -1,1 +1,1 @@
-"""The process that keeps a bus safe: its core decides, the process around it does."""
+"""The guard: a process that owns one bus and makes its devices safe. `core` decides, `shell` does the I/O."""

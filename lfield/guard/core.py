@@ -1,31 +1,30 @@
-"""The guard's decisions: when a device may move and when it must be safe. Events in, effects out.
+"""Decisions of the guard: when a device may move and when it must be safe. Events in, effects out.
 
 A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
 
-  - the host has been silent for longer than `silence` (this only if the host has moved the device since it
-    was opened or released: what nobody commanded is left as it is), or is gone, or asks for it;
-  - the time-to-live of a setpoint is over and nothing has replaced it: it counts from when the device took
-    it, and a call under way that would replace it has as long;
-  - its driver raised anything but a DeviceError or reports a breach, or the guard was restarted;
+- the host has sent no heartbeat for `silence` seconds (only if the host has moved the device since it was
+    opened or released), or is gone, or requests it;
+  - a setpoint has expired without a replacement: its time-to-live starts when the device accepts it, and a
+    running call that would replace it has as long;
+  - its driver raised anything but a DeviceError, reports a breach, or the guard was restarted;
   - a call was cancelled, and the instruction that ends it has failed.
 
-Somebody may ask for another of its safe states than its binding's: that counts also when it is held already.
-Only `release()` frees it, and only once its safe state is confirmed. On each channel of a device one
-actuation runs at a time: a newer one replaces an older one, so that `land()` need not wait for a `goTo()` of
-another thread. A query that asks the device runs beside the others, also while the device is latched.
+A latched device may be asked for another safe state than that of its binding. Only `release()` frees it, once
+its safe state is confirmed. On each channel one actuation runs at a time: a newer one replaces an older one,
+so `land()` need not wait for a `goTo()` of another thread. A query to the device runs concurrently, also
+while it is latched.
 
-A device that goes on moving in its safe state is commanded again: it may have been led out of it.
+A device that still moves in its safe state is commanded again, in case it was moved out of it.
 
-A stop makes all devices safe and is over when they are at rest (rest.py).
+A stop makes all devices safe and is over when they are at rest (standstill.py).
 
-While the host is silent the bus is made quiet, once every device is at rest, or one has not confirmed its
-safe state within QUIET_BY: what the driver sends by itself would keep the device's own watchdog content for
-an owner who is gone. A device on its way to rest is not left to it: another failsafe would take over.
+While the host is silent the bus is muted, once every device is at rest or one has not confirmed its safe
+state within MUTE_AFTER: what the driver sends would feed the device's own watchdog for a host that does not
+respond. A device on its way to rest is not affected, since another failsafe would interfere.
 
-Every event first looks at the clock: what is overdue happens before what has just arrived, so that a beat
-that lay in the pipe while this process was stopped does not excuse the silence. And `due` looks at no clock
-at all: it says when the next thing is to be done, also when that is past. Time goes on between a look at what
-is due and the next question, and what falls in between must not be taken for done.
+Every event first handles what is overdue, so that a heartbeat that was stuck in the pipe while this process
+was stopped does not excuse the silence. `due` does not read the clock: it returns the next deadline even if
+that has passed, so nothing is lost between a check and the next.
 """
 
 from __future__ import annotations
@@ -35,23 +34,25 @@ from collections.abc import Sequence
 
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
-from lfield.guard.device import KnownDevice
-from lfield.guard.effects import Effect, Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
-from lfield.guard.messages import Call, Latched, Moving, Note, Refused, Released, Stopped, host_silent
-from lfield.guard.rest import Rest
-from lfield.guard.running import Running, way
+from lfield.guard.effects import Abandon, CheckRest, Effect, Execute, Exit, Interrupt, MakeSafe, Mute, Notify
+from lfield.guard.guard_device import GuardDevice
+from lfield.guard.messages import GuardCall, Latched, Moving, Note, Refused, Released, Stopped, host_silent
+from lfield.guard.running_call import RunningCall, call_kind
+from lfield.guard.standstill import Standstill
 from lfield.manifest import LEAVE, DeviceManifest, DeviceValue
+from lfield.text import log_messages
+from lfield.text.log_messages import report_fields
 
-#: How long the host may be silent, in seconds (a beat comes every 50 ms).
-SILENCE = 0.2
-#: How long after a failed attempt the safe state is commanded again.
+#: Default host time-out in seconds (a heartbeat comes every 50 ms).
+HOST_TIMEOUT = 0.2
+#: Seconds after a failed attempt until the safe state is commanded again.
 RETRY = 1.0
-#: How long after an attempt it is commanded again for a device that still moves.
-AGAIN = 2.0
-#: What an emergency stop and a lock-out end with.
-LIFT = "'lfield estop --lift' must come first"
-#: How long a silent host's devices have to confirm their safe states before their bus is made quiet.
-QUIET_BY = 2.0
+#: Seconds after an attempt until it is commanded again for a device that still moves.
+REPEAT = 2.0
+#: What is needed after an emergency stop or a lock-out.
+LIFT_FIRST = "'lfield estop --lift' must come first"
+#: Seconds for the devices of a silent host to confirm their safe states before their bus is muted.
+MUTE_AFTER = 2.0
 
 
 class GuardCore:
@@ -62,213 +63,212 @@ class GuardCore:
         devices: Sequence[tuple[str, DeviceManifest, float, float]],
         clock: Clock,
         *,
-        silence: float = SILENCE,
+        silence: float = HOST_TIMEOUT,
     ) -> None:
-        self._devices = {device[0]: KnownDevice(*device) for device in devices}
-        self._rest = Rest({name: within for name, made, _, within in devices if made.safe_states})
+        self._devices = {device[0]: GuardDevice(*device) for device in devices}
+        self._rest = Standstill({name: within for name, made, _, within in devices if made.safe_states})
         self._clock = clock
         self._silence = silence
         self._last_beat = clock.monotonic()
-        self._stopping = self._ended = self._quiet = False
+        self._stopping = self._ended = self._muted = False
 
     # -- events ---------------------------------------------------------------------------------------
 
-    def opened(self, latched: str) -> list[Effect]:
-        """The devices are there; a reason in `latched` says that they come back from something."""
+    def on_opened(self, latched: str) -> list[Effect]:
+        """The devices are open; with a reason in `latched` they start latched."""
         self._last_beat = self._clock.monotonic()
         return self._latch_all(latched) if latched else []
 
-    def beat(self, sent: float) -> list[Effect]:
-        """The host was alive at `sent`."""
+    def on_beat(self, sent: float) -> list[Effect]:
+        """A heartbeat of the host, sent at `sent`."""
         effects = self.tick()
         now = self._clock.monotonic()
         self._last_beat = max(self._last_beat, min(sent, now))
-        if self._quiet and now < self._silent_at:
-            effects.append(self._set_quiet(False))
+        if self._muted and now < self._silent_at:
+            effects.append(self._set_muted(False))
         return effects
 
-    def call(self, call: Call) -> list[Effect]:
-        """The program calls an instruction; that is a sign of life too."""
-        effects = self.beat(call.sent)
+    def on_call(self, call: GuardCall) -> list[Effect]:
+        """A call of the program, which also counts as a heartbeat."""
+        effects = self.on_beat(call.sent)
         device = self._devices.get(call.device)
         instruction = device.manifest.instruction(call.instruction) if device else None
         if device is None or instruction is None:
-            return [*effects, _refuse(call, f"there is no {call.device}.{call.instruction}()")]
+            return [*effects, _refusal(call, f"there is no {call.device}.{call.instruction}()")]
         if len(call.arguments) != len(instruction.parameters):
             takes = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
-            return [*effects, _refuse(call, takes)]
-        asks = way(instruction) == "ask"
+            return [*effects, _refusal(call, takes)]
+        asks = call_kind(instruction) == "ask"
         if device.latched and not asks:
-            first = LIFT if device.barred else "call release() first"
-            held = f"held in its safe state because {device.barred or device.latched}; {first}"
-            return [*effects, _refuse(call, held)]
-        if refusal := self._too_late(call):
-            return [*effects, _refuse(call, refusal)]
+            first = LIFT_FIRST if device.lock_reason else "call release() first"
+            held = f"held in its safe state: {device.lock_reason or device.latched}; {first}"
+            return [*effects, _refusal(call, held)]
+        if refusal := self._expiry_reason(call):
+            return [*effects, _refusal(call, refusal)]
         if asks:
-            return effects + self._ask(device, call)
+            return effects + self._start_query(device, call)
         stopped = self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
-        device.acting[instruction.channel] = Running(call, follows=bool(stopped))
-        device.moved = True
+        device.start(instruction.channel, RunningCall(call, replaces_call=bool(stopped)))
         return [*effects, *stopped, Execute(call)]
 
-    def begins(self, call: Call) -> str:
-        """Why the driver must not get a call that was let in, '' when it gets it now: time has passed."""
+    def mark_started(self, call: GuardCall) -> str:
+        """Why the driver must not start an accepted call because time has passed; '' when it starts now."""
         if (running := self._running(call.token)) is not None:
-            running.begun = True
-        return self._too_late(call)
+            running.mark_started()
+        return self._expiry_reason(call)
 
-    def cancel(self, token: int, sent: float) -> list[Effect]:
-        """The host gives up a call, which ends as its manifest says; what has been answered stays so.
+    def on_cancel(self, token: int, sent: float) -> list[Effect]:
+        """The host cancels a call, which ends as its manifest defines; an answered call is not affected.
 
-        What has not begun and has replaced nothing never begins. The instruction that ends a call is the
-        newest on its channel; when it fails, or takes longer than the device may to come to rest, the device
-        goes safe, for nobody watches any more where it goes.
+        A call that has not started and has replaced nothing never starts. The instruction that ends a call is
+        the newest on its channel; if it fails, or takes longer than `rest_within`, the device is made safe.
         """
-        effects = self.beat(sent)
+        effects = self.on_beat(sent)
         running = self._running(token)
         if running is None:
             return effects
         device = self._devices[running.call.device]
-        instruction = device.declared(running.call)
+        instruction = device.instruction_of(running.call)
         if not instruction.may_be_cancelled:
             return effects
-        device.forget(running)
+        device.remove(running)
         effects.append(Interrupt(token))
-        if running.untouched or instruction.cancel in ("", LEAVE):
-            return [*effects, Tell(running.given_up())]
+        if running.has_changed_nothing or instruction.cancel in ("", LEAVE):
+            return [*effects, Notify(running.cancelled_answer())]
         now = self._clock.monotonic()
-        end = Call(-token, device.name, instruction.cancel, [], now, math.inf)
-        device.acting[instruction.channel] = Running(end, running.call, until=now + device.rest_within)
+        end = GuardCall(-token, device.name, instruction.cancel, [], now, math.inf)
+        device.active[instruction.channel] = RunningCall(end, running.call, deadline=now + device.rest_within)
         return [*effects, Execute(end)]
 
-    def finished(self, token: int, value: DeviceValue) -> list[Effect]:
-        """The driver has carried a call out."""
+    def on_finished(self, token: int, value: DeviceValue) -> list[Effect]:
+        """The driver has executed a call."""
         effects = self.tick()
-        running = self._take(token)
+        running = self._finish_running(token)
         if running is None:
             return effects
         call = running.call
         device = self._devices[call.device]
-        instruction = device.declared(call)
-        how = way(instruction)
+        instruction = device.instruction_of(call)
+        how = call_kind(instruction)
         if how == "setpoint":
             device.setpoints[instruction.channel] = self._clock.monotonic() + device.ttl
         elif how == "act":
             device.setpoints.pop(instruction.channel, None)
-        return [*effects, Tell(running.done(value))]
+        return [*effects, Notify(running.done_answer(value))]
 
-    def refused(self, token: int, kind: str, reason: str) -> list[Effect]:
-        """The device did not do it, and said so: an exception for the program, no reason to go safe."""
+    def on_refused(self, token: int, kind: str, reason: str) -> list[Effect]:
+        """The device refused a call: an exception for the program, no reason to make it safe."""
         effects = self.tick()
-        running = self._take(token)
+        running = self._finish_running(token)
         if running is None:
             return effects
         if running.cancelled is None:
-            return [*effects, Tell(Refused(token, kind, reason))]
-        told = running.refused(f"{running.call.instruction}() failed: {reason}")
-        return [*effects, Tell(told), *self._latch(self._devices[running.call.device], told.reason)]
+            return [*effects, Notify(Refused(token, kind, reason))]
+        told = running.failed_answer(f"{running.call.instruction}() failed: {reason}")
+        return [*effects, Notify(told), *self._latch(self._devices[running.call.device], told.reason)]
 
-    def crashed(self, token: int, reason: str) -> list[Effect]:
-        """The driver raised what it should not while it carried out a call."""
+    def on_crashed(self, token: int, reason: str) -> list[Effect]:
+        """The driver raised an unexpected exception while it executed a call."""
         effects = self.tick()
-        running = self._take(token)
+        running = self._finish_running(token)
         if running is None:
             return effects
-        effects.append(Tell(running.refused(reason)))
+        effects.append(Notify(running.failed_answer(reason)))
         return effects + self._latch(self._devices[running.call.device], reason)
 
-    def safe(self, device: str, reason: str, *, barred: bool = False, state: str = "") -> list[Effect]:
-        """Somebody asks for the safe state of a device, or of all (''); or for another `state` than usual."""
+    def latch(self, device: str, reason: str, *, lock: bool = False, state: str = "") -> list[Effect]:
+        """A request for the safe state of a device, or of all (''), or for another `state` than usual."""
         effects = self.tick()
         for name, known in self._devices.items():
             if device in ("", name):
-                known.barred = known.barred or (reason if barred else "")
+                known.lock(reason if lock else "")
                 effects += self._latch(known, reason, state)
         return effects
 
-    def allow(self) -> list[Effect]:
-        """The emergency is over: what is latched may be released."""
+    def clear_stop(self) -> list[Effect]:
+        """The emergency is over: latched devices may be released."""
         for device in self._devices.values():
-            device.barred = ""
+            device.unlock()
         return self.tick()
 
-    def made_safe(self, name: str) -> list[Effect]:
-        """The driver has seen the device in its safe state."""
+    def on_safe(self, name: str) -> list[Effect]:
+        """The driver has confirmed the safe state."""
         effects = self.tick()
         device, now = self._devices[name], self._clock.monotonic()
-        device.making, device.made_at = False, now
+        device.end_safe_state(now)
         if device.confirmed:
             return effects
-        device.confirmed = True
-        self._rest.confirmed(name, now)
-        return [*effects, Tell(Latched(name, device.latched, True, device.state)), *self.tick()]
+        device.confirm()
+        self._rest.on_confirmed(name, now)
+        return [*effects, Notify(Latched(name, device.latched, True, device.state)), *self.tick()]
 
-    def looked(self, name: str, moving: str) -> list[Effect]:
-        """What the device still does in its safe state, in the driver's words; '' when it is at rest."""
+    def on_motion_report(self, name: str, moving: str) -> list[Effect]:
+        """How the device still moves in its safe state, as the driver reports; '' when it is at rest."""
         device, now = self._devices[name], self._clock.monotonic()
-        told = self._rest.looked(name, moving, now)
-        effects: list[Effect] = [Tell(Moving(name, moving))] if told else []
-        waits = device.making or self._quiet or now < device.made_at + AGAIN
+        told = self._rest.on_motion_report(name, moving, now)
+        effects: list[Effect] = [Notify(Moving(name, moving))] if told else []
+        waits = device.making or self._muted or now < device.made_at + REPEAT
         if moving and device.confirmed and not waits:
             effects.append(_make_safe(device))
         return effects + self.tick()
 
-    def not_safe(self, name: str, reason: str) -> list[Effect]:
+    def on_safe_failed(self, name: str, reason: str) -> list[Effect]:
         """The driver could not bring the device into its safe state; it is tried again."""
         effects = self.tick()
         device, now = self._devices[name], self._clock.monotonic()
-        device.making, device.made_at = False, now
+        device.end_safe_state(now)
         if device.confirmed:
-            return effects  # What it still does is told, and it is commanded again for that.
-        device.retry_at = now + RETRY
-        return [*effects, Tell(Note(name, f"its safe state is not confirmed, trying again: {reason}"))]
+            return effects  # A motion report follows, and the state is commanded again for that.
+        device.set_retry(now + RETRY)
+        line = log_messages.SAFE_STATE_UNCONFIRMED.line(reason=reason)
+        return [*effects, Notify(Note(name, *report_fields(line)))]
 
-    def stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
-        """The host wants to end: make everything safe, wait until it is at rest, then exit.
+    def on_stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
+        """The host stops: make everything safe, wait until it is at rest, then exit.
 
-        With `at_once` nothing is waited for any longer.
+        With `at_once` waiting ends.
         """
         if at_once:
-            self._rest.at_once()
+            self._rest.skip_wait()
         return self._stop(reason)
 
-    def gone(self, reason: str) -> list[Effect]:
-        """The host has ended: make everything safe, then exit."""
-        self._rest.alone()
+    def on_host_gone(self, reason: str) -> list[Effect]:
+        """The host is gone: make everything safe, then exit."""
+        self._rest.on_host_gone()
         return self._stop(reason)
 
     def _stop(self, reason: str) -> list[Effect]:
         effects = self.tick()
         if not self._stopping:
             self._stopping = True
-            self._rest.stop(self._clock.monotonic())
+            self._rest.on_stop(self._clock.monotonic())
             effects += self._latch_all(reason)
         return effects + self.tick()
 
     def tick(self) -> list[Effect]:
-        """Time has passed: whatever is due."""
+        """Handles everything that is due."""
         now = self._clock.monotonic()
         effects: list[Effect] = []
         silent = now >= self._silent_at
         for device in self._devices.values():
-            if silent and device.moved:
+            if silent and device.is_actuated:
                 effects += self._latch(device, host_silent(self._silence))
             until = device.expiry()
             if until is not None and now >= until:
-                effects += self._latch(device, f"the setpoint's time-to-live of {device.ttl:g} s is over")
-            if slow := device.too_slow(now):
+                effects += self._latch(device, f"the setpoint has expired (time-to-live {device.ttl:g} s)")
+            if slow := device.overdue_cancel(now):
                 effects += self._latch(device, slow)
             if device.retry_at is not None and now >= device.retry_at:
-                device.retry_at = None
+                device.set_retry(None)
                 effects.append(_make_safe(device))
-        effects += self._be_quiet(now)
+        effects += self._mute(now)
         if self._ended:
             return effects
-        effects += [Look(name) for name in self._rest.to_look_at(now)]
+        effects += [CheckRest(name) for name in self._rest.due_checks(now)]
         return effects + self._end_if_over(now)
 
     def due(self) -> float | None:
-        """When the next tick is needed, on the injected clock; None when nothing can become due."""
+        """When the next tick is needed, on the injected clock; None without a deadline."""
         if self._ended:
             return None
         times = [device.due() for device in self._devices.values()]
@@ -277,105 +277,106 @@ class GuardCore:
 
     # -- decisions ------------------------------------------------------------------------------------
 
-    def _too_late(self, call: Call) -> str:
-        """Why a call may not begin any more; '' while it may."""
+    def _expiry_reason(self, call: GuardCall) -> str:
+        """Why a call is too late to start; '' when it is not."""
         now = self._clock.monotonic()
-        if now < call.until or self._devices[call.device].declared(call).only_asks:
+        if now < call.until or self._devices[call.device].instruction_of(call).only_asks:
             return ""
-        within = f"{call.instruction}() was to begin within {max(0.0, call.until - call.sent):.3g} s"
-        return f"{within}, and its guard got to it after {now - call.sent:.3g} s: nothing was done"
+        within = f"{call.instruction}() had to start within {max(0.0, call.until - call.sent):.3g} s"
+        return f"{within}, but reached its guard after {now - call.sent:.3g} s: nothing was done"
 
     @property
     def _silent_at(self) -> float:
-        """When the host counts as silent, if it says nothing more."""
+        """When the host counts as silent without another heartbeat."""
         return self._last_beat + self._silence
 
     def _silence_due(self) -> float | None:
-        """When there is something to be done about a silence; None when all of it has been done."""
-        if any(device.moved and not device.latched for device in self._devices.values()):
+        """When the next action for a silent host is due; None when all is done."""
+        if any(device.is_actuated and not device.latched for device in self._devices.values()):
             return self._silent_at
-        return None if self._quiet else self._quiet_at()
+        return None if self._muted else self._mute_at()
 
-    def _quiet_at(self) -> float:
-        """When a silent host's bus is made quiet: at once if nothing is left to be sent for its sake."""
-        if all(d.confirmed or not (d.latched or d.moved) for d in self._devices.values()):
+    def _mute_at(self) -> float:
+        """When a silent host's bus is muted: at once if nothing remains to be sent."""
+        if all(d.confirmed or not (d.latched or d.is_actuated) for d in self._devices.values()):
             return max(self._silent_at, self._rest.under_way_until())
-        return self._silent_at + QUIET_BY
+        return self._silent_at + MUTE_AFTER
 
-    def _be_quiet(self, now: float) -> list[Effect]:
-        if self._quiet or now < self._quiet_at():
+    def _mute(self, now: float) -> list[Effect]:
+        if self._muted or now < self._mute_at():
             return []
-        return [self._set_quiet(True)]
+        return [self._set_muted(True)]
 
-    def _set_quiet(self, on: bool) -> Quiet:
-        self._quiet = on
-        self._rest.quiet(on)
-        return Quiet(on)
+    def _set_muted(self, on: bool) -> Mute:
+        self._muted = on
+        self._rest.on_muted(on)
+        return Mute(on)
 
-    def _ask(self, device: KnownDevice, call: Call) -> list[Effect]:
-        """Let a call in that moves nothing; release() unlatches first, and tells the driver so."""
+    def _start_query(self, device: GuardDevice, call: GuardCall) -> list[Effect]:
+        """Accepts a call that moves nothing; release() unlatches first and informs the driver."""
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
             if self._stopping:
-                return [_refuse(call, "the host is stopping")]
-            if device.barred:
-                return [_refuse(call, f"{device.barred}; {LIFT}")]
+                return [_refusal(call, "the host is stopping")]
+            if device.lock_reason:
+                return [_refusal(call, f"{device.lock_reason}; {LIFT_FIRST}")]
             if device.latched and not device.confirmed:
                 return [
-                    _refuse(call, "its safe state is not confirmed yet; call release() again in a moment")
+                    _refusal(call, "its safe state is not confirmed yet; call release() again in a moment")
                 ]
             if device.latched:
-                effects += [*([LeaveOff(device.name)] if device.making else []), Tell(Released(device.name))]
-                device.making = False
-                device.latched, device.state, device.confirmed, device.moved = "", "", False, False
-                self._rest.held(device.name)
-        device.asking[call.token] = Running(call)
+                effects += [*([Abandon(device.name)] if device.making else []), Notify(Released(device.name))]
+                device.release()
+                self._rest.on_latched_or_free(device.name)
+        device.queries[call.token] = RunningCall(call)
         return [*effects, Execute(call)]
 
     def _latch_all(self, reason: str) -> list[Effect]:
         return [effect for device in self._devices.values() for effect in self._latch(device, reason)]
 
-    def _latch(self, device: KnownDevice, reason: str, state: str = "") -> list[Effect]:
-        """Latch a device that has a safe state; the first reason for a state is the one that is kept."""
+    def _latch(self, device: GuardDevice, reason: str, state: str = "") -> list[Effect]:
+        """Latches a device that has a safe state; keeps the first reason for a state."""
         if device.latched and state in ("", device.state):
             return []
         if not device.manifest.safe_states:
-            said, device.told = device.told, reason
-            return [Tell(Note(device.name, reason))] if reason != said and not self._stopping else []
-        device.latched, device.state, device.confirmed, device.retry_at = reason, state, False, None
-        self._rest.held(device.name)
+            said = device.replace_reported(reason)
+            line = log_messages.SENSOR_NOT_LATCHED.line(reason=reason)
+            note = Note(device.name, *report_fields(line))
+            return [Notify(note)] if reason != said and not self._stopping else []
+        device.latch(reason, state)
+        self._rest.on_latched_or_free(device.name)
         device.setpoints.clear()
-        # The safe state goes out first: it is the effect that cannot wait.
+        # The safe state is the first effect because it cannot wait.
         stopped = [
             effect
-            for channel in list(device.acting)
+            for channel in list(device.active)
             for effect in self._abandon(device, channel, f"stopped, since {reason}")
         ]
         return [
-            *_only(Interrupt, stopped),
-            *([LeaveOff(device.name)] if device.making else []),
+            *_of_kind(Interrupt, stopped),
+            *([Abandon(device.name)] if device.making else []),
             _make_safe(device),
-            *_only(Tell, stopped),
-            Tell(Latched(device.name, reason, False, state)),
+            *_of_kind(Notify, stopped),
+            Notify(Latched(device.name, reason, False, state)),
         ]
 
-    def _abandon(self, device: KnownDevice, channel: str, reason: str) -> list[Effect]:
-        running = device.acting.pop(channel, None)
+    def _abandon(self, device: GuardDevice, channel: str, reason: str) -> list[Effect]:
+        running = device.active.pop(channel, None)
         if running is None:
             return []
-        told = running.refused(f"{running.call.instruction}() was {reason}")
-        return [Interrupt(running.call.token), Tell(told)]
+        told = running.failed_answer(f"{running.call.instruction}() was {reason}")
+        return [Interrupt(running.call.token), Notify(told)]
 
-    def _running(self, token: int) -> Running | None:
-        """What runs for a token; None when it has been answered before."""
+    def _running(self, token: int) -> RunningCall | None:
+        """The running call of a token; None when it was answered."""
         found = (device.running(token) for device in self._devices.values())
         return next((running for running in found if running is not None), None)
 
-    def _take(self, token: int) -> Running | None:
-        """The same, no longer running."""
+    def _finish_running(self, token: int) -> RunningCall | None:
+        """As `_running`, and removes it."""
         running = self._running(token)
         if running is not None:
-            self._devices[running.call.device].forget(running)
+            self._devices[running.call.device].remove(running)
         return running
 
     def _end_if_over(self, now: float) -> list[Effect]:
@@ -383,17 +384,17 @@ class GuardCore:
             return []
         self._ended = True
         unsafe = self._rest.unsafe()
-        return [Tell(Stopped(unsafe)), Exit(1 if unsafe else 0)]
+        return [Notify(Stopped(unsafe)), Exit(1 if unsafe else 0)]
 
 
-def _make_safe(device: KnownDevice) -> MakeSafe:
-    device.making = True
+def _make_safe(device: GuardDevice) -> MakeSafe:
+    device.start_safe_state()
     return MakeSafe(device.name, device.state)
 
 
-def _refuse(call: Call, reason: str) -> Tell:
-    return Tell(Refused(call.token, "DeviceException", reason))
+def _refusal(call: GuardCall, reason: str) -> Notify:
+    return Notify(Refused(call.token, "DeviceException", reason))
 
 
-def _only(kind: type[Effect], effects: list[Effect]) -> list[Effect]:
+def _of_kind(kind: type[Effect], effects: list[Effect]) -> list[Effect]:
     return [effect for effect in effects if isinstance(effect, kind)]

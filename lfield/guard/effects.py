@@ -1,60 +1,64 @@
-"""What the core of a guard asks of its shell: the effects of `GuardCore`, in their order."""
+"""Effects of `GuardCore`, carried out by its shell in order."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfield.guard.messages import Call, Message
+from lfield.guard.messages import GuardCall, GuardMessage
 
 
 @dataclass(frozen=True, slots=True)
 class Execute:
-    """Effect: have the driver carry out a call."""
+    """Effect: the driver executes a call."""
 
-    call: Call
+    call: GuardCall
 
 
 @dataclass(frozen=True, slots=True)
 class Interrupt:
-    """Effect: stop carrying out the call of this token; what its driver makes of it interests nobody."""
+    """Effect: stop executing the call of this token; the driver's result is discarded."""
 
     token: int
 
 
 @dataclass(frozen=True, slots=True)
 class MakeSafe:
-    """Effect: have the driver bring a device into a safe state ('': its binding's), before anything else."""
+    """Effect: the driver brings a device into a safe state ('': that of its binding), before anything
+    else.
+    """
 
     device: str
     state: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class LeaveOff:
-    """Effect: the device is released; do not go on bringing it into its safe state."""
+class Abandon:
+    """Effect: the device is released; stop bringing it into its safe state."""
 
     device: str
 
 
 @dataclass(frozen=True, slots=True)
-class Look:
-    """Effect: ask the driver what the device still does in its safe state; `looked` gets the answer."""
+class CheckRest:
+    """Effect: ask the driver whether the device still moves in its safe state; answered by
+    `on_motion_report`.
+    """
 
     device: str
 
 
 @dataclass(frozen=True, slots=True)
-class Quiet:
-    """Effect: send nothing that feeds a device's own watchdog from now on (False: do again)."""
+class Mute:
+    """Effect: stop sending what feeds a device's own watchdog (False: start again)."""
 
     on: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Tell:
+class Notify:
     """Effect: send a message to the host."""
 
-    message: Message
+    message: GuardMessage
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,4 +68,4 @@ class Exit:
     status: int
 
 
-Effect = Execute | Interrupt | MakeSafe | LeaveOff | Look | Quiet | Tell | Exit
+Effect = Execute | Interrupt | MakeSafe | Abandon | CheckRest | Mute | Notify | Exit

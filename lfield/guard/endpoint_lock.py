@@ -1,9 +1,9 @@
-"""One owner for each endpoint of this computer, whatever it leads to.
+"""Exclusive ownership of an endpoint on this computer.
 
-A serial port or a bound UDP port has one owner by itself; a vehicle that is sent to, a connection or a
-socketcand server has not, and would obey two guards in turn. A lock is an abstract Unix socket with the
-endpoint's name: it is there for all users of the computer, leaves no file behind, ends with its process
-however that ends, and tells who holds it.
+A serial port or a bound UDP port is exclusive by itself. A vehicle reached by outgoing UDP, a TCP connection
+or a socketcand server is not, and could be commanded by two guards. A lock is an abstract Unix socket named
+after the endpoint: visible to all users, without a file, released when its process ends, and it identifies
+its owner.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from typing import NamedTuple, Protocol
 
 from lfield.errors import DeviceError
 
-#: Seconds that a guard has to end whose host was killed, and how often to look, before it is told of.
-PATIENCE, AGAIN = 5.0, 0.1
+#: Seconds to wait for the guard of a killed host to end; seconds between two attempts.
+LOCK_TIMEOUT, RETRY_AFTER = 5.0, 0.1
 
 _PEER = struct.Struct("3i")  # pid, user, group
 _PORT = re.compile(r"(?P<host>.+):(?P<port>[0-9]+)(?P<channel>/.*)?")
 
 
-class Place(NamedTuple):
-    """What an endpoint leads to: a device file, or something at a host's port, or by its name alone."""
+class EndpointTarget(NamedTuple):
+    """What an endpoint leads to: a device file, a host and port, or only a name."""
 
     kind: str
     name: str
@@ -36,10 +36,10 @@ class Place(NamedTuple):
     channel: str = ""
 
 
-def places(endpoint: str) -> list[Place]:
-    """What the links of an endpoint lead to: without baud rates and options, which make no other of it.
+def endpoint_targets(endpoint: str) -> list[EndpointTarget]:
+    """The targets of an endpoint's links, without baud rates and options, which do not distinguish targets.
 
-    A bus inside one process (`virtual:`) leads nowhere.
+    A bus inside one process (`virtual:`) has none.
     """
     found = []
     for part in endpoint.split(","):
@@ -47,22 +47,22 @@ def places(endpoint: str) -> list[Place]:
         if not rest or kind == "virtual":
             continue
         if rest.startswith("/"):
-            found.append(Place("device", re.sub("[:@][0-9]+$", "", rest)))
+            found.append(EndpointTarget("device", re.sub("[:@][0-9]+$", "", rest)))
         elif at := _PORT.fullmatch(rest):
-            found.append(Place(kind, at["host"].strip("[]"), int(at["port"]), at["channel"] or ""))
+            found.append(EndpointTarget(kind, at["host"].strip("[]"), int(at["port"]), at["channel"] or ""))
         else:
-            found.append(Place(kind, rest))
+            found.append(EndpointTarget(kind, rest))
     return found
 
 
-class Lock(Protocol):
-    """What keeps an endpoint for one guard."""
+class EndpointGuard(Protocol):
+    """Reserves an endpoint for one guard."""
 
-    async def take(self, endpoint: str) -> None:
-        """Own all that an endpoint leads to. Raises DeviceError with the process that owns it already."""
+    async def acquire(self, endpoint: str) -> None:
+        """Locks all targets of an endpoint. Raises DeviceError that names the process that owns it."""
 
     def release(self) -> None:
-        """Give everything back."""
+        """Releases all locks."""
 
 
 class EndpointLock:
@@ -71,22 +71,22 @@ class EndpointLock:
     def __init__(self) -> None:
         self._held: list[socket.socket] = []
 
-    async def take(self, endpoint: str) -> None:
-        """Own all that an endpoint leads to. Raises DeviceError with the process that owns it already."""
-        for place in places(endpoint):
-            name = await _name(place)
+    async def acquire(self, endpoint: str) -> None:
+        """Locks all targets of an endpoint. Raises DeviceError that names the process that owns it."""
+        for place in endpoint_targets(endpoint):
+            name = await _lock_name(place)
             try:
-                async with asyncio.timeout(PATIENCE):
+                async with asyncio.timeout(LOCK_TIMEOUT):
                     while not self._claim(name):
-                        await asyncio.sleep(AGAIN)
+                        await asyncio.sleep(RETRY_AFTER)
             except TimeoutError:
                 raise DeviceError(
                     "endpoint",
-                    f"{endpoint} is in use by {_holder(name)}; end what runs there, or correct the endpoint",
+                    f"{endpoint} is in use by {_holder(name)}; end that process, or correct the endpoint",
                 ) from None
 
     def release(self) -> None:
-        """Give everything back."""
+        """Releases all locks."""
         for lock in self._held:
             asyncio.get_running_loop().remove_reader(lock)
             lock.close()
@@ -100,13 +100,13 @@ class EndpointLock:
             lock.close()
             return False
         lock.listen()
-        asyncio.get_running_loop().add_reader(lock, _answer, lock)
+        asyncio.get_running_loop().add_reader(lock, _answer_holder_query, lock)
         self._held.append(lock)
         return True
 
 
-async def _name(place: Place) -> str:
-    """The name of a place's lock: the same for every way to write it."""
+async def _lock_name(place: EndpointTarget) -> str:
+    """The name of a target's lock, independent of how the target is written."""
     name = place.name
     if place.kind == "device":
         name = os.path.realpath(name)
@@ -117,14 +117,14 @@ async def _name(place: Place) -> str:
     return f"\0lfield/{hashlib.sha256(told.encode()).hexdigest()[:32]}"
 
 
-def _answer(lock: socket.socket) -> None:
-    """Somebody has looked who holds it."""
+def _answer_holder_query(lock: socket.socket) -> None:
+    """Another process has asked for the owner."""
     with suppress(OSError):
         lock.accept()[0].close()
 
 
 def _holder(name: str) -> str:
-    """Who holds a lock, in words."""
+    """The owner of a lock, in words."""
     try:
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as asking:
             asking.connect(name)
@@ -132,4 +132,4 @@ def _holder(name: str) -> str:
         (parent,) = re.findall(r"PPid:\s+([0-9]+)", Path(f"/proc/{pid}/status").read_text())
     except (OSError, ValueError):
         return "another process"
-    return f"process {pid}, which process {parent} has started"
+    return f"process {pid}, started by process {parent}"

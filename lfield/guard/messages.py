@@ -1,9 +1,8 @@
-"""What host and guard say to each other over the guard's stdin and stdout.
+"""Protocol between host and guard over the guard's stdin and stdout.
 
-A frame per message (lfield.wire.framing); the kind is the message, the payload its fields as MessagePack.
-Both ends are on one machine and share its monotonic clock, so `sent` and `until` can be compared with the
-time of arrival: an old message that was stuck in the pipe is known as old, and so is telemetry. A value has
-its L type only after `lfield.driver.values.conform`.
+One frame per message (lfield.wire.framing): the kind is the message, the payload its fields as MessagePack.
+Both ends share the machine's monotonic clock, so `sent` and `until` are compared with the time of arrival,
+which detects messages delayed in the pipe. Values get their L types in `lfield.driver.value_types.conform`.
 """
 
 from __future__ import annotations
@@ -13,38 +12,40 @@ from collections.abc import Iterator, Mapping
 import msgspec
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.known import KnownDriver
+from lfield.driver.driver_index import DriverInfo
 from lfield.errors import WireError
 from lfield.manifest import DeviceValue, Observation
+from lfield.text.log_messages import Level
 from lfield.wire.framing import FrameDecoder, frame
 
-#: The L exception of a call that was cancelled.
+#: The L exception of a cancelled call.
 CANCELLED = "CancelledException"
 
 
-class Message(msgspec.Struct, frozen=True, array_like=True):
-    """Base of all messages."""
+class GuardMessage(msgspec.Struct, frozen=True, array_like=True):
+    """Base class of all messages."""
 
 
-class Open(Message, frozen=True):
-    """Host: open these devices, all on one bus. `latched` tells why they must come back safe, or ''.
+class OpenDevices(GuardMessage, frozen=True):
+    """Host: opens these devices, all on one bus. `latched` is why they must start in their safe states, or
+    ''.
 
-    `silence` is how long the host may be silent, in seconds, before every device goes safe. `driver` has the
-    manifests of the devices: the guard reads none, and refuses when the driver that it runs has others. With
-    `latched`, `taken` has the devices that somebody else had when the guard before this one died.
+    `silence` is the host time-out in seconds, after which every device is made safe. `driver` contains the
+    manifests; the guard reads none, and refuses if the installed driver has others. With `latched`,
+    `foreign_controlled` lists the devices that were under foreign control when the previous guard died.
     """
 
     devices: list[DeviceBinding]
     latched: str
     silence: float
-    driver: KnownDriver
-    taken: list[str] = []
+    driver: DriverInfo
+    foreign_controlled: list[str] = []
 
 
-class Call(Message, frozen=True):
-    """Host: carry out one instruction; the answer is Done or Refused with the same token.
+class GuardCall(GuardMessage, frozen=True):
+    """Host: executes one instruction; answered by CallDone or Refused with the same token.
 
-    What acts begins before `until`, or not at all.
+    An instruction that acts starts before `until` or not at all.
     """
 
     token: int
@@ -55,83 +56,83 @@ class Call(Message, frozen=True):
     until: float
 
 
-class Cancel(Message, frozen=True):
-    """Host: give up the call of this token, as the manifest says of a cancel.
+class CancelInstruction(GuardMessage, frozen=True):
+    """Host: cancels the call of this token, as its manifest defines.
 
-    The answer is that of the call: Refused with the kind CANCELLED, or Done when that was on its way already.
+    The answer is that of the call: Refused of kind CANCELLED, or CallDone if it was already sent.
     """
 
     token: int
     sent: float
 
 
-class Beat(Message, frozen=True):
-    """Either side: I am alive, as of `sent`."""
+class Beat(GuardMessage, frozen=True):
+    """Heartbeat in both directions, sent at `sent`."""
 
     sent: float
 
 
-class Safe(Message, frozen=True):
-    """Host: bring the device ('' for all) into its safe state, now.
+class RequestSafeState(GuardMessage, frozen=True):
+    """Host: brings the device ('' for all) into its safe state immediately.
 
-    `state` is another one of its manifest than that of its binding. When it is `barred`, the program cannot
-    release it until an Allow has come.
+    `state` selects a safe state other than that of its binding. With `lock` the program cannot release it
+    before ClearStop.
     """
 
     device: str
     reason: str
-    barred: bool = False
+    lock: bool = False
     state: str = ""
 
 
-class Stop(Message, frozen=True):
-    """Host: make everything safe and end when it is at rest, or `at_once`."""
+class Stop(GuardMessage, frozen=True):
+    """Host: makes everything safe and ends when all devices are at rest, or `at_once`."""
 
     reason: str
     at_once: bool = False
 
 
-class Ready(Message, frozen=True):
-    """Guard: the bus is open; who the devices are, by name."""
+class DevicesOpened(GuardMessage, frozen=True):
+    """Guard: the bus is open; identities of the devices by name."""
 
     identities: dict[str, str]
 
 
-class Failed(Message, frozen=True):
-    """Guard: it cannot be opened, and the guard ends. `problems` are (device or '', kind, reason)."""
+class OpenFailed(GuardMessage, frozen=True):
+    """Guard: opening has failed and the guard ends. `problems` are (device or '', kind, reason)."""
 
     problems: list[tuple[str, str, str]]
 
 
-class Done(Message, frozen=True):
-    """Guard: a call has been carried out."""
+class CallDone(GuardMessage, frozen=True):
+    """Guard: a call was executed."""
 
     token: int
     value: DeviceValue
 
 
-class Refused(Message, frozen=True):
-    """Guard: a call failed; `kind` is the L exception it becomes."""
+class Refused(GuardMessage, frozen=True):
+    """Guard: a call failed; `kind` is the L exception."""
 
     token: int
     kind: str
     reason: str
 
 
-class Snapshot(Message, frozen=True):
-    """Guard: telemetry of one device, by quantity, and when the device itself was last heard.
+class TelemetrySnapshot(GuardMessage, frozen=True):
+    """Guard: telemetry of one device by quantity, and when the device itself last sent something.
 
-    `taken` says that somebody else has it, such as a pilot.
+    `is_foreign_controlled`: somebody else, such as a pilot, controls it.
     """
 
     device: str
     values: Mapping[str, Observation]
-    heard: float
-    taken: bool = False
+    last_contact: float
+    is_foreign_controlled: bool = False
 
 
-class Latched(Message, frozen=True):
-    """Guard: the device is held in its safe state because of `reason`; `confirmed` once seen to be there.
+class Latched(GuardMessage, frozen=True):
+    """Guard: the device is held in its safe state because of `reason`; `confirmed` once that is confirmed.
 
     `state` is '' for that of its binding.
     """
@@ -142,65 +143,66 @@ class Latched(Message, frozen=True):
     state: str = ""
 
 
-class Released(Message, frozen=True):
-    """Guard: the device answers to calls again."""
+class Released(GuardMessage, frozen=True):
+    """Guard: the device accepts calls again."""
 
     device: str
 
 
-class Note(Message, frozen=True):
-    """Guard: one sentence for the log."""
+class Note(GuardMessage, frozen=True):
+    """Guard: a log line, with the code and level of its `LogMessage`; `code` is '' for a plain sentence."""
 
     device: str
     text: str
+    code: str = ""
+    level: Level = "info"
 
 
-class Stopped(Message, frozen=True):
-    """Guard: the last message; `unsafe` has the devices that were not seen at rest in their safe states.
-
-    Each with what is known of it.
+class Stopped(GuardMessage, frozen=True):
+    """Guard: the last message; `unsafe` has the devices that were not confirmed at rest in their safe states,
+    with their last known condition.
     """
 
     unsafe: dict[str, str]
 
 
-class Allow(Message, frozen=True):
+class ClearStop(GuardMessage, frozen=True):
     """Host: the program may release its devices again."""
 
 
-class LockedOut(Message, frozen=True):
-    """Guard: the driver requires an inspection: no program may release the device before an Allow."""
+class LockedOut(GuardMessage, frozen=True):
+    """Guard: the driver requires an inspection: no program may release the device before ClearStop."""
 
     device: str
     reason: str
 
 
-class Moving(Message, frozen=True):
-    """Guard: what a device still does in its safe state, which is confirmed; '' when it is at rest."""
+class Moving(GuardMessage, frozen=True):
+    """Guard: how a device still moves in its confirmed safe state; '' when it is at rest."""
 
     device: str
     moving: str
 
 
-#: The kind byte of each message. Order is the protocol: add at the end.
-MESSAGES: tuple[type[Message], ...] = (
-    Open,
-    Call,
+#: The kind byte of each message. The order is the protocol: append only.
+MESSAGES: tuple[type[GuardMessage], ...] = (
+    OpenDevices,
+    GuardCall,
     Beat,
-    Safe,
+    RequestSafeState,
     Stop,
-    Ready,
-    Failed,
-    Done,
+    DevicesOpened,
+    OpenFailed,
+    CallDone,
     Refused,
-    Snapshot,
+    TelemetrySnapshot,
     Latched,
     Released,
     Note,
     Stopped,
-    Allow,
+    ClearStop,
     Moving,
-    Cancel,
+    CancelInstruction,
     LockedOut,
 )
 
@@ -212,19 +214,19 @@ _DECODERS = [msgspec.msgpack.Decoder(message) for message in MESSAGES]
 _LIMITS = dict.fromkeys(range(len(MESSAGES)), MAX_PAYLOAD)
 
 
-def encode(message: Message) -> bytes:
+def encode(message: GuardMessage) -> bytes:
     """One message as one frame."""
     return frame(_KINDS[type(message)], _ENCODER.encode(message))
 
 
 class MessageReader:
-    """Bytes of a pipe to messages."""
+    """Decodes the bytes of a pipe into messages."""
 
     def __init__(self) -> None:
         self._frames = FrameDecoder(_LIMITS)
 
-    def feed(self, data: bytes) -> Iterator[Message]:
-        """The messages that these bytes complete. Raises WireError where they make no sense."""
+    def feed(self, data: bytes) -> Iterator[GuardMessage]:
+        """The messages that these bytes complete. Raises WireError for invalid bytes."""
         for kind, payload in self._frames.feed(data):
             try:
                 yield _DECODERS[kind].decode(payload)
@@ -233,17 +235,17 @@ class MessageReader:
 
 
 def host_silent(silence: float) -> str:
-    """Why a device goes safe whose host has been silent for so many seconds."""
+    """Why a device is made safe when its host has not responded for so many seconds."""
     return f"the host was silent for over {silence * 1000:.0f} ms"
 
 
-def last_words(message: Message) -> str:
-    """What a guard whose host is gone has to say to whoever reads its log; '' when it is nothing."""
+def unread_report(message: GuardMessage) -> str:
+    """Log line of a guard whose host is gone; '' for messages that need none."""
     match message:
         case Latched(device, reason, True):
-            return f"{device}: is in its safe state: {reason}"
+            return f"{device} in safe state: {reason}"
         case Stopped(unsafe):
-            return "\n".join(f"{device}: NOT SAFE: {why}" for device, why in unsafe.items())
+            return "\n".join(f"{device} NOT SAFE: {why}" for device, why in unsafe.items())
         case Note(device, text):
             return f"{device}: {text}"
     return ""

@@ -1,11 +1,10 @@
 """The guard process of one bus: `python -m lfield.guard.process package:PLUGIN`.
 
-Frames come in on stdin, go out on stdout; the log is stderr. It imports the driver and never the machine, so
-a busy program cannot make its timers late. Its first message says which devices it guards: before any line of
-the driver is loaded, and before there is a second thread, the process gives away all that these do not need
-(`reach`, `confine`). When stdin ends the devices are made safe and the process ends.
-Signals do not end it: while its host lives only the host knows when the devices may be left, and when it is
-gone only the guard does.
+Frames come in on stdin and go out on stdout; the log is stderr. It imports the driver but never the VM, so a
+busy program cannot delay its timers. The first message lists its devices: before the driver is imported and
+before a second thread exists, the process drops all rights that these do not need (`policy_for`,
+`apply_sandbox`). When stdin ends, the devices are made safe and the process ends. Signals do not end it:
+while its host lives, only the host decides when the devices may be left; afterwards, the guard does.
 """
 
 from __future__ import annotations
@@ -17,31 +16,33 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 
-from lfield import exits, loop
+from lfield import event_loop, exit_status
 from lfield.clock import SystemClock
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import LfieldError, WireError
-from lfield.guard.confine import confine
-from lfield.guard.messages import MAX_PAYLOAD, MessageReader, Open
-from lfield.guard.reach import Reach, reach
+from lfield.guard.messages import MAX_PAYLOAD, MessageReader, OpenDevices
+from lfield.guard.sandbox import apply_sandbox
+from lfield.guard.sandbox_policy import SandboxPolicy, policy_for
 from lfield.guard.shell import Shell
-from lfield.text.outlet import never_waiting
-from lfield.text.private import temporary_folder
+from lfield.text.nonblocking_output import nonblocking_output
+from lfield.text.secure_files import temporary_dir
 from lfield.wire.framing import size_of
 
 
 async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> int:
-    """Guard one bus until the host says stop or is gone; the exit status. `first` was read of it already."""
+    """Guards one bus until the host stops it or is gone; returns the exit status. `first` was already
+    read.
+    """
     running = asyncio.get_running_loop()
     output, _ = await running.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
-    # Only now: a vendor library that takes its time to load must not delay the guards of other buses.
-    shell = Shell(plugin, output, SystemClock(), loop.be_prompt)
+    # Imported here: a vendor library that is slow to load must not delay the guards of other buses.
+    shell = Shell(plugin, output, SystemClock(), event_loop.raise_timer_priority)
     shell.data_received(first)
     source, _ = await running.connect_read_pipe(lambda: shell, os.fdopen(input_fd, "rb", 0))
-    # A service manager signals every process of its group at once. A guard that obeyed would take its
-    # station's heartbeats away from a vehicle that lands.
+    # A service manager signals every process of its group at once. A guard that obeyed would stop its
+    # heartbeats to a vehicle that is still landing.
     for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-        running.add_signal_handler(number, shell.signalled, number)
+        running.add_signal_handler(number, shell.on_signal, number)
     try:
         return await shell.exit
     finally:
@@ -51,7 +52,7 @@ async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> 
 
 
 def first_message(descriptor: int) -> bytes:
-    """The first frame that the host sends, as far as it comes; b"" when there is none."""
+    """The first frame of the host, as far as it arrives; b"" when there is none."""
     data = b""
     while len(data) < (wanted := size_of(data, MAX_PAYLOAD)) and (
         more := os.read(descriptor, wanted - len(data))
@@ -60,45 +61,45 @@ def first_message(descriptor: int) -> bytes:
     return data
 
 
-def keep_to(first: bytes) -> None:
-    """Touch nothing any more but what the devices of an Open need, as far as the kernel lets it."""
+def sandbox_for(first: bytes) -> None:
+    """Applies the sandbox for the devices of an OpenDevices message, as far as the kernel supports it."""
     with suppress(WireError):
         for message in MessageReader().feed(first):
-            if isinstance(message, Open):
+            if isinstance(message, OpenDevices):
                 code = {*sys.path, sys.prefix, sys.base_prefix, *_packages()}
-                needed = reach(
-                    message.devices, message.driver, filter(os.path.isabs, code), str(temporary_folder())
+                needed = policy_for(
+                    message.devices, message.driver, filter(os.path.isabs, code), str(temporary_dir())
                 )
-                _confine(needed)
+                _apply(needed)
 
 
-def _confine(needed: Reach) -> None:
+def _apply(needed: SandboxPolicy) -> None:
     try:
-        confine(needed)
+        apply_sandbox(needed)
     except OSError as error:
-        print(f"a guard keeps all rights of its user: {error.strerror}", file=sys.stderr)
+        print(f"the guard keeps all rights of its user: {error.strerror}", file=sys.stderr)
 
 
 def _packages() -> Iterator[str]:
-    """Where modules come from that were found otherwise than by the path, as those of an editable install."""
+    """Folders of modules that are found outside the path, such as those of an editable install."""
     for finder in sys.meta_path:
         mapping = getattr(sys.modules.get(getattr(finder, "__module__", "")), "MAPPING", {})
         yield from map(str, mapping.values() if isinstance(mapping, dict) else ())
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Run the guard of the plugin `package:PLUGIN`."""
+    """Runs the guard of the plugin `package:PLUGIN`."""
     if len(arguments) != 1:
         print("usage: python -m lfield.guard.process package:PLUGIN", file=sys.stderr)
-        return exits.USAGE
-    # A vendor library that prints must not end up in the middle of a frame, nor wait for who reads the log.
+        return exit_status.USAGE
+    # Output that a vendor library prints must not corrupt a frame, nor block on the reader of the log.
     output_fd = os.dup(1)
     os.dup2(2, 1)
-    keep_to(first := first_message(0))
-    with never_waiting():
+    sandbox_for(first := first_message(0))
+    with nonblocking_output():
         try:
             plugin = load_plugin(arguments[0])
-            return loop.run(serve(plugin, first, os.dup(0), output_fd))
+            return event_loop.run(serve(plugin, first, os.dup(0), output_fd))
         except LfieldError as error:
             print(error, file=sys.stderr)
             return error.exit_status

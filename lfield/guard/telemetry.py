@@ -1,7 +1,7 @@
-"""Telemetry on its way to the host: the newest values of each device, pushed at a bounded rate.
+"""Telemetry to the host: the newest values of each device, at a bounded rate.
 
-Before a result, an exception or a latch goes out, `flush_changes` pushes what was published until then: a
-program must never read telemetry that is older than the exception it has just caught.
+`flush_changes` runs before a result, an exception or a latch is sent: a program must never read telemetry
+that is older than the exception it has just caught.
 """
 
 from __future__ import annotations
@@ -11,73 +11,81 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 from lfield.clock import Clock
-from lfield.guard.messages import Snapshot
+from lfield.guard.messages import TelemetrySnapshot
 from lfield.manifest import DeviceValue, Observation
 
-#: At most so many snapshots per second and device.
+#: Snapshots per second and device, at most.
 RATE = 20.0
 
 
 @dataclass(slots=True)
 class _Latest:
-    """What has been published since the last snapshot."""
+    """The values published since the last snapshot."""
 
     values: dict[str, Observation] = field(default_factory=dict)
-    heard: float = 0.0
+    last_contact: float = 0.0
     fresh: bool = False
-    taken: bool = False
+    is_foreign_controlled: bool = False
 
 
 class Telemetry:
-    """Collects what drivers publish and calls `push` with snapshots, at RATE at most.
+    """Collects values that drivers publish and calls `push` with snapshots, at most RATE per second.
 
-    `taken` is asked for each whether somebody else has the device. While `is_blocked`, since the host does
-    not read, nothing is pushed by the timer; the newest values are kept for the next push.
+    `is_foreign_controlled` is called for each. While `is_blocked` (the host does not read), the timer pushes
+    nothing; the newest values are kept for the next push.
     """
 
     def __init__(
         self,
         clock: Clock,
-        push: Callable[[Snapshot], None],
-        taken: Callable[[str], bool] = lambda _: False,
+        push: Callable[[TelemetrySnapshot], None],
+        is_foreign_controlled: Callable[[str], bool] = lambda _: False,
         is_blocked: Callable[[], bool] = lambda: False,
     ) -> None:
-        self._clock, self._push, self._taken, self._is_blocked = clock, push, taken, is_blocked
+        self._clock, self._push, self._is_foreign_controlled, self._is_blocked = (
+            clock,
+            push,
+            is_foreign_controlled,
+            is_blocked,
+        )
         self._devices: dict[str, _Latest] = {}
         self._timer: asyncio.TimerHandle | None = None
 
     def publish(self, device: str, values: Mapping[str, DeviceValue]) -> None:
-        """New values, true now; a value that did not change is fresh all the same."""
+        """Stores new values; an unchanged value is still fresh."""
         latest, now = self._fresh(device), self._clock.monotonic()
         for name, value in values.items():
             latest.values[name] = Observation(value, now)
 
-    def heard(self, device: str) -> None:
-        """The device has shown that it is alive."""
-        self._fresh(device).heard = self._clock.monotonic()
+    def on_contact(self, device: str) -> None:
+        """Records contact with the device."""
+        self._fresh(device).last_contact = self._clock.monotonic()
 
     def flush(self) -> None:
-        """Push what is fresh, now; also that a device is in other hands than was told before."""
+        """Pushes fresh values now, and a change of foreign control."""
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
         for device, latest in self._devices.items():
-            taken = self._taken(device)
-            if latest.fresh or taken != latest.taken:
-                self._push(Snapshot(device, latest.values, latest.heard, taken))
-                latest.values, latest.fresh, latest.taken = {}, False, taken
+            taken = self._is_foreign_controlled(device)
+            if latest.fresh or taken != latest.is_foreign_controlled:
+                self._push(TelemetrySnapshot(device, latest.values, latest.last_contact, taken))
+                latest.values, latest.fresh, latest.is_foreign_controlled = {}, False, taken
 
     def flush_changes(self) -> None:
-        """The same, if there is more to tell than that devices are alive: that can wait for its turn."""
+        """Pushes only if there is more than contact to report; contact alone waits for the timer."""
         known = self._devices.items()
-        if any(latest.values or self._taken(device) != latest.taken for device, latest in known):
+        if any(
+            latest.values or self._is_foreign_controlled(device) != latest.is_foreign_controlled
+            for device, latest in known
+        ):
             self.flush()
 
     def _fresh(self, device: str) -> _Latest:
-        """The record of a device, now with something to push."""
+        """The record of a device, marked as changed."""
         latest = self._devices.get(device)
         if latest is None:
-            latest = self._devices[device] = _Latest(heard=self._clock.monotonic())
+            latest = self._devices[device] = _Latest(last_contact=self._clock.monotonic())
         if latest.fresh:
             return latest
         latest.fresh = True

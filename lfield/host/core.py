@@ -1,394 +1,361 @@
-"""What one host decides: its machine, the coordinators that leave and come, and what it knows of its team.
+"""The core of one host: it owns the parts, dispatches messages and events, and runs the machine. Pure.
 
-Events in, effects out. It has no loop, socket, process, disk, clock or dice of its own: the shell (host.py)
-calls a method for each event, then `run`, and carries out what `take` gives. A simulator does the same.
+Events in, effects out. It has no event loop, socket, process, disk, clock or RNG of its own: the shell
+(host.py) calls a method for each event, then `run`, and executes the effects that `drain_effects` returns. A
+simulator does the same. Only this module creates the parts.
 """
 
 from __future__ import annotations
 
-import random
-from collections.abc import Callable, Iterable, Mapping
-from typing import Protocol
+from collections.abc import Iterable
+from typing import Protocol, get_args
 
-from lfield.clock import Clock
+from msgspec import structs
+
 from lfield.errors import DeviceError
-from lfield.host.directory import TeamDirectory
-from lfield.host.effects import CHANGED, Call, Complain, Effect, Nearby, Reach, Say
-from lfield.host.inits import Inits
-from lfield.host.offers import Offers
-from lfield.host.orders.executed import Executed
-from lfield.host.sight.hops import Hops
-from lfield.host.sight.programs import Programs
-from lfield.host.sight.teller import Teller
-from lfield.host.team import words
-from lfield.host.team.absent import Absent, SignsOfLife
-from lfield.host.team.beginning import Beginning
-from lfield.host.team.begun import BegunPages
-from lfield.host.team.commands import Commands
+from lfield.host.context import (
+    EventHandler,
+    HostContext,
+    HostEvent,
+    LinkClosed,
+    LinkOpened,
+    Part,
+    RecordsDurable,
+    WriteFailed,
+)
+from lfield.host.effects import WAKE_WAITERS, CallDevice, Effect, OpenLink
+from lfield.host.events.migration_events import MigrationEvents
+from lfield.host.location.locator import Locator
+from lfield.host.migration.delayed_acks import DelayedAcks
+from lfield.host.migration.init_barrier import InitBarrier
+from lfield.host.offer_queries import CapabilityQueries
+from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.host.team import operator_commands
 from lfield.host.team.coordinators import Coordinators
-from lfield.host.team.leases import Leases
-from lfield.host.team.policy import Policies
-from lfield.host.team.reserving import Reserving
-from lfield.host.team.world import HostWorld
-from lfield.journal.pages import Key, Page
+from lfield.host.team.device_commands import DeviceCommands
+from lfield.host.team.host_services import HostServices
+from lfield.host.team.leases import TeamLeases
+from lfield.host.team.pending_call_store import PendingCallStore
+from lfield.host.team.reachability import Reachability
+from lfield.host.team.reservation_service import ReservationService
+from lfield.host.team.startup import Startup
+from lfield.host.team_directory import TeamDirectory
 from lfield.manifest import DeviceValue
-from lfield.mission.mission import Mission
-from lfield.mobility import effects as mobile
-from lfield.mobility.core import MobilityMessage
-from lfield.mobility.fates import Fate
-from lfield.mobility.hearsay import Hearsay
-from lfield.mobility.neighbours import Neighbourhood
-from lfield.mobility.relays import Relays
-from lfield.vm.agent import Agent
-from lfield.vm.contract import Engines
+from lfield.replication.lease.quorum_members import FencingTokens
+from lfield.replication.locate.outcomes import CoordinatorOutcome
+from lfield.replication.membership.membership import Membership
+from lfield.replication.transfer import effects as mobile
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.query_relay import QueryRelay
+from lfield.text import log_messages
+from lfield.vm.agent import Agent, MachineTeam
+from lfield.vm.hooks import VmHooks
 from lfield.vm.machine import Machine
-from lfield.wire.coordinators import Ended, EndedAck, Known, Transfer
-from lfield.wire.messages import Control, Heard, Hello, Pong, Relayed, Report, Room
-from lfield.wire.observing import Recover, Recovered, Status
-from lfield.wire.quorum import QuorumMessage
-from lfield.wire.reservations import ReservationMessage
+from lfield.wire.coordinator_messages import Terminated, Transfer, TransferAccepted, TransferRefused
+from lfield.wire.messages import Control, Hello, RelayedMessage
+from lfield.wire.observer_messages import RecoverRequest, RecoverResponse
 
 
 class Timed(Protocol):
-    """A part of a host that has something to do at a time."""
+    """A part with a time at which it has work."""
 
-    @property
-    def due(self) -> float | None:
-        """When, in seconds of the host's clock; None for never."""
+    due: float | None
+    """In seconds of the host's clock; None for never."""
 
 
 class HostCore:
-    """One host of a mission, without the world around it.
+    """One host of a mission, without I/O."""
 
-    `incarnation` tells this life from the next; `unreachable_after` is in seconds. `memory` is the identity
-    of the host's journal, 0 without one, `pages` what that has kept, `times` when; `draw` gives random bytes.
-    """
-
-    def __init__(
-        self,
-        mission: Mission,
-        name: str,
-        incarnation: int,
-        clock: Clock,
-        nearby: Nearby,
-        dice: random.Random,
-        unreachable_after: float,
-        neighbours: Neighbourhood,
-        memory: int = 0,
-        pages: Iterable[Page] = (),
-        times: Mapping[Key, float] | None = None,
-        engines: Engines | None = None,
-        teller: Teller | None = None,
-        draw: Callable[[int], bytes] | None = None,
-    ) -> None:
-        self.mission, self.team, self.name, self.incarnation = mission, mission.team, name, incarnation
-        self.here = self.team.number(name)
-        self._clock, self._memory, self._reserves = clock, memory, mission.program.has_reserves
-        self._effects: list[Effect] = []
-        self.teller = teller = teller or Teller(clock)
-        self.world = HostWorld(self.team, self._out, self._reach, teller)
-        everybody, fenced = self.team.members, mission.fenced
+    def __init__(self, context: HostContext) -> None:
+        self.context, self.mission, self.team, self.name = (
+            context, context.mission, context.team, context.name,
+        )  # fmt: skip
+        self.here, self.incarnation, self.recorder = context.here, context.incarnation, context.recorder
+        self._clock, self._effects, self._log = context.clock, context.effects, context.log
+        mission, records = context.mission, context.records
+        self.orders = ExecutedOrders(
+            context.random_bytes or context.rng.randbytes, ExecutedOrders.restored_orders(records)
+        )
+        #: Answers the queries of the machine; it looks the parts up at each query.
+        self.services = HostServices(context, self)
+        view = MachineTeam(self.team.members, self.here, self.incarnation, mission.fenced)
+        hooks = VmHooks(rules=mission.calls, liveness=self.services)
         self.machine = machine = Machine(
-            mission.program, everybody, self.here, incarnation, self.world, clock, dice, fenced, engines
+            mission.program, view, self.services, context.clock, context.rng, context.engines, hooks
         )
-        self.programs, machine.attached.rules = Programs(machine, clock.monotonic), mission.calls
-        self.orders = Executed(draw or dice.randbytes, Executed.kept(pages))
-        own = self._hello([])
-        self._hops = hops = Hops(teller, machine, name, self.team)
-        self._relays = relays = Relays[Effect](self.team.hosts, name, incarnation, clock, self._out)
-        self.coordinators = team = Coordinators(
-            mission, own, machine, clock, relays.send, unreachable_after, pages, times or {}, hops
+        #: Seconds for which programs have run here: not charged to the peer whose message triggered them.
+        self.run_seconds = 0.0
+        self._stopwatch = context.stopwatch or context.clock.monotonic
+        self.membership = membership = _membership(context)
+        fences = FencingTokens(
+            {k: v for k, v in context.restored_fences.items() if k in context.leased_agents}
         )
-        self.directory = TeamDirectory(mission, name, incarnation, machine, nearby, clock)
-        self.leases = leases = Leases(mission, own, team, machine, clock, self._out, pages, dice)
-        team.barred, self.mobility = leases.quorum.fences.bars, team.mobility
-        self._begun = BegunPages(own.mission, team, leases, machine, clock, pages, keeps=bool(memory))
-        self.hearsay = Hearsay(self.team.hosts, self.here, incarnation, clock.monotonic(), neighbours)
-        relays.join(self.hearsay, team.mobility, team.carry_out)
-        self.reserving = Reserving(
-            mission, own, team, leases, machine, clock, self._out, self.hearsay.is_linked, pages
+        self._migrations = MigrationEvents(context.recorder, machine, self.name, self.team)
+        self.mobility = mobility = _mobility(context)
+        relay = _relay(context, membership, mobility)
+        acks = DelayedAcks(relay.send, self._clock.monotonic, context.recorder.hybrid_clock)
+        self.coordinators = coordinators = Coordinators(
+            context, machine, mobility, relay, acks, fences, self._migrations
         )
-        self.directory.reserved = self.reserving.by
-        self._inits, self._policies = Inits(machine.opening, self._say), Policies(mission.devices_of(name))
-        self.commands = Commands(machine, nearby, leases, self._policies, clock, self._out, teller)
-        self._absent = Absent(nearby, self.hearsay, clock, unreachable_after, self.mobility, self._out)
-        machine.attached.signs = SignsOfLife(self._absent, self.team.hosts)
-        offers = Offers(self.directory, mission)
-        self.world.join(team, leases, self._begun, self.reserving, self.commands, offers, self._absent)
-        #: When the coordinators of this host begin, and what a new start of them waits for.
-        self.startup = startup = Beginning(
-            mission, name, team, leases, clock, self._out, nearby, self.hearsay, teller, kept=bool(memory)
+        self.leases = TeamLeases(context, self.coordinators, machine, fences)
+        self.pending_calls = PendingCallStore(context, self.coordinators, self.leases, machine)
+        self.reservations = ReservationService(
+            context, self.coordinators, self.leases, machine, membership.is_linked
         )
-        self._timed: list[Timed] = [team, relays, self.directory, self.hearsay, self._policies, self._inits]
-        self._timed += [startup, leases] if leases.fenced else [startup]
-        self._timed += [self.reserving] if self._reserves else []
+        self.directory = TeamDirectory(context, machine, self.reservations.holder_of, membership)
+        self.offers = CapabilityQueries(self.directory, mission)
+        self._inits = InitBarrier(machine.opening, context.log)
+        self.commands = DeviceCommands(context, machine, self.leases, membership, mobility)
+        self.locator = Locator(context, self.coordinators, self.leases, self.commands)
+        self.reachability = Reachability(context, membership, mobility)
+        #: When the coordinators of this host start, and what a new start waits for.
+        self.startup = Startup(context, self.coordinators, self.leases, membership)
+        #: In the order in which they receive events and are polled.
+        self._parts: list[Part | QueryRelay[Effect]] = [
+            acks, self.directory, coordinators, self.reachability, relay, self.leases, self.startup,
+            self.commands, self.pending_calls, self.reservations, self.locator,
+        ]  # fmt: skip
+        self._handlers = {kind: handler for part in self._parts for kind, handler in part.handles.items()}
+        self._observers: dict[type[HostEvent], list[EventHandler]] = {
+            kind: [part.observes[kind] for part in self._parts if kind in part.observes]
+            for kind in get_args(HostEvent)
+        }
+        #: The parts with due times.
+        self._timed: list[Timed] = [*self._parts, self._inits, self.coordinators.write_ahead]
 
-    def take(self) -> list[Effect]:
-        """What is to be done, in this order; each effect is given once."""
-        effects, self._effects = self._effects, []
-        if self._memory:
-            effects += self.coordinators.batch()
+    def drain_effects(self) -> list[Effect]:
+        """The pending effects, in order; each is returned once."""
+        effects = self._effects.copy()
+        self._effects.clear()
+        if self.context.journal_id:
+            effects += self.coordinators.next_batches()
         return effects
 
-    def _out(self, effect: Effect) -> None:
-        self._effects.append(effect)
-
     def hello(self) -> Hello:
-        """What this host says of itself now."""
-        return self._hello(self.coordinators.greeting())
-
-    def _reach(self, host: str) -> None:
-        """A link to this host is needed, if there is none."""
-        if not self.hearsay.is_linked(host):
-            self._effects.append(Reach(host))
-
-    def _hello(self, coordinators: list[Known]) -> Hello:
-        return Hello(
-            "host",
-            self.name,
-            self.incarnation,
-            self.mission.program.digest,
-            self.team.deployment,
-            self.mission.max_block,
-            coordinators,
-            self.mission.registry.digest if self.mission.registry is not None else b"",
-            self.mission.access.digest,
-            self.mission.world,
-            self._memory,
-            str(self.mission.recovery) if self.mission.fenced else "",
-            str(self.mission.bindings.frames.origin or ""),
-            self.mission.bindings.reservations.lease if self.mission.program.has_reserves else 0.0,
-            bundle=self.mission.release.shared,
-            built=self.mission.release.digest if self.mission.release.of_files else b"",
-            epochs=self.orders.epochs,
+        """The present Hello of this host."""
+        states = self.coordinators.handshake_states()
+        stamp = self.recorder.hybrid_clock.tick(self._clock.monotonic())
+        return structs.replace(
+            self.context.greeting, coordinators=states, epochs=self.orders.epochs, stamp=stamp
         )
 
-    def run(self) -> float | None:
-        """Do what is due and let the machine run; to be called after every event, and when its time is up.
+    def require_link(self, host: str) -> None:
+        """Request a link to this host, if there is none."""
+        if not self.membership.is_linked(host):
+            self._effects.append(OpenLink(host))
 
-        Returns the seconds until it is to be called again (0: at once), None for only after an event.
+    def _publish(self, event: HostEvent) -> None:
+        for observer in self._observers[type(event)]:
+            observer(event)
+
+    def run(self) -> float | None:
+        """Run the parts that are due, then the machine; call it after every event, and when due.
+
+        Returns the seconds until the next call (0: at once), None if it is needed only after an event.
         """
-        now = self._clock.monotonic()
-        if now >= self.teller.due:
-            self.teller.fill(now)
-        self.coordinators.tick(now)
-        if self.directory.due is not None and now >= self.directory.due:
-            self._effects += self.directory.tick(now)
-        if self.hearsay.due is not None and now >= self.hearsay.due:
-            self._effects += [mobile.Send(host, news) for host, news in self.hearsay.tell(now)]
-        self._relays.tick(now)
-        is_leased = self.leases.fenced and self.leases.tick(now)
-        if is_leased or ((due := self.startup.due) is not None and now >= due):
-            self.startup.look()
-        if self._policies.due is not None and now >= self._policies.due:
-            self._effects += self._policies.look(self.name, self.mobility.knowledge(), self.hearsay, now)
-        self._begun.look()
-        if self._reserves:
-            self.reserving.look()
-        pause = None if self.coordinators.halted or self.coordinators.paused else self.programs.run()
-        self._inits.look(now)
-        # A portal that has ended may be what somebody waits for who wants to reserve its resource.
-        if self._reserves and self.reserving.look():
-            pause = 0.0
-        if pause == 0.0:
-            return pause
-        for part in self._timed:
-            if (due := part.due) is not None and (pause is None or due - now < pause):
+        now, recorder = self._clock.monotonic(), self.recorder
+        if now >= recorder.due:
+            recorder.refill(now)
+        for part in self._parts:
+            if part.is_polled or (part.due is not None and now >= part.due):
+                part.on_tick(now)
+        reservations, waits = self.reservations, self.coordinators.is_halted or self.coordinators.paused
+        if reservations.is_polled:
+            # Coordinators resumed until now run in this turn.
+            reservations.poll_resumed()
+        pause = None
+        if not waits:
+            began = self._stopwatch()
+            pause = self.machine.run()
+            self.run_seconds += self._stopwatch() - began
+        if recorder.detailed:
+            recorder.drain()
+        if self.machine.opening or self._inits.is_polled:
+            self._inits.on_tick(now)
+        if reservations.is_polled:
+            # A portal that has ended may free a resource that a coordinator waits to reserve.
+            reservations.on_tick(self._clock.monotonic())
+            if reservations.poll_resumed():
+                return 0.0
+        for timed in self._timed:
+            if (due := timed.due) is not None and (pause is None or due - now < pause):
                 pause = max(0.0, due - now)
         return pause
 
-    # --- life -----------------------------------------------------------------------------------------
+    # --- life cycle -----------------------------------------------------------------------------------
 
     def start_resources(self, *, first: bool = False) -> None:
-        """The devices are open: start the resources, and take in what came meanwhile; `first` as below."""
-        for member in self.team.on(self.here):
+        """The devices are open: start the resources, and admit waiting arrivals; `first` as below."""
+        for member in self.team.members_on(self.here):
             if member.kind == "resource":
-                self.teller.started(member.id, 0)
+                self.recorder.on_agent_started(member.id, 0)
                 self.machine.start(member, self.mission.bindings.limits(member.id), 0)
-        self._begun.restore()
-        self.reserving.restore()
+        self.pending_calls.restore()
+        self.reservations.restore()
         self.directory.open()
-        self.coordinators.open()
-        self.leases.begin(first=first)
+        self.coordinators.on_resources_started()
+        self.leases.start(first=first)
 
     def start_coordinators(self, *, first: bool = False) -> None:
-        """The other hosts had time to say what they know: go on with the coordinators that the journal has,
-        and start those of this host that are nowhere.
+        """The other hosts had time to report: resume the coordinators in the journal, and start those of this
+        host that are nowhere.
 
-        `first`: somebody says that there was no earlier start. Else a host that has none on record must hear
-        all others first.
+        `first`: an operator asserts that there was no earlier start. Otherwise a host without a record waits
+        for the reports of all other hosts.
         """
-        self.leases.wake()
+        self.leases.on_restored()
         came = set(self.machine.agents)
-        self.coordinators.wake()
-        self._relays.arm()
+        self.coordinators.resume_from_journal()
         for name in self.machine.agents.keys() - came:
-            self.teller.started(name, self.machine.agents[name].generation, kept=True)
-        self._begun.woken()
-        for known in self.mobility.knowledge():
-            # What is barred has no place where it may be.
+            self.recorder.on_agent_started(name, self.machine.agents[name].generation, is_restored=True)
+        self.pending_calls.on_restored()
+        for known in self.mobility.known_states():
+            # A fenced copy may not run anywhere.
             if known.state in ("PREPARED", "IN DOUBT") and known.where:
-                self._hops.is_away(known)
-                self._reach(known.where)
-        self.startup.begin(first=first)
+                self._migrations.restore_in_flight(known)
+                self.require_link(known.where)
+        self.startup.open(first=first)
 
-    def halt(self) -> None:
-        """The host is stopping: no agent runs any more, and no coordinator is taken in.
+    def stop_agents(self) -> None:
+        """The host is stopping: no agent runs any more, and no coordinator is admitted.
 
-        What is under way between hosts goes on, and so does what this host tells of itself.
+        Transfers under way continue, and so do events and status.
         """
-        self.coordinators.park()
+        self.coordinators.suspend_all()
+        self.startup.on_halted()
 
     @property
     def has_coordinators(self) -> bool:
-        """Whether any start here, or were here when this host was last up."""
-        return bool(self.startup.own or self.coordinators.recovery.copies)
+        """Whether coordinators start here, or were here in the previous incarnation."""
+        return bool(self.startup.own_agents or self.coordinators.recovery.copies)
 
-    def waits(self, agent: Agent) -> str:
+    def wait_reason(self, agent: Agent) -> str:
         """What a coordinator waits for besides its own work, in a few words; '' for nothing."""
         if not agent.frozen:
-            return self._inits.waits(agent)
+            return self._inits.wait_reason(agent)
         if self.leases.is_waiting(agent):
             return "waits for a majority"
-        reserves = self.reserving.waits(agent)
-        return reserves or words.waits(self.coordinators, self.machine, self.team.hosts, agent)
+        reserves = self.reservations.wait_reason(agent)
+        return reserves or operator_commands.wait_reason(
+            self.coordinators, self.machine, self.team.hosts, agent
+        )
 
-    def not_kept(self, why: str) -> None:
-        """The disk takes nothing: what waits for it goes on waiting, and is tried again."""
-        self.coordinators.not_kept(why)
-        self._begun.not_kept()
-        self.reserving.not_kept(why)
+    def on_write_failed(self, why: str) -> None:
+        """Writing the journal failed: the write is retried."""
+        self._publish(WriteFailed(why))
 
-    def room(self, trouble: str) -> None:
-        """Why the journal should take in nothing more, or '': whoever would send something is told."""
-        self._say(f"no coordinator is taken in: {trouble}" if trouble else "coordinators are taken in again")
-        self.coordinators.full = trouble
-        self._tell_room()
+    def on_disk_space(self, trouble: str) -> None:
+        """Why the journal should admit nothing more, or '': announced to the other hosts."""
+        accepted = log_messages.MIGRATIONS_ACCEPTED.line()
+        self._log(log_messages.MIGRATIONS_REJECTED.line(reason=trouble) if trouble else accepted)
+        self.coordinators.set_space_trouble(trouble)
+        self._send_backpressure()
 
-    def _tell_room(self) -> None:
-        self._effects += [mobile.Send(host, self.coordinators.room) for host in self.hearsay.links]
+    def _send_backpressure(self) -> None:
+        self._effects += [mobile.Send(host, self.coordinators.backpressure) for host in self.membership.links]
 
-    def pause(self, *, on: bool, order: bytes = b"") -> None:
-        """A person pauses the mission on this host, or lets it go on."""
-        words.pause(self.coordinators, self.machine, self._clock.monotonic(), on=on, order=order)
-        self.reserving.postpone()
-        self._tell_room()
-        self.startup.look()
+    def set_paused(self, *, on: bool, order: bytes = b"") -> None:
+        """An operator pauses the mission on this host, or resumes it."""
+        operator_commands.set_paused(self.coordinators, self.machine, on=on, order=order)
+        self.reservations.postpone()
+        self._send_backpressure()
+        self.startup.check()
 
-    def stop(self, reason: str, order: bytes = b"") -> None:
-        """Somebody has pressed the emergency stop, for that reason, or has lifted it ('')."""
-        words.stop(self.coordinators, reason, order)
+    def set_emergency_stop(self, reason: str, order: bytes = b"") -> None:
+        """An operator has sent an emergency stop with that reason, or has lifted it ('')."""
+        operator_commands.set_emergency_stop(self.coordinators, reason, order)
 
-    def kept(self, number: int) -> None:
-        """All pages up to those of that batch are on the disk."""
-        self.coordinators.kept(number)
-        self._begun.kept(number)
-        self.reserving.kept(number)
-        self.startup.kept(number)
+    def on_durable(self, number: int) -> None:
+        """All records up to those of that batch are on disk."""
+        self._publish(RecordsDurable(number))
 
-    def reaped(self, host: str) -> None:
-        """A host of this team has ended for good: whoever started it says so."""
+    def on_host_exited(self, host: str) -> None:
+        """A host of this team has ended for good, as reported by the process that started it."""
         if host in self.team.hosts and host != self.name:
-            self.hearsay.gone.add(host)
-            self.startup.heard(host)
-            self.startup.look()
-            self._effects.append(CHANGED)
+            self.membership.ended.add(host)
+            self.startup.on_host_exited(host)
+            self._effects.append(WAKE_WAITERS)
 
-    def wanted(self) -> set[str]:
-        """The hosts to have links with now: the neighbours, and whoever is waited for."""
-        waited = self.mobility.wanted() | self.leases.wanted | self.reserving.wanted
-        waited.update(self.startup.wanted, self.hearsay.wanted(self._clock.monotonic()))
+    def needed_hosts(self) -> set[str]:
+        """The hosts to have links with now: neighbours, and hosts that are waited for."""
+        waited = self.mobility.needed_hosts() | self.leases.needed_hosts | self.reservations.needed_hosts
+        waited.update(self.startup.needed_hosts, self.membership.overlay_links(self._clock.monotonic()))
         return waited - {self.name}
 
-    def told(self, host: str, status: Status) -> None:
-        """A host that was asked says how it is, and what it knows of coordinators."""
-        self._policies.told(host, status.coordinators, self._clock.monotonic())
-        self.coordinators.carry_out(self.mobility.told(host, status.coordinators))
-        self.startup.on_status(host, status)
-
-    def refused(self, host: str, reason: str, bundle: bytes) -> None:
-        """No link with a host can be made, for that reason; '' when that is over."""
-        self.teller.refused(host, reason)
+    def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
+        """No link with a host can be made, for that reason; '' when it can again."""
+        self.recorder.on_link_refused(host, reason)
         self.startup.on_refused(host, reason, bundle)
 
     def forget(self, agent: str) -> list[int]:
-        """A person says that this coordinator is lost; the starts of it that end here."""
-        return words.forget(self.coordinators, agent)
+        """An operator declares this coordinator lost; returns the starts of it that end here."""
+        return operator_commands.declare_lost(self.coordinators, agent)
 
-    def recover(self, word: Recover) -> Recovered:
-        """A person says that whoever held a coordinator is gone for good: this host goes on with it."""
-        return words.recover(self.coordinators, self.leases, self.name, self.here, word)
+    def recover(self, request: RecoverRequest) -> RecoverResponse:
+        """An operator declares the holder of a coordinator permanently lost: resume it on this host."""
+        return operator_commands.recover(self.coordinators, self.leases, self.name, self.here, request)
 
-    def pass_on(self, found: Iterable[Fate]) -> None:
-        """This host is about to go: whoever can be reached is told of all endings, and of what it found."""
-        self.coordinators.carry_out(self.mobility.pass_on(found))
+    def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
+        """This host is about to stop: send all terminations, and the outcomes found, to every reachable
+        host."""
+        self.coordinators.apply_effects(self.mobility.broadcast_outcomes(found))
 
     # --- events of links ------------------------------------------------------------------------------
 
-    def linked(self, hello: Hello) -> None:
-        """A host can be talked to."""
-        restarted = self.hearsay.linked(hello.host, hello.incarnation)
-        if restarted or hello.host in self.hearsay.near:
-            self._say(f"linked with {hello.host}{', which was restarted' if restarted else ''}")
-        self.teller.linked(hello.host, restarted=restarted)
-        self.startup.heard(hello.host, hello.coordinators)
-        self._effects += self.directory.linked(hello)
-        if self.coordinators.room.trouble:
-            self._effects.append(mobile.Send(hello.host, self.coordinators.room))
-        self.coordinators.carry_out(self.mobility.linked(hello))
-        self.reserving.linked()
-        self._relays.arm()
-        self.startup.look()
-        self._effects.append(CHANGED)
+    def on_linked(self, hello: Hello) -> None:
+        """A link with a host opened."""
+        self.recorder.hybrid_clock.merge(hello.host, hello.stamp, self._clock.monotonic())
+        restarted = self.reachability.on_link_opened(hello.host, hello.incarnation)
+        if restarted or hello.host in self.membership.neighbours:
+            was_restarted = "; it was restarted" if restarted else ""
+            self._log(log_messages.LINKED.line(host=hello.host, restarted=was_restarted))
+        self.recorder.on_linked(hello.host, restarted=restarted)
+        self._publish(LinkOpened(hello))
+        self._effects.append(WAKE_WAITERS)
 
-    def unlinked(self, host: str, *, quietly: bool = False) -> None:
-        """A host cannot be talked to any more; `quietly`: this one had no use for the link."""
-        self.teller.unlinked(host, lost=not quietly)
-        if not quietly:
-            self._say(f"lost the link with {host}")
-        self.mobility.unlinked(host)
-        self.directory.unlinked(host)
-        self.hearsay.unlinked(host, self._clock.monotonic())
-        self._relays.arm()
-        self.startup.unlinked(host)
-        self.startup.look()
-        self._effects.append(CHANGED)
+    def on_unlinked(self, host: str, *, quietly: bool = False) -> None:
+        """The last link with a host closed; `quietly`: this host did not need it."""
+        self.recorder.on_unlinked(host, lost=not quietly)
+        if not quietly and not self.coordinators.is_halted:
+            self._log(log_messages.LINK_LOST.line(host=host))
+        self.reachability.on_link_closed(host)
+        self._publish(LinkClosed(host))
+        self._effects.append(WAKE_WAITERS)
 
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came: it runs before its sender gets an answer."""
-        self._hops.arrives(host, header)
-        transit = self._absent.transit(host) if self.machine.program.has_limits else 0.0
-        self.coordinators.arrived(host, header, block, transit)
+    def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
+        """A coordinator arrived: it runs before its sender gets an answer."""
+        transit = self.reachability.transit_time(host) if self.machine.program.has_limits else 0.0
+        self.coordinators.on_transfer(host, header, block, transit)
 
-    def too_large(self, host: str, header: Transfer, size: int) -> None:
-        """A coordinator came whose block was not even read."""
-        self.coordinators.carry_out(self.mobility.oversize(host, header, size))
+    def on_oversize(self, host: str, header: Transfer, size: int) -> None:
+        """A coordinator with an oversized block arrived; the block was not read."""
+        self.coordinators.apply_effects(self.mobility.on_oversize(host, header, size))
 
-    def received(self, host: str, message: Control) -> None:
-        """A host has answered, asks, tells of an ending or of its agents."""
-        if isinstance(message, Report):
-            if complaint := self.directory.received(host, message):
-                self._effects.append(Complain(complaint))
-        elif isinstance(message, Pong):
-            self.coordinators.carry_out(self.mobility.answered(host))
-        elif isinstance(message, Room):
-            self.coordinators.carry_out(self.mobility.room(host, message.trouble))
-        elif isinstance(message, Heard):
-            self.hearsay.told(host, message, self._clock.monotonic())
-        elif isinstance(message, Relayed):
-            self._relays.received(host, message)
-        elif isinstance(message, QuorumMessage):
-            self.leases.received(host, message)
-        elif isinstance(message, ReservationMessage):
-            self.reserving.received(message)
-        elif isinstance(message, MobilityMessage):
-            self.coordinators.carry_out(self.mobility.receive(host, message, self._clock.monotonic()))
-            if isinstance(message, Ended | EndedAck):
-                self._effects.append(CHANGED)
+    def on_message(self, host: str, message: Control) -> None:
+        """A message from a host: pass it to the part that handles its type."""
+        answer = message.message if isinstance(message, RelayedMessage) else message
+        if isinstance(answer, TransferAccepted | TransferRefused | Terminated):
+            self.recorder.hybrid_clock.merge(host, answer.stamp, self._clock.monotonic())
+        if (handler := self._handlers.get(type(message))) is not None:
+            handler(host, message)
 
-    def answered(self, asked: Call, value: DeviceValue | DeviceError) -> None:
-        """What became of a call of a device."""
-        self.commands.answered(asked, value)
+    def on_device_answer(self, call: CallDevice, value: DeviceValue | DeviceError) -> None:
+        """The result of a device call."""
+        self.commands.on_device_answer(call, value)
 
-    def _say(self, text: str) -> None:
-        self._effects.append(Say(text))
+
+def _membership(context: HostContext) -> Membership:
+    now = context.clock.monotonic()
+    return Membership(
+        context.team.hosts, context.here, context.incarnation, now, context.overlay, context.environment
+    )
+
+
+def _mobility(context: HostContext) -> Mobility:
+    agents = [member.id for member in context.team.coordinators]
+    return Mobility(context.greeting, context.team.hosts, agents, context.unreachable_after)
+
+
+def _relay(context: HostContext, membership: Membership, mobility: Mobility) -> QueryRelay[Effect]:
+    identity = context.team.hosts, context.here, context.incarnation
+    return QueryRelay[Effect](*identity, context.clock, context.effects.append, membership, mobility)

@@ -1,7 +1,7 @@
-"""What the core of a host asks of its shell: the effects that `HostCore.take` gives, in their order, and what
-is answered at once, `Nearby`.
+"""Effects that `HostCore.drain_effects` returns for the shell to execute in order, and the synchronous
+queries of the core (`Environment`).
 
-Of mobility's effects two leave the core, `Send` and `SendTransfer`; the others are carried out inside.
+Of mobility's effects only `Send` and `SendTransfer` leave the core; the others are executed inside it.
 """
 
 from __future__ import annotations
@@ -11,90 +11,92 @@ from typing import Protocol
 
 from msgspec import Struct
 
-from lfield.bytecode.program import DeviceCall
-from lfield.host.directory import Neighbours
-from lfield.journal.pages import Key, Page
+from lfield.bytecode.program import DeviceCallRecord
+from lfield.host.directory_updates.agent_sampler import DeviceReadings
+from lfield.journal.records import Record, RecordKey
 from lfield.manifest import DeviceValue
-from lfield.mobility.effects import Send, SendTransfer
+from lfield.replication.membership.membership import LinkContacts
+from lfield.replication.transfer.effects import Send, SendTransfer
+from lfield.text.log_messages import LogLine
 from lfield.vm.agent import Agent
-from lfield.vm.contract import Reading
-from lfield.vm.world import Pending
+from lfield.vm.engine_interface import Reading
+from lfield.vm.host_interface import Pending
 
 
-class Nearby(Neighbours, Protocol):
-    """What a host can tell at once, without asking anybody: its telemetry, and how its links are."""
+class Environment(DeviceReadings, LinkContacts, Protocol):
+    """Synchronous queries of the core: telemetry, and the state of links."""
 
-    def query(self, agent: str, call: DeviceCall) -> DeviceValue | Pending:
-        """The value of a query, PENDING for what the device itself must do. Raises DeviceError."""
+    def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:
+        """The value of a query, PENDING if the device itself must answer. Raises DeviceError."""
 
-    def reading(self, agent: str, call: DeviceCall) -> Reading | None:
-        """The reading that the host keeps up to date of such a query; None for what is no plain quantity."""
+    def reading(self, agent: str, call: DeviceCallRecord) -> Reading | None:
+        """The up-to-date reading of such a query; None if it is not a plain quantity."""
 
-    def may_be_cancelled(self, agent: str, call: DeviceCall) -> bool:
-        """Whether a call of this instruction that is under way can be given up, as its manifest says.
+    def may_be_cancelled(self, agent: str, call: DeviceCallRecord) -> bool:
+        """Whether a call of this instruction can be cancelled while under way, according to its manifest.
 
-        Then `CancelCall` has it done; if not, it goes on to its end.
+        Then `CancelCall` cancels it; if not, it runs to its end.
         """
 
     def round_trip(self, host: str) -> float | None:
         """The smoothed round-trip time of the link with a host, in seconds; None before it is measured."""
 
-    def answers_within(self, host: str) -> float | None:
-        """The time within which a linked host answers, in seconds; None while that is not known."""
+    def answer_timeout(self, host: str) -> float | None:
+        """The time within which a linked host answers, in seconds; None if unknown."""
 
 
-class Write(Struct, frozen=True):
+class WriteOutput(Struct, frozen=True):
     """Program output, exactly as written."""
 
     text: str
 
 
-class Say(Struct, frozen=True):
-    """A line for the log; what a program says may have several `lines`.
+class WriteLog(Struct, frozen=True):
+    """A log line; the output of a program may have several `lines`.
 
-    `told`: its event is told already, as that of a program is.
+    `is_recorded`: its event was emitted already, as for program output.
     """
 
-    text: str
+    text: LogLine
     lines: bool = False
-    told: bool = False
+    is_recorded: bool = False
 
 
-class Complain(Struct, frozen=True):
-    """A line for the log about what somebody sent, which is told once however often it comes."""
+class WriteLogOnce(Struct, frozen=True):
+    """A log line about received data, which is written only once."""
 
-    text: str
+    text: LogLine
 
 
-class Call(Struct, frozen=True):
-    """Have a device of this host carry an instruction out; the answer goes to `HostCore.answered`.
+class CallDevice(Struct, frozen=True):
+    """Have a device of this host execute an instruction; the answer goes to `HostCore.on_device_answer`.
 
-    What acts begins before `until`, in seconds of the host's clock, or not at all.
+    An actuation starts before `until`, in seconds of the host's clock, or not at all.
     """
 
     agent: Agent
     thread: int
-    call: DeviceCall
+    call: DeviceCallRecord
     values: list[DeviceValue]
     until: float = math.inf
 
 
 class CancelCall(Struct, frozen=True):
-    """Have the call of a device be given up that this thread waits for (`Guards.cancel`).
+    """Cancel the device call that this thread waits for (`DeviceGuards.cancel`).
 
-    It comes after the `Call` that it is about, and only of what `Nearby.may_be_cancelled`. The answer goes to
-    `HostCore.answered` like every other, once: a DeviceError of kind CancelledException when the device has
-    done what its manifest says, or the result that was on its way.
+    It follows the `CallDevice` that it refers to, and only if `Environment.may_be_cancelled`. The answer goes
+    to `HostCore.on_device_answer` like every other, once: a DeviceError of kind CancelledException after the
+    device has done what its manifest prescribes, or the result if that was already in transit.
     """
 
     agent: Agent
     thread: int
 
 
-class MakeSafe(Struct, frozen=True):
-    """Bring a device of this host into a safe state of its manifest, and hold it there.
+class MakeDeviceSafe(Struct, frozen=True):
+    """Bring a device of this host into a safe state of its manifest, and latch it there.
 
-    `users` are the coordinators that have left it without anybody who looks after it.
+    `users` are the coordinators that used it and are no longer confirmed alive.
     """
 
     device: str
@@ -103,46 +105,46 @@ class MakeSafe(Struct, frozen=True):
     users: tuple[str, ...] = ()
 
 
-class Died(Struct, frozen=True):
-    """An agent died of an uncaught exception; its block stands as it was then."""
+class DumpAgent(Struct, frozen=True):
+    """An agent died of an uncaught exception; its block is unchanged since then."""
 
     agent: Agent
 
 
-class Keep(Struct, frozen=True):
-    """Have pages on disk and the pages of those `keys` removed, all at once, then call `HostCore.kept`.
+class PersistRecords(Struct, frozen=True):
+    """Write records and delete those of `keys` atomically, then call `HostCore.on_durable`.
 
     Batches in the order of their numbers.
     """
 
     number: int
-    pages: list[Page]
-    keys: list[Key]
+    records: list[Record]
+    keys: list[RecordKey]
 
 
-class Reach(Struct, frozen=True):
-    """Have a link made with a host, which is needed for a while."""
+class OpenLink(Struct, frozen=True):
+    """Request a link with a host for a while."""
 
     host: str
 
 
-class Changed(Struct, frozen=True):
-    """What is known of coordinators has changed: whoever waits for an end looks again."""
+class WakeWaiters(Struct, frozen=True):
+    """The records of coordinators have changed: wake all tasks that wait for an outcome."""
 
 
 Effect = (
     Send
     | SendTransfer
-    | Write
-    | Say
-    | Complain
-    | Call
+    | WriteOutput
+    | WriteLog
+    | WriteLogOnce
+    | CallDevice
     | CancelCall
-    | MakeSafe
-    | Died
-    | Keep
-    | Reach
-    | Changed
+    | MakeDeviceSafe
+    | DumpAgent
+    | PersistRecords
+    | OpenLink
+    | WakeWaiters
 )
 
-CHANGED = Changed()
+WAKE_WAITERS = WakeWaiters()

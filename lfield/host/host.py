@@ -1,7 +1,7 @@
 """The shell of one host: sockets, guards, timers and the log around a core that decides.
 
-Every event goes one way: `_enter` hands it to the core, lets it run, and carries out what comes of it. What
-fails there is a bug of ours: the host stops feeding its guards and ends, its devices safe, and says why.
+`_dispatch` passes each event to the core, runs it, and executes its effects. An exception there is a bug of
+lfield: the host stops sending heartbeats to its guards, which make the devices safe, logs it and ends.
 """
 
 from __future__ import annotations
@@ -15,111 +15,127 @@ from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from functools import partial
 from mmap import mmap
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from lfield.devices.guards import Guards
-from lfield.devices.keeper import STOPPING
-from lfield.devices.measuring import insist
+from lfield.devices.device_guards import DeviceGuards
+from lfield.devices.guard_process import STOPPING
+from lfield.devices.jitter_measurement import require_timely
 from lfield.errors import AddressError, DeviceError, HostFailure
+from lfield.host.agent_dump import write_agent_dump
+from lfield.host.context import HostContext
 from lfield.host.core import HostCore
-from lfield.host.dumping import dump_agent
-from lfield.host.effects import Call, CancelCall, Complain, Died, Effect, Keep, MakeSafe, Reach, Say, Write
-from lfield.host.engines import engines_for
+from lfield.host.effects import (
+    CallDevice,
+    CancelCall,
+    DumpAgent,
+    Effect,
+    MakeDeviceSafe,
+    OpenLink,
+    PersistRecords,
+    WriteLog,
+    WriteLogOnce,
+    WriteOutput,
+)
+from lfield.host.engine_provider import select_engine
+from lfield.host.environment import HostEnvironment, HostOptions
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
-from lfield.host.scribe import Scribe
-from lfield.host.sight.teller import Teller
+from lfield.host.observer_sessions import ObserverSessions
 from lfield.host.status import status_of
-from lfield.host.stopping.shell import DatagramShell, order_datagrams
-from lfield.host.surroundings import Options, Surroundings
-from lfield.host.visitors import Visitors
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
-from lfield.mobility.core import Mobility
-from lfield.mobility.effects import Send, SendTransfer
-from lfield.mobility.fates import Fate
-from lfield.mobility.neighbours import Neighbourhood
-from lfield.net.peers import Peers
+from lfield.net.link_manager import LinkManager
+from lfield.net.link_owner import TeamAddresses
 from lfield.net.transport import Link, Transport
+from lfield.replication.locate.outcomes import CoordinatorOutcome
+from lfield.replication.membership.overlay import Overlay
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import Send, SendTransfer
+from lfield.text import log_messages
 from lfield.vm.machine import Machine
-from lfield.wire.coordinators import Transfer
+from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello
-from lfield.wire.observing import Status, StatusRequest
-from lfield.wire.orders import RelayedAnswer, RelayedOrder
+from lfield.wire.observer_messages import Status
+from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
-#: How long a starting host waits for the others' first answers before it starts its coordinators: one that
-#: is alive elsewhere must not be started twice. Longer than a host waits before it calls again.
-CENSUS = 1.5
-#: Bytes for the end of a host for which there is no more memory; until then it is address space only.
-RESERVE = 4 << 20
-#: What a computer is out of when it refuses a socket.
-SCARCE = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+if TYPE_CHECKING:
+    from lfield.host.stop_orders.datagram_shell import DatagramShell
+
+#: How long a starting host waits for the others' first reports before it starts its coordinators: one that is
+#: alive elsewhere must not be started twice. Longer than the interval between two dials.
+INITIAL_CONTACT_TIMEOUT = 1.5
+#: Bytes reserved for ending a host without memory; until then it is address space only.
+RESERVE_BYTES = 4 << 20
+#: The resource that is exhausted when a socket call fails.
+SCARCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class Host:
     """A host; `name` is its name in the deployment."""
 
     def __init__(
-        self, mission: Mission, name: str, transport: Transport, logbook: Logbook, options: Options
+        self, mission: Mission, name: str, transport: Transport, logbook: Logbook, options: HostOptions
     ) -> None:
         self.mission, self.name, self.options = mission, name, options
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
-        self.teller = Teller(self.clock)
-        here = self.team.number(name)
-        team, clock, dice = self.team, self.clock, options.dice
-        neighbours = Neighbourhood(team.hosts, here, everybody=mission.registry is not None)
-        self.peers = Peers(
-            self, transport, clock, dice, team.hosts, team.addresses, here, neighbours.near, options.admission
-        )
-        self.peers.refusals.on_refused = lambda *refusal: self._enter(partial(self.core.refused, *refusal))
-        self.guards = Guards(
-            mission.drivers, self.clock, self.note, silence=mission.bindings.silence, turned=self.turn
-        )
-        self.guards.tell = self.teller.device
-        self.scribe = Scribe(
-            options.journal,
-            lambda number: self._enter(partial(self.core.kept, number)),
-            lambda why: self._enter(partial(self.core.not_kept, why)),
-            lambda trouble: self._enter(partial(self.core.room, trouble)),
-        )
-        self.core = HostCore(
-            mission,
-            name,
-            dice.getrandbits(62) + 1,
+        self.recorder = EventRecorder(self.clock, self.note)
+        self.hybrid_clock = self.recorder.hybrid_clock
+        here, team, clock = self.team.number(name), self.team, self.clock
+        overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)
+        addresses = TeamAddresses(team.hosts, team.addresses, here, overlay.neighbours)
+        self.peers = LinkManager(self, transport, clock, options.rng, addresses, options.admission)
+        self.guards = DeviceGuards(
+            mission.drivers,
             clock,
-            Surroundings(self.peers, self.guards),
-            options.dice,
-            options.unreachable_after,
-            neighbours,
-            self.scribe.memory,
-            self.scribe.pages,
-            self.scribe.times,
-            engines_for(options.engine, self.note),
-            self.teller,
-            options.draw,
+            self.note,
+            silence=mission.bindings.silence,
+            has_progressed=self.step,
+            on_event=self.recorder.on_device_event,
+            on_lock_out=lambda device, reason: self._observers.order_executor.on_lock_out(device, reason),
         )
-        core, guards, peers, kept = self.core, self.guards, self.peers, self.scribe.all_kept
-        self._visitors = Visitors(core, guards, peers, clock, self._enter, self.status, self.note, kept)
+        self.journal_writer = JournalWriter(
+            options.journal,
+            lambda number: self._dispatch(partial(self.core.on_durable, number)),
+            lambda why: self._dispatch(partial(self.core.on_write_failed, why)),
+            lambda trouble: self._dispatch(partial(self.core.on_disk_space, trouble)),
+        )
+        self.core = HostCore(self._context(overlay))
+        core, flush = self.core, self.journal_writer.flush
+        self._observers = ObserverSessions(
+            core, self.guards, self.peers, self._dispatch, self.status, self.note, flush
+        )
         self._datagrams = self._order_datagrams(transport)
-        self.broken: dict[str, bool] = {}  # by agent that has died here: whether of a bug of lfield
-        #: Set when the host has failed: `failure` says by what.
+        self.broken_agents: dict[str, bool] = {}  # agents that died here; True if due to a bug of lfield
+        #: Set when the host has failed; `failure` is the exception.
         self.failed, self.changed = asyncio.Event(), asyncio.Event()
         self.failure: HostFailure | None = None
-        #: Called first when it fails: whatever is wrong must not keep it from ending.
-        self.on_failure: Callable[[], None] = lambda: None
-        #: What other hosts have last said of themselves, for whoever asks them.
-        self.statuses: dict[str, Status] = {}
-        self._loop = asyncio.get_running_loop()
+        self._loop, self.address, self._due = asyncio.get_running_loop(), "", 0.0
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
-        self.address, self._due = "", 0.0
         self._events: deque[Callable[[], None]] = deque()
-        self._reserve = mmap(-1, RESERVE)
-        self._entered = self._stopped = False
-        options.admission.serve(self.flies, mission.access.barred, self.note)
+        self._reserve = mmap(-1, RESERVE_BYTES)
+        self._is_dispatching = self._stopped = False
+        options.admission.serve(self.is_mission_active, mission.access.denied_rights, self.note)
+
+    def _context(self, overlay: Overlay) -> HostContext:
+        """The environment that the parts of the core share."""
+        options, writer = self.options, self.journal_writer
+        return HostContext(
+            self.mission, self.name, options.rng.getrandbits(62) + 1, self.clock,
+            HostEnvironment(self.peers, self.guards), options.rng, options.unreachable_after, overlay,
+            self.recorder, writer.journal_id, writer.records, writer.times,
+            select_engine(options.engine, self.note), options.random_bytes, options.stopwatch,
+        )  # fmt: skip
 
     def _order_datagrams(self, transport: Transport) -> DatagramShell | None:
         keys, admission = self.options.orders, self.options.admission
-        stops = self._visitors.stops
+        if keys is None:
+            return None
+        # Loads cryptography, which a host without keys does not need.
+        from lfield.host.stop_orders.datagram_shell import order_datagrams
+
+        stops = self._observers.order_executor
         return order_datagrams(keys, transport, admission, self.core, stops, self.peers, self.fail)
 
     @property
@@ -129,62 +145,63 @@ class Host:
 
     @property
     def mobility(self) -> Mobility:
-        """What is known of the coordinators."""
+        """The records of coordinators, and the transfer protocol."""
         return self.core.mobility
 
-    # --- life -----------------------------------------------------------------------------------------
+    # --- life cycle -----------------------------------------------------------------------------------
 
     async def start(self) -> None:
-        """Listen, open the devices, start the resources, ask what the others know, start the coordinators.
+        """Listen, open the devices, start the resources, query the other hosts, start the coordinators.
 
         Raises AddressError and DevicesError: then nothing has moved.
         """
         self.address = await self.peers.open(self.options.listen)
-        await self._open_door(self.options.door)
+        await self._open_control_socket(self.options.control_socket)
         devices = self.mission.devices_of(self.name)
-        self._visitors.stops.stay_stopped()
-        await insist(self.guards.lateness.limit, devices, self.clock)
+        self._observers.order_executor.restore_emergency_stop()
+        await require_timely(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
-        await self._visitors.stops.stay_paused()
-        where = f"on {self.address}" if self.address else "for this computer alone"
-        self.note(f"{self.name} is up {where}{'' if self.scribe.memory else ', and keeps nothing'}")
-        if line := self.options.admission.line():
+        await self._observers.order_executor.restore_pause()
+        where = f"on {self.address}" if self.address else "for commands of this computer"
+        journal = "" if self.journal_writer.journal_id else "; state not saved"
+        self.note(log_messages.HOST_LISTENING.line(host=self.name, where=where, journal=journal))
+        if line := self.options.admission.clock_warning():
             self.note(line)
-        self.scribe.forget(self.core.coordinators.recovery.outdated)
-        self.scribe.look()
-        self._enter(partial(self.core.start_resources, first=self.options.first_start))
+        self.journal_writer.delete(self.core.coordinators.recovery.outdated)
+        self.journal_writer.poll_disk_space()
+        self._dispatch(partial(self.core.start_resources, first=self.options.first_start))
         if not self.core.has_coordinators:
             return
-        await self.peers.first_round(CENSUS)
-        self._enter(partial(self.core.start_coordinators, first=self.options.first_start))
-        await self.scribe.all_kept()
+        await self.peers.wait_for_initial_contact(INITIAL_CONTACT_TIMEOUT)
+        self._dispatch(partial(self.core.start_coordinators, first=self.options.first_start))
+        await self.journal_writer.flush()
 
-    async def _open_door(self, door: str) -> None:
-        """A host that cannot be asked on this computer runs all the same."""
+    async def _open_control_socket(self, path: str) -> None:
+        """Open the control socket; without it the host runs all the same."""
         try:
-            if door:
-                await self.peers.open_door(door)
+            if path:
+                await self.peers.open_control_socket(path)
         except AddressError as error:
-            self.note(f"commands find this host over the network only, with a person's keys: {error}")
+            self.note(log_messages.NO_CONTROL_SOCKET.line(reason=error))
 
     async def stop(self) -> dict[str, str]:
-        """Make the devices safe, stay until they are at rest, then close everything.
+        """Make the devices safe, wait until they are at rest, then close everything.
 
-        Meanwhile no agent runs, and who asks gets an answer. Coordinators that are here end with the host.
-        Returns the devices that have not been seen at rest in their safe states, by name, each with what was
-        last known of it. `guards.hurry` cuts the waiting short.
+        Meanwhile no agent runs, and observers get answers. Coordinators that are here end with the host.
+        Returns the devices that were not confirmed at rest in their safe states, by name, each with its last
+        known state. `guards.hurry` shortens the wait.
         """
         if self._stopped:
             return {}
         if self.failure is None:
-            self.teller.ending("", STOPPING)
-        self._enter(self.core.halt)
+            self.recorder.on_host_stopping("", STOPPING)
+        self._dispatch(self.core.stop_agents)
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
-            self.note(f"{name}: NOT SAFE: {why}")
-        await self._visitors.be_seen()
-        self._visitors.watchers.last_words()
-        await self.scribe.close()
+            self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=why))
+        await self._observers.linger_for_observers()
+        self._observers.subscriptions.flush_and_close()
+        await self.journal_writer.close()
         self._stopped = True
         if self._timer:
             self._timer.cancel()
@@ -194,36 +211,37 @@ class Host:
         self.logbook.flush()
         return unsafe
 
-    # --- one way in, one way out ----------------------------------------------------------------------
+    # --- dispatch -------------------------------------------------------------------------------------
 
-    def turn(self) -> bool:
-        """Let the core do what is due; whether it could. A beat for a guard is given only after a turn."""
-        self._enter(lambda: None)
+    def step(self) -> bool:
+        """Run the core; returns False after a failure. Guards get a heartbeat only after a completed turn."""
+        self._dispatch(lambda: None)
         return self.failure is None
 
-    def _enter(self, event: Callable[[], None]) -> None:
-        """Hand an event to the core. One that comes of another's effects waits until those are done."""
+    def _dispatch(self, event: Callable[[], None]) -> None:
+        """Pass an event to the core. An event caused by an effect waits until all effects are executed."""
         if self._stopped or self.failure:
             return
         self._events.append(event)
-        if self._entered:
+        if self._is_dispatching:
             return
-        self._entered = True
+        self._is_dispatching = True
         try:
             while self._events:
                 self._events.popleft()()
                 pause = self.core.run()
-                for effect in self.core.take():
-                    self._carry_out(effect)
-            self.logbook.flush()
-            self._come_back(pause)
+                for effect in self.core.drain_effects():
+                    self._execute(effect)
+            if self.logbook.pending:
+                self.logbook.flush()
+            self._schedule_step(pause)
         except Exception as error:
             self.fail(error)
         finally:
-            self._entered = False
+            self._is_dispatching = False
 
-    def _come_back(self, pause: float | None) -> None:
-        """Turn again after so many seconds, or sooner: a timer that is early enough stays as it is."""
+    def _schedule_step(self, pause: float | None) -> None:
+        """Schedule the next turn after so many seconds; an earlier timer stays."""
         if pause is None:
             return
         due = self._loop.time() + pause
@@ -236,76 +254,78 @@ class Host:
 
     def _wake(self) -> None:
         self._timer = None
-        self.turn()
+        self.step()
 
     def fail(self, error: BaseException) -> None:
-        """A bug in the host itself: nothing more is done, no guard is fed, and whoever runs it ends it."""
+        """Handle a bug in the host itself: nothing more runs, guards get no heartbeat, and the process
+        ends."""
         if self.failure is not None:
             return
         self._reserve.close()
-        self.on_failure()
+        # First: no other fault may prevent the end of the process.
+        self.options.on_failure()
         self.failure = HostFailure(self.name, error)
         self.failed.set()
-        # The bug may be in the log itself: it must not keep the host from ending.
+        # The bug may be in the log itself, which must not prevent the end either.
         with suppress(Exception):
-            self.teller.ending(str(self.failure), STOPPING)
-            self.note(str(self.failure))
+            self.recorder.on_host_stopping(str(self.failure), STOPPING)
+            self.note(log_messages.HOST_FAILED.line(host=self.name, reason=self.failure.reason))
             if os.environ.get("LFIELD_TRACEBACK"):
-                self.note("".join(traceback.format_exception(error)), lines=True)
+                text = "".join(traceback.format_exception(error))
+                self.note(log_messages.TRACEBACK.line(text=text), lines=True)
 
-    def unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
-        """The loop's exception handler: what was raised beside the core, in a task or a socket's callback."""
+    def on_unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+        """The loop's exception handler: for exceptions in tasks or callbacks outside the core."""
         error = context.get("exception")
-        if isinstance(error, OSError) and error.errno in SCARCE and "socket" in context:
-            # Asyncio's own loop tells so of a caller that it has no descriptor for, and tries again.
-            self.peers.complain(f"nobody else can be let in: {error.strerror}")
+        if isinstance(error, OSError) and error.errno in SCARCE_ERRNOS and "socket" in context:
+            self.peers.log_once(log_messages.NO_DESCRIPTORS.line(reason=error.strerror))
             return
         self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
-    def _carry_out(self, effect: Effect) -> None:
+    def _execute(self, effect: Effect) -> None:
         match effect:
             case SendTransfer():
                 self.peers.send_transfer(effect.host, effect.header, effect.block)
             case Send():
                 self.peers.send(effect.host, effect.message)
-            case Write():
+            case WriteOutput():
                 self.logbook.write(effect.text)
-            case Say():
-                (self.logbook.note if effect.told else self.note)(effect.text, lines=effect.lines)
-            case Complain():
-                self.peers.complain(effect.text)
-            case Call():
-                self._call(effect)
+            case WriteLog():
+                (self.logbook.note if effect.is_recorded else self.note)(effect.text, lines=effect.lines)
+            case WriteLogOnce():
+                self.peers.log_once(effect.text)
+            case CallDevice():
+                self._call_device(effect)
             case CancelCall():
                 self.guards.cancel(effect.agent.id, effect.thread)
-            case Keep():
-                self.scribe.keep(effect)
-            case MakeSafe():
-                self.teller.without_policy(effect.reason, effect.users)
+            case PersistRecords():
+                self.journal_writer.persist(effect)
+            case MakeDeviceSafe():
+                self.recorder.on_orphaned_devices(effect.reason, effect.users)
                 self.guards.make_safe(effect.device, effect.reason, effect.state)
-            case Reach():
-                self.peers.reach(effect.host)
-            case Died():
-                self.broken[effect.agent.id] = effect.agent.broken
+            case OpenLink():
+                self.peers.require_link(effect.host)
+            case DumpAgent():
+                self.broken_agents[effect.agent.id] = effect.agent.broken
                 if self.options.dump:
-                    self.note(dump_agent(self.mission, self.name, effect.agent, self.options.dump))
+                    self.note(write_agent_dump(self.mission, self.name, effect.agent, self.options.dump))
             case _:
                 self.changed.set()
 
-    def _call(self, asked: Call) -> None:
+    def _call_device(self, request: CallDevice) -> None:
         def answered(value: DeviceValue | DeviceError) -> None:
-            self._enter(partial(self.core.answered, asked, value))
+            self._dispatch(partial(self.core.on_device_answer, request, value))
 
-        call = asked.call
+        call = request.call
         try:
             self.guards.call(
-                asked.agent.id,
+                request.agent.id,
                 call.field,
                 call.instruction,
-                asked.values,
+                request.values,
                 answered,
-                until=asked.until,
-                thread=asked.thread,
+                until=request.until,
+                thread=request.thread,
             )
         except DeviceError as error:
             answered(error)
@@ -313,69 +333,68 @@ class Host:
     # --- Owner of the links ---------------------------------------------------------------------------
 
     def hello(self) -> Hello:
-        """What this host says of itself now."""
+        """The present Hello of this host."""
         return self.core.hello()
 
-    def linked(self, hello: Hello) -> None:
-        """A host can be talked to."""
-        self._enter(partial(self.core.linked, hello))
+    def on_linked(self, hello: Hello) -> None:
+        """A link with a host opened."""
+        self._dispatch(partial(self.core.on_linked, hello))
 
-    def unlinked(self, host: str, *, quietly: bool) -> None:
-        """A host cannot be talked to any more."""
-        self._enter(partial(self.core.unlinked, host, quietly=quietly))
+    def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
+        """No link with a host can be made; '' as the reason: it can again."""
+        self._dispatch(partial(self.core.on_link_refused, host, reason, bundle))
 
-    def wanted(self) -> Collection[str]:
+    def on_unlinked(self, host: str, *, quietly: bool) -> None:
+        """The link with a host closed."""
+        self._dispatch(partial(self.core.on_unlinked, host, quietly=quietly))
+
+    def desired_hosts(self) -> Collection[str]:
         """The hosts to have links with now."""
-        return self.core.wanted()
+        return self.core.needed_hosts()
 
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
-        """A coordinator came."""
-        self._enter(partial(self.core.arrived, host, header, block))
+    def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
+        """A coordinator arrived."""
+        self._dispatch(partial(self.core.on_transfer, host, header, block))
 
-    def too_large(self, host: str, header: Transfer, size: int) -> None:
-        """A coordinator came whose block was not even read."""
-        self._enter(partial(self.core.too_large, host, header, size))
+    def on_oversize(self, host: str, header: Transfer, size: int) -> None:
+        """A coordinator with an oversized block arrived."""
+        self._dispatch(partial(self.core.on_oversize, host, header, size))
 
-    def received(self, host: str, message: Control, link: Link) -> None:
-        """A message came; `host` is '' when an observer sent it."""
-        if isinstance(message, Status):
-            self.statuses[host] = message
-            if host:
-                self._enter(partial(self.core.told, host, message))
-            self.changed.set()
-        elif isinstance(message, RelayedOrder | RelayedAnswer) and self._datagrams is not None:
-            self._datagrams.relayed(host, message)
-        elif isinstance(message, StatusRequest) or not host:
-            self._visitors.received(message, link)
+    def on_message(self, host: str, message: Control, link: Link) -> None:
+        """A message arrived; `host` is '' for an observer."""
+        if isinstance(message, RelayedOrder | RelayedAnswer) and self._datagrams is not None:
+            self._datagrams.on_relayed(host, message)
+        elif not host:
+            self._observers.on_message(message, link)
         else:
-            self._enter(partial(self.core.received, host, message))
+            self._dispatch(partial(self.core.on_message, host, message))
 
-    def flies(self) -> bool:
-        """Whether a device is in use here, or a coordinator goes on that nobody has paused or stopped."""
+    def is_mission_active(self) -> bool:
+        """Whether a device is in use here, or a coordinator runs that is neither paused nor stopped."""
         latched, moving = self.guards.latched, self.guards.moving
         in_use = (device for device in self.mission.devices_of(self.name) if not device.is_sensor)
         if any(device.name not in latched or moving.get(device.name) for device in in_use):
             return True
         held = self.core.coordinators.paused or self.core.coordinators.stopped
-        return not held and any(known.state != "EXITED" for known in self.mobility.knowledge())
+        return not held and any(known.state != "EXITED" for known in self.mobility.known_states())
 
-    def reaped(self, host: str) -> None:
-        """Whoever started the hosts says that one has ended for good."""
-        self._enter(partial(self.core.reaped, host))
+    def on_host_exited(self, host: str) -> None:
+        """A host has ended for good, as reported by the process that started it."""
+        self._dispatch(partial(self.core.on_host_exited, host))
 
-    def pass_on(self, found: Iterable[Fate]) -> None:
-        """This host is about to go: it tells all others of the endings it knows, and what it found."""
-        self._enter(partial(self.core.pass_on, found))
+    def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
+        """This host is about to stop: announce all known terminations, and the outcomes found."""
+        self._dispatch(partial(self.core.broadcast_outcomes, found))
 
-    def note(self, text: str, *, lines: bool = False) -> None:
-        """A line for the log; what a program says may have several `lines`."""
-        self.teller.logged(text)
-        self.logbook.note(text, lines=lines)
+    def note(self, line: log_messages.LogLine, *, lines: bool = False) -> None:
+        """Write a log line; the output of a program may have several `lines`."""
+        self.recorder.on_log_line(line)
+        self.logbook.note(line, lines=lines)
 
-    # --- what others want to know ---------------------------------------------------------------------
+    # --- status ---------------------------------------------------------------------------------------
 
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
-        up, journal = self.clock.monotonic() - self.started, self.scribe.journal
-        unkept = self.options.admission.unkept
+        up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
+        unkept = self.options.admission.persist_error
         return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, unkept)

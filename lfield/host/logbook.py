@@ -1,7 +1,7 @@
 """Output of a host: what programs write goes to stdout, log lines go to stderr.
 
-Program output goes out unchanged, unless stdout is a terminal: there every character that controls a terminal
-is shown as an escape of L, since a program may be another person's, and a terminal obeys what it reads.
+Program output is unchanged, unless stdout is a terminal: there every control character is shown as an escape
+of L, since a program of another author must not be able to control the terminal.
 """
 
 from __future__ import annotations
@@ -9,38 +9,39 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
-from lfield.text.visible import continued, in_one_line, visible
+from lfield.text.terminal_escape import escape, escape_indented, escape_line
 
 
 class Logbook:
-    """Two streams, outlets in a host's process (text/outlet.py): neither makes the host wait, or fails."""
+    """Two non-blocking streams (text/nonblocking_output.py): writing neither blocks nor fails."""
 
     def __init__(self, out: TextIO | None = None, log: TextIO | None = None) -> None:
         # None where the process was started without the stream.
         self._out: TextIO | None = out or sys.stdout
         self._log: TextIO | None = log or sys.stderr
         self._is_terminal = self._out is not None and self._out.isatty()
-        self._pending: list[str] = []
+        #: Output that waits for `flush`.
+        self.pending: list[str] = []
 
     def write(self, text: str) -> None:
-        """Program output, kept until `flush`."""
-        self._pending.append(text)
+        """Program output, buffered until `flush`."""
+        self.pending.append(text)
 
     def flush(self) -> None:
-        """Let out what was written."""
-        if not self._pending:
+        """Write the buffered output."""
+        if not self.pending:
             return
-        text, self._pending = "".join(self._pending), []
+        text, self.pending = "".join(self.pending), []
         if self._out is not None:
-            self._out.write(visible(text) if self._is_terminal else text)
+            self._out.write(escape(text) if self._is_terminal else text)
             self._out.flush()
 
     def note(self, text: str, *, lines: bool = False) -> None:
-        """A line of the log: what persons and other hosts say in it orders no terminal, and begins no other.
+        """Write a log line; control characters and line breaks in it are escaped.
 
-        What a program says may have `lines`, of which all but the first stand further in.
+        Program output may have several `lines`; all but the first are indented.
         """
         self.flush()
         if self._log is not None:
-            self._log.write((continued if lines else in_one_line)(text) + "\n")
+            self._log.write((escape_indented if lines else escape_line)(text) + "\n")
             self._log.flush()

@@ -1,1 +1,1 @@
-"""What a host keeps on its disk, so that nothing is lost when its process ends: pages, and who keeps them."""
+"""Durable state of a host: the journal, its records, and its recovery after damage."""

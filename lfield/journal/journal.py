@@ -1,4 +1,4 @@
-"""What a journal promises, whoever keeps it; and where the one of a host lies."""
+"""The journal interface, and the path of the journal of a host."""
 
 from __future__ import annotations
 
@@ -7,75 +7,75 @@ from pathlib import Path
 from typing import NamedTuple, Protocol
 from urllib.parse import quote
 
-from lfield.journal.pages import Key, Page
-from lfield.text.own_folders import state_folder
+from lfield.journal.records import Record, RecordKey
+from lfield.text.user_dirs import state_dir
 
 
 class Change(NamedTuple):
-    """What one call asks for: pages to be written, in this order, and then keys to be forgotten."""
+    """One change: records to write, in this order, then keys to delete."""
 
-    pages: Sequence[Page] = ()
-    keys: Collection[Key] = ()
+    records: Sequence[Record] = ()
+    keys: Collection[RecordKey] = ()
 
 
 class Journal(Protocol):
-    """Keeps pages. Calls of `change`, `keep` and `forget` are committed in the order in which they were made.
+    """Stores records. Calls of `change`, `persist` and `delete` are committed in the order of the calls.
 
-    None ever waits on the loop: those that are called while a commit is under way become the next one.
-    When a commit fails, so does all that was called before the failure is told: nothing is kept whose
-    predecessor was lost. Each call is kept as a whole or not at all.
+    None of them blocks the event loop: calls during a commit become the next commit. When a commit fails, all
+    calls that are queued then fail too, so that no change is stored whose predecessor was lost. Each call is
+    atomic.
     """
 
     @property
     def identity(self) -> int:
-        """The random number of this memory.
+        """The random id of this journal.
 
-        One from which something was lost gets another: of a transfer that it does not know it cannot say any
-        more that it never arrived.
+        A journal that has lost records gets a new id: it can no longer say of an unknown transfer that it
+        never arrived.
         """
 
     @property
     def trouble(self) -> str:
-        """Why nothing more should be taken in, '' when all is well.
+        """Why no new coordinator should be admitted, '' if there is no reason.
 
-        `keep` may succeed all the same, as long as the space lasts that was kept in advance.
+        `persist` may still succeed as long as reserved space is left.
         """
 
-    def pages(self) -> list[Page]:
-        """All pages, as they were read when it was opened."""
+    def records(self) -> list[Record]:
+        """All records, as read when the journal was opened."""
 
     @property
-    def times(self) -> Mapping[Key, float]:
-        """When each of these was kept, in Unix time, in seconds."""
+    def times(self) -> Mapping[RecordKey, float]:
+        """When each record was written, in Unix time, in seconds."""
 
     async def change(self, changes: Sequence[Change]) -> None:
-        """Make changes in their order, all or none. Raises JournalError, as `keep`."""
+        """Make changes in order, all or none. Raises JournalError, as `persist`."""
 
-    async def keep(self, pages: Sequence[Page]) -> None:
-        """Write pages over those with the same keys; all are on the disk when it returns.
+    async def persist(self, records: Sequence[Record]) -> None:
+        """Write records over those with the same keys; all are on disk when it returns.
 
-        Without pages it finds out whether the journal can keep again, once it was in trouble.
-        Raises JournalError; then it is not known to be kept, and may be tried again.
+        Without records it probes whether a journal in trouble can write again.
+        Raises JournalError; then it is unknown whether they are stored, and the call may be retried.
         """
 
-    async def forget(self, keys: Collection[Key]) -> None:
-        """Remove pages for good; a key without one is none the worse. Raises JournalError."""
+    async def delete(self, keys: Collection[RecordKey]) -> None:
+        """Delete records; missing keys are ignored. Raises JournalError."""
 
     def commits_last_minute(self, now: float) -> int:
-        """How many commits there were in the last 60 s; `now` is in seconds, of its monotonic clock."""
+        """The number of commits in the last 60 s; `now` is in seconds of the monotonic clock."""
 
     def close(self) -> None:
-        """Leave it so that it is quickly opened. A commit under way is finished; nothing is kept after it."""
+        """Close it so that the next start is quick. Finishes a commit under way; later calls fail."""
 
 
-#: Its name in the folder of a host.
+#: The file name in the folder of a host.
 FILE_NAME = "host.journal"
 
 
 def journal_file(folder: Path | None, deployment: str, host: str) -> Path:
-    """Where the journal of a host is: in the folder that is named, else in the service's or the user's.
+    """The path of a host's journal: in the named folder, else in that of the service or user.
 
-    Raises NoHome.
+    Raises NoHomeFolder.
     """
     place = f"{quote(deployment, safe='')}@{quote(host, safe='')}"
-    return (folder or state_folder()) / place / FILE_NAME
+    return (folder or state_dir()) / place / FILE_NAME

@@ -1,9 +1,9 @@
-"""What can still be read of a damaged database: of a copy, which is mended until SQLite reads on.
+"""Salvages records from a copy of a damaged database, which is repaired until SQLite can read it.
 
-SQLite refuses a file that is shorter than its first page says, or whose first page is damaged. The first is
-made longer, with nothing in it; the second gets the first page of a new journal, for the tables of all
-journals begin at the same places. A log that is damaged is worked in frame by frame. What is read is believed
-only where its checksum fits.
+SQLite refuses a file that is shorter than its first page says, or whose first page is damaged. The former
+is padded with zeros; the latter gets the first page of a new journal, since the tables of all journals
+begin at the same pages. A damaged log is applied frame by frame. Only records with a correct checksum
+count.
 """
 
 from __future__ import annotations
@@ -18,97 +18,98 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from lfield.journal.log import is_missing, log_file, read_log, rebuilt
-from lfield.journal.pages import Entry
-from lfield.journal.store import Head, Store
+from lfield.journal.records import JournalEntry
+from lfield.journal.store import JournalHeader, Store
+from lfield.journal.wal import is_wal_missing, read_wal, rebuild_database, wal_file
 
-#: In SQLite's first page: its size, and how many there are.
+#: Offsets in SQLite's first page: the page size, and the number of pages.
 _PAGE_SIZE, _PAGES = struct.Struct(">16xH"), struct.Struct(">28xI")
-#: The size that SQLite gives them by itself.
+#: SQLite's default page size.
 _PAGE = 4096
 
 
-class Readable(NamedTuple):
-    """What was read: whose journal it is, if that is known, and entries by their places.
+class SalvageResult(NamedTuple):
+    """The salvaged contents: the owner of the journal, if known, and entries by position.
 
-    `whole`: only its log was damaged, and nothing is missing. `outrun`: entries may be older than the newest.
+    `is_complete`: only the log was damaged, and nothing is missing. `may_be_stale`: entries may be older than
+    the newest.
     """
 
-    head: Head | None
-    entries: dict[int, Entry]
-    whole: bool = False
-    outrun: bool = False
+    header: JournalHeader | None
+    entries: dict[int, JournalEntry]
+    is_complete: bool = False
+    may_be_stale: bool = False
 
 
 @contextmanager
-def copied(path: Path) -> Iterator[Path]:
+def temporary_copy(path: Path) -> Iterator[Path]:
     """A copy of a database and its log for the duration. Raises OSError."""
     with tempfile.TemporaryDirectory(prefix="lfield-") as folder:
         copy = Path(folder) / path.name
         shutil.copyfile(path, copy)
         with suppress(FileNotFoundError):
-            shutil.copyfile(log_file(path), log_file(copy))
+            shutil.copyfile(wal_file(path), wal_file(copy))
         yield copy
 
 
-def readable(path: Path) -> Readable:
-    """All that can be read of a database. Raises OSError."""
-    with copied(path) as copy:
-        mended = _work_in(copy)
-        _lengthen(copy)
+def salvage_database(path: Path) -> SalvageResult:
+    """Everything that can be read of a database. Raises OSError."""
+    with temporary_copy(path) as copy:
+        mended = _merge_wal(copy)
+        _pad_file(copy)
         found = _read(copy)
     if not found.entries:
-        with copied(path) as copy:
-            mended = _work_in(copy)
-            _give_first_page(copy)
+        with temporary_copy(path) as copy:
+            mended = _merge_wal(copy)
+            _replace_first_page(copy)
             found = _read(copy)
-    outrun = mended is False or is_missing(path)
-    return found._replace(whole=bool(mended) and found.whole, outrun=outrun)
+    outrun = mended is False or is_wal_missing(path)
+    return found._replace(is_complete=bool(mended) and found.is_complete, may_be_stale=outrun)
 
 
-def read_through(store: Store) -> dict[int, Entry]:
-    """From both ends up to where it is damaged."""
-    found: dict[int, Entry] = {}
+def read_both_ends(store: Store) -> dict[int, JournalEntry]:
+    """Read from both ends up to the damage."""
+    found: dict[int, JournalEntry] = {}
     for backwards in (False, True):
         with suppress(sqlite3.DatabaseError):
             found.update(store.entries(backwards=backwards))
     return found
 
 
-def _read(copy: Path) -> Readable:
+def _read(copy: Path) -> SalvageResult:
     head, entries, whole = None, {}, False
     with suppress(sqlite3.Error), closing(Store.open(copy)) as store:
-        entries = read_through(store)
+        entries = read_both_ends(store)
         head = store.head()
         whole = head is not None and not store.fault()
-    return Readable(head, entries, whole)
+    return SalvageResult(head, entries, whole)
 
 
-def _work_in(copy: Path) -> bool | None:
-    """Work a damaged log into a copy: whether nothing of it is missing, None where it is not damaged."""
-    log = read_log(copy)
+def _merge_wal(copy: Path) -> bool | None:
+    """Apply a damaged log to a copy: whether it is complete, None if it is not damaged."""
+    log = read_wal(copy)
     if not log.fault:
         return None
-    image, whole = rebuilt(copy.read_bytes(), log)
+    image, whole = rebuild_database(copy.read_bytes(), log)
     copy.write_bytes(image)
-    log_file(copy).unlink()
+    wal_file(copy).unlink()
     return whole
 
 
-def _lengthen(copy: Path) -> None:
+def _pad_file(copy: Path) -> None:
     start = copy.read_bytes()[:100]
     if len(start) < _PAGES.size:
         return
     size = _PAGE_SIZE.unpack_from(start)[0] * _PAGES.unpack_from(start)[0]
-    # Nobody believes a damaged number for long: a file of holes takes no room, but time to be read.
+    # Bounded: a sparse file takes no space, but time to read.
     if copy.stat().st_size < size < 1 << 32:
         os.truncate(copy, size)
 
 
-def _give_first_page(copy: Path) -> None:
+def _replace_first_page(copy: Path) -> None:
     new = copy.with_name("new")
     with suppress(sqlite3.Error):
-        Store.create(new, Head(0, "", "", ""))
+        Store.create(new, JournalHeader(0, "", "", ""))
         pages = -(-copy.stat().st_size // _PAGE)
         first = bytearray(new.read_bytes()[:_PAGE])
         struct.pack_into(">I", first, _PAGES.size - 4, pages)

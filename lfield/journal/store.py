@@ -1,6 +1,6 @@
-"""The database of a journal: SQLite, whose write-ahead log is on the disk when a commit returns.
+"""The SQLite database of a journal; its write-ahead log is on disk when a commit returns.
 
-Nothing here runs on a loop. One thread at a time uses a `Store`.
+Blocking. One thread at a time uses a `Store`.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from typing import NamedTuple
 import msgspec
 from msgspec import Struct
 
-from lfield.journal.pages import Entry, Key
+from lfield.journal.records import JournalEntry, RecordKey
 from lfield.wire.fields import Count
 
-#: The version of the tables. A newer one is refused, all older ones are read.
+#: The version of the tables. A newer one is refused, older ones are read.
 FORMAT = 1
-#: "LFJN", where SQLite has room for whose a database is.
+#: "LFJN", SQLite's application id.
 APPLICATION = 0x4C464A4E
-#: Pages of 4 KiB after which the log is worked into the database: small, since it must fit the reserve.
+#: Pages of 4 KiB after which the log is checkpointed: few, since the log must fit the reserved space.
 _LOG_PAGES = 256
-#: Bytes that stay of the log when it was larger.
+#: The size to which the log is truncated.
 _LOG_BYTES = 1 << 20
 
 _ENTRY = "kind TEXT, name TEXT, number INTEGER, kept REAL, version INTEGER, body BLOB, sum INTEGER"
@@ -42,8 +42,8 @@ _FORGET = "DELETE FROM pages WHERE kind = ? AND name = ? AND number = ?"
 _NOTE_DAMAGE = f"INSERT INTO damaged ({_COLUMNS}, why, found) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
-class Head(Struct, frozen=True, forbid_unknown_fields=True):
-    """Whose a journal is: its random identity, the deployment and host by name, the computer by a hash."""
+class JournalHeader(Struct, frozen=True, forbid_unknown_fields=True):
+    """The owner of a journal: its random id, the deployment and host by name, the computer by a hash."""
 
     identity: Count
     deployment: str
@@ -51,16 +51,16 @@ class Head(Struct, frozen=True, forbid_unknown_fields=True):
     machine: str
 
 
-class Damaged(NamedTuple):
-    """An entry that cannot be believed, why, and at which place it lies among the pages."""
+class DamagedEntry(NamedTuple):
+    """A damaged entry, the reason, and its row id."""
 
-    entry: Entry
+    entry: JournalEntry
     why: str
     place: int = 0
 
 
 class BrokenFile(sqlite3.DatabaseError):
-    """A database that is damaged in a way that SQLite has no name for. It never leaves this room."""
+    """A database that is damaged in a way that SQLite does not detect. Internal to this package."""
 
 
 class Store:
@@ -71,7 +71,7 @@ class Store:
 
     @classmethod
     def open(cls, path: Path) -> Store:
-        """The database that is there, for writing."""
+        """Open an existing database for writing."""
         store = cls(_connect(f"{path.resolve().as_uri()}?mode=rw"))
         with store._closed_on_error():
             store._run("PRAGMA synchronous = FULL")
@@ -80,20 +80,20 @@ class Store:
         return store
 
     @classmethod
-    def look_at(cls, path: Path) -> Store:
-        """The database that is there, for reading only, also while somebody writes to it."""
+    def open_read_only(cls, path: Path) -> Store:
+        """Open an existing database read-only, also while another process writes to it."""
         return cls(_connect(f"{path.resolve().as_uri()}?mode=ro"))
 
     @classmethod
     def create(
         cls,
         path: Path,
-        head: Head,
-        entries: Iterable[Entry] = (),
-        damaged: Sequence[Damaged] = (),
+        head: JournalHeader,
+        entries: Iterable[JournalEntry] = (),
+        damaged: Sequence[DamagedEntry] = (),
         found: float = 0.0,
     ) -> None:
-        """A whole database in a file that is not there yet; it is closed, and on the disk."""
+        """Create a complete database in a new file; it is closed and on disk."""
         with closing(_connect(f"{path.resolve().as_uri()}?mode=rwc")) as connection:
             store = cls(connection)
             store._run("PRAGMA synchronous = FULL")
@@ -109,51 +109,51 @@ class Store:
 
     # --- reading --------------------------------------------------------------------------------------
 
-    def application(self) -> int:
-        """Whose database it says that it is."""
+    def application_id(self) -> int:
+        """The application id in the file."""
         return self._number("PRAGMA application_id")
 
-    def version(self) -> int:
+    def format_version(self) -> int:
         """The version of its tables."""
         return self._number("PRAGMA user_version")
 
     def fault(self) -> str:
-        """What SQLite finds wrong with the file, '' for nothing."""
+        """The fault that SQLite finds in the file, '' for none."""
         found = str(self._run("PRAGMA quick_check(1)").fetchone()[0])
         return "" if found == "ok" else found.splitlines()[-1]
 
-    def head(self) -> Head | None:
-        """Whose it is; None when that is damaged."""
+    def head(self) -> JournalHeader | None:
+        """The owner; None if the header is damaged."""
         row = self._run("SELECT body, sum FROM head").fetchone()
         with suppress(msgspec.MsgspecError, UnicodeDecodeError, TypeError):
             if row and zlib.crc32(row[0]) == row[1]:
-                return msgspec.json.decode(row[0], type=Head)
+                return msgspec.json.decode(row[0], type=JournalHeader)
         return None
 
-    def entries(self, *, backwards: bool = False) -> Iterator[tuple[int, Entry]]:
-        """All pages with their places, in the order of these or the other way round."""
+    def entries(self, *, backwards: bool = False) -> Iterator[tuple[int, JournalEntry]]:
+        """All entries with their row ids, in ascending or descending order."""
         order = "DESC" if backwards else "ASC"
-        with _told():
+        with _readable_errors():
             for row in self._run(f"SELECT rowid, {_COLUMNS} FROM pages ORDER BY rowid {order}"):
-                yield row[0], Entry(Key(*row[1:4]), *row[4:])
+                yield row[0], JournalEntry(RecordKey(*row[1:4]), *row[4:])
 
-    def damaged(self) -> list[Damaged]:
-        """What was moved aside."""
-        with _told():
+    def damaged(self) -> list[DamagedEntry]:
+        """The entries that were moved aside."""
+        with _readable_errors():
             rows = self._run(f"SELECT {_COLUMNS}, why FROM damaged ORDER BY rowid").fetchall()
-        return [Damaged(Entry(Key(*row[:3]), *row[3:7]), row[7]) for row in rows]
+        return [DamagedEntry(JournalEntry(RecordKey(*row[:3]), *row[3:7]), row[7]) for row in rows]
 
     # --- writing --------------------------------------------------------------------------------------
 
-    def commit(self, groups: Sequence[tuple[Sequence[Entry], Iterable[Key]]]) -> None:
-        """Entries to write and keys to remove, in this order: all are on the disk, or nothing has changed."""
+    def commit(self, groups: Sequence[tuple[Sequence[JournalEntry], Iterable[RecordKey]]]) -> None:
+        """Write entries and remove keys, in this order: all are on disk, or nothing has changed."""
         with self._transaction():
             for entries, keys in groups:
                 self._write(entries)
                 self._connection.executemany(_FORGET, keys)
 
-    def move_aside(self, damaged: Sequence[Damaged], head: Head, found: float) -> None:
-        """Take pages out that cannot be believed, and be another memory from now on."""
+    def move_aside(self, damaged: Sequence[DamagedEntry], head: JournalHeader, found: float) -> None:
+        """Remove damaged entries from the records, and give the journal a new id."""
         with self._transaction():
             self._note(damaged, found)
             places = [(one.place,) for one in damaged]
@@ -161,34 +161,34 @@ class Store:
             self._run("DELETE FROM head")
             self._write_head(head)
 
-    def try_out(self) -> None:
-        """Write something that changes nothing."""
+    def probe_write(self) -> None:
+        """Write without a change, to test the disk."""
         with self._transaction():
             self._run("UPDATE head SET sum = sum")
 
     def restart_log(self) -> None:
-        """Work the log into the database, so that the next commit writes to its beginning."""
+        """Checkpoint the log, so that the next commit writes to its beginning."""
         self._run("PRAGMA wal_checkpoint(RESTART)")
 
     def close(self) -> None:
-        """Work the log into the database, and let go of both."""
+        """Checkpoint the log, and close the database."""
         self._connection.close()
 
     # --- SQL ------------------------------------------------------------------------------------------
 
-    def _write(self, entries: Iterable[Entry]) -> None:
+    def _write(self, entries: Iterable[JournalEntry]) -> None:
         self._connection.executemany(_WRITE, ((*entry.key, *entry[1:]) for entry in entries))
 
-    def _note(self, damaged: Iterable[Damaged], found: float) -> None:
+    def _note(self, damaged: Iterable[DamagedEntry], found: float) -> None:
         rows = ((*one.entry.key, *one.entry[1:], one.why, found) for one in damaged)
         self._connection.executemany(_NOTE_DAMAGE, rows)
 
-    def _write_head(self, head: Head) -> None:
+    def _write_head(self, head: JournalHeader) -> None:
         body = msgspec.json.encode(head)
         self._connection.execute("INSERT INTO head VALUES (?, ?)", (body, zlib.crc32(body)))
 
     def _run(self, statement: str) -> sqlite3.Cursor:
-        with _told():
+        with _readable_errors():
             return self._connection.execute(statement)
 
     def _number(self, statement: str) -> int:
@@ -198,7 +198,7 @@ class Store:
     def _transaction(self) -> Iterator[None]:
         self._run("BEGIN IMMEDIATE")
         try:
-            with _told():
+            with _readable_errors():
                 yield
             self._run("COMMIT")
         except BaseException:
@@ -216,8 +216,8 @@ class Store:
 
 
 @contextmanager
-def _told() -> Iterator[None]:
-    """SQLite quotes what is damaged, and Python cannot read that."""
+def _readable_errors() -> Iterator[None]:
+    """Convert Python's decoding errors: SQLite's error messages quote damaged names."""
     try:
         yield
     except UnicodeDecodeError:
@@ -225,7 +225,7 @@ def _told() -> Iterator[None]:
 
 
 def _connect(name: str) -> sqlite3.Connection:
-    # The thread of the commits is another one than that which opens it; they never meet.
+    # The commit thread is not the one that opens the database; they never use it at the same time.
     connection = sqlite3.connect(name, uri=True, isolation_level=None, check_same_thread=False, timeout=1.0)
     connection.text_factory = lambda data: data.decode(errors="replace")
     return connection

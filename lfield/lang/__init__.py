@@ -1,1 +1,1 @@
-"""The front end: text to checked tree. Knows no bytecode."""
+"""The front end: text to checked tree, independent of bytecode."""

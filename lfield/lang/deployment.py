@@ -1,13 +1,15 @@
 """Deployment files (`mission.dL`): which agent lives on which host, with which arguments (chapter IV).
 
-A line is `//Type:id@host[:port][?argument&argument]`; `pitp:` may stand before the slashes and the slashes
-may be left out. `//@host[:port]` is a witness: a host without agents, which only counts when the team decides
+A line is `//Type:id@host[:port][?argument&argument]`; `pitp:` before the slashes and the slashes themselves
+are optional. `//@host[:port]` is a witness: a host without agents, which only counts when the team decides
 that a host is lost (appendix I). A `#` at the start of a line or after a space begins a comment.
 """
 
 from __future__ import annotations
 
 import hashlib
+import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,11 +20,11 @@ import msgspec
 
 from lfield.errors import ProgramError
 from lfield.lang import messages
-from lfield.lang.deployment_line import Entry, read_line
+from lfield.lang.deployment_line import DeploymentEntry, read_line
 from lfield.lang.tree import UnitKind
-from lfield.text.files import MAX_TEXT, bad_byte, read_bytes
-from lfield.text.source import Diagnostic, Diagnostics, Source, Span
-from lfield.text.suggest import did_you_mean, listed
+from lfield.text.input_files import MAX_TEXT, invalid_byte, read_bytes
+from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
+from lfield.text.suggestions import did_you_mean, listed
 
 #: 'unknown' when the deployment was read without its program.
 AgentKind = Literal["resource", "coordinator", "unknown"]
@@ -82,7 +84,7 @@ class Deployment:
 
     @property
     def kinds(self) -> dict[str, AgentKind]:
-        """What each type is."""
+        """The kind of each type."""
         return {a.type: a.kind for a in self.agents}
 
     @property
@@ -114,15 +116,15 @@ class Deployment:
 def parse_deployment(
     text: str, name: str, units: Mapping[str, UnitKind] | None
 ) -> tuple[Deployment | None, list[Diagnostic]]:
-    """The deployment of a text, or None, with everything found wrong in it.
+    """The deployment of a text, or None, with all findings.
 
     `units` are the units of the program with their kinds; None leaves the types unchecked.
     """
     source = Source(name, text)
     found = Diagnostics()
-    entries = _entries(source, found)
+    entries = _read_entries(source, found)
     _Checks(found, units).check(entries)
-    if all(entry.witness for entry in entries) and not found.found:
+    if all(entry.is_witness for entry in entries) and not found.found:
         found.add(messages.DEPLOY_EMPTY.at(Span(source, 0, 0)))
     if found.errors:
         return None, found.in_order()
@@ -132,24 +134,31 @@ def parse_deployment(
             e.type.text, e.id.text, _kind(kinds, e.type.text), e.host.text, e.port, e.arguments, e.span
         )
         for e in entries
-        if not e.witness
+        if not e.is_witness
     ]
-    witnesses = tuple(Witness(e.host.text, e.port) for e in entries if e.witness)
+    witnesses = tuple(Witness(e.host.text, e.port) for e in entries if e.is_witness)
     return Deployment(name, tuple(agents), witnesses), found.in_order()
 
 
 def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deployment:
-    """The deployment of a file. Raises InputFileError, or ProgramError with all that is wrong in it."""
+    """The deployment of a file. Raises InputFileError, or ProgramError with all findings."""
+    return read_with_warnings(path, units)[0]
+
+
+def read_with_warnings(
+    path: Path, units: Mapping[str, UnitKind] | None
+) -> tuple[Deployment, list[Diagnostic]]:
+    """The deployment of a file and its warnings. Raises as `read_deployment`."""
     data = read_bytes(path, MAX_TEXT)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        where, byte = bad_byte(str(path), error)
+        where, byte = invalid_byte(str(path), error)
         raise ProgramError([messages.DEPLOY_NOT_TEXT.at(where, byte=byte)]) from None
     deployment, found = parse_deployment(text, str(path), units)
     if deployment is None:
         raise ProgramError(found)
-    return deployment
+    return deployment, found
 
 
 def _kind(units: Mapping[str, UnitKind], name: str) -> AgentKind:
@@ -157,7 +166,7 @@ def _kind(units: Mapping[str, UnitKind], name: str) -> AgentKind:
     return kind if kind in ("resource", "coordinator") else "unknown"
 
 
-def _entries(source: Source, found: Diagnostics) -> list[Entry]:
+def _read_entries(source: Source, found: Diagnostics) -> list[DeploymentEntry]:
     """All lines that can be read."""
     entries = []
     start = 0
@@ -169,8 +178,33 @@ def _entries(source: Source, found: Diagnostics) -> list[Entry]:
     return entries
 
 
+#: Shorter names differ by one letter on purpose.
+_SHORTEST_COMPARED = 4
+
+
+def _resembles(host: str, other: str) -> bool:
+    """Whether two host names differ by one typing mistake (Damerau-Levenshtein distance 1).
+
+    A different last character (alpha1 and alpha2, arm-a and arm-b) and different digits are no mistake.
+    """
+    (name, _, domain), (known, _, known_domain) = host.partition("."), other.partition(".")
+    if domain != known_domain or name[:1] in "0123456789[" or min(len(name), len(known)) < _SHORTEST_COMPARED:
+        return False
+    if re.sub(r"\D", "", name) != re.sub(r"\D", "", known) or name[:-1] == known[:-1]:
+        return False
+    if name.lower() == known.lower():
+        return False  # L709 reports these
+    start = next(
+        (at for at, (one, two) in enumerate(zip(name, known, strict=False)) if one != two), len(known)
+    )
+    rest, known_rest = name[start:], known[start:]
+    substituted = rest[1:] == known_rest[1:]
+    transposed = rest[2:] == known_rest[2:] and rest[:2] == known_rest[1::-1]
+    return substituted or transposed or rest[1:] == known_rest or rest == known_rest[1:]
+
+
 class _Checks:
-    """What lines must keep together: types against the program, ids and hosts against one another."""
+    """Rules across lines: types against the program, ids and hosts against one another."""
 
     def __init__(self, found: Diagnostics, units: Mapping[str, UnitKind] | None) -> None:
         self.found, self.units = found, units
@@ -179,9 +213,9 @@ class _Checks:
         self.spellings: dict[str, Span] = {}
         self.ports: dict[str, tuple[int, Span]] = {}
 
-    def check(self, entries: list[Entry]) -> None:
-        """Check all lines; without anything to deploy in the program only the first one is told."""
-        agents = [entry for entry in entries if not entry.witness]
+    def check(self, entries: list[DeploymentEntry]) -> None:
+        """Check all lines; if the program has nothing to deploy, only the first one is reported."""
+        agents = [entry for entry in entries if not entry.is_witness]
         if self.units is not None and not self.deployable and agents:
             self.found.add(messages.DEPLOY_NO_PROGRAM.at(agents[0].type, name=agents[0].type.text))
         for entry in agents:
@@ -192,6 +226,22 @@ class _Checks:
             self.host(entry.host)
             self.port(entry)
         self.witnesses(entries)
+        self.lone_hosts(entries)
+
+    def lone_hosts(self, entries: list[DeploymentEntry]) -> None:
+        """Warn of a host on one line that resembles one on at least as many lines, and earlier if on one."""
+        counts = Counter(entry.host.text for entry in entries)
+        alone: list[str] = []
+        repeated = [host for host, count in counts.items() if count > 1]
+        for entry in entries:
+            host = entry.host.text
+            if counts[host] > 1:
+                continue
+            close = next((other for other in (*repeated, *alone) if _resembles(host, other)), None)
+            if close is not None:
+                line = self.spellings[close.lower()].line
+                self.found.add(messages.LONE_HOST.at(entry.host, host=host, close=close, line=line))
+            alone.append(host)
 
     def type(self, span: Span) -> None:
         name = span.text
@@ -215,16 +265,16 @@ class _Checks:
                 messages.DEPLOY_HOST_CASE.at(span, host=span.text, first=first.text, line=first.line)
             )
 
-    def witnesses(self, entries: list[Entry]) -> None:
+    def witnesses(self, entries: list[DeploymentEntry]) -> None:
         """A witness has one line."""
-        lines: dict[str, Entry] = {}
-        for entry in sorted(entries, key=lambda entry: entry.witness):
+        lines: dict[str, DeploymentEntry] = {}
+        for entry in sorted(entries, key=lambda entry: entry.is_witness):
             first = lines.setdefault(entry.host.text.lower(), entry)
-            if entry.witness and first is not entry:
+            if entry.is_witness and first is not entry:
                 host, line = entry.host.text, first.host.line
                 self.found.add(messages.DEPLOY_WITNESS.at(entry.host, host=host, line=line))
 
-    def port(self, entry: Entry) -> None:
+    def port(self, entry: DeploymentEntry) -> None:
         if entry.port is None:
             return
         host = entry.host.text

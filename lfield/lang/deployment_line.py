@@ -8,8 +8,8 @@ from ipaddress import IPv6Address
 from urllib.parse import unquote_to_bytes
 
 from lfield.lang import messages
-from lfield.text.findings import Message
-from lfield.text.source import Diagnostics, Span
+from lfield.text.message_tables import FindingKind
+from lfield.text.source_text import Diagnostics, Span
 
 _COMMENT = re.compile(r"(?:^|(?<=\s))#")
 _NAME = re.compile(r"[A-Za-z0-9._-]+", re.ASCII)
@@ -20,8 +20,8 @@ _HIGHEST_PORT = 65535
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """The parts of a line and where they stand; `port_span` is the port, or the host without one.
+class DeploymentEntry:
+    """The parts of a line with their places; `port_span` is the port, or the host without one.
 
     The line of a witness, a host without agents, has an empty type and id.
     """
@@ -35,7 +35,7 @@ class Entry:
     arguments: tuple[str, ...]
 
     @property
-    def witness(self) -> bool:
+    def is_witness(self) -> bool:
         """Whether it only names a host."""
         return not self.type.text
 
@@ -49,11 +49,11 @@ def _is_ipv6(host: str) -> bool:
     return host[0] + host[-1] == "[]" and (zone is None or _NAME.fullmatch(zone) is not None)
 
 
-class _Shapeless(Exception):
-    """The line cannot be taken apart; it is reported."""
+class _Malformed(Exception):
+    """The line cannot be split; it is reported."""
 
 
-def read_line(line: Span, found: Diagnostics) -> Entry | None:
+def read_line(line: Span, found: Diagnostics) -> DeploymentEntry | None:
     """The entry of a line; None for an empty line, a comment, or a line with mistakes (reported)."""
     comment = _COMMENT.search(line.text)
     whole = _trimmed(_part(line, 0, comment.start() if comment else len(line.text)))
@@ -62,24 +62,24 @@ def read_line(line: Span, found: Diagnostics) -> Entry | None:
     before = len(found.found)
     try:
         entry = _Reader(found).entry(whole)
-    except _Shapeless:
+    except _Malformed:
         return None
     return entry if len(found.found) == before else None
 
 
 class _Reader:
-    """Takes one line apart, then looks at each part; every bad part is reported."""
+    """Splits one line and checks each part; every invalid part is reported."""
 
     def __init__(self, found: Diagnostics) -> None:
         self.found = found
 
-    def entry(self, whole: Span) -> Entry:
+    def entry(self, whole: Span) -> DeploymentEntry:
         """The parts of the line."""
         space = re.search(r"\s", whole.text)
         if space is not None:
-            self.wrong(messages.DEPLOY_SPACE, _part(whole, space.start(), space.end()))
-            raise _Shapeless
-        body = self.without_scheme(whole)
+            self.report(messages.DEPLOY_SPACE, _part(whole, space.start(), space.end()))
+            raise _Malformed
+        body = self.strip_scheme(whole)
         if body.text.startswith("@"):
             return self.witness(whole, body)
         place, _, _ = body.text.partition("?")
@@ -91,27 +91,27 @@ class _Reader:
                 kind, f"'{kind.text}' is not the name of a type" if kind.text else "no type before ':'"
             )
         if not _NAME.fullmatch(name.text):
-            self.wrong(messages.DEPLOY_ID, name, id=name.text)
+            self.report(messages.DEPLOY_ID, name, id=name.text)
         host, port_span, port = self.address(address)
         arguments = self.arguments(_part(body, len(place) + 1, len(body.text)))
-        return Entry(whole, kind, name, host, port, port_span, arguments)
+        return DeploymentEntry(whole, kind, name, host, port, port_span, arguments)
 
-    def witness(self, whole: Span, body: Span) -> Entry:
+    def witness(self, whole: Span, body: Span) -> DeploymentEntry:
         """The line of a host without agents."""
         nothing = _part(body, 0, 0)
         place, mark, _ = body.text.partition("?")
         if mark:
             self.problem(_part(body, len(place), len(body.text)), "arguments are for an agent")
         host, port_span, port = self.address(_part(body, 1, len(place)))
-        return Entry(whole, nothing, nothing, host, port, port_span, ())
+        return DeploymentEntry(whole, nothing, nothing, host, port, port_span, ())
 
-    def without_scheme(self, whole: Span) -> Span:
+    def strip_scheme(self, whole: Span) -> Span:
         """The line behind `pitp://` or `//`."""
         scheme = re.match(r"([A-Za-z][\w+.-]*:)?//", whole.text)
         if scheme is None:
             if whole.text.startswith("/"):
                 self.problem(_part(whole, 0, 1), "one slash at the start: there are two or none")
-                raise _Shapeless
+                raise _Malformed
             return whole
         known = scheme.group(1) or ""
         if known not in ("", "pitp:"):
@@ -119,27 +119,27 @@ class _Reader:
         return _part(whole, scheme.end(), len(whole.text))
 
     def split(self, span: Span, mark: str, problem: str) -> tuple[Span, Span]:
-        """What stands before and behind a mark."""
+        """The parts before and after a separator."""
         at = span.text.find(mark)
         if at < 0:
             self.problem(_part(span, len(span.text), len(span.text)), problem)
-            raise _Shapeless
+            raise _Malformed
         return _part(span, 0, at), _part(span, at + 1, len(span.text))
 
     def address(self, span: Span) -> tuple[Span, Span, int | None]:
         """Host, the place of the port, and the port."""
-        # The colons of an IPv6 address stand before its bracket.
+        # The colons of an IPv6 address are before its closing bracket.
         bracket = span.text.find("]") if span.text.startswith("[") else 0
         at = span.text.find(":", bracket) if bracket >= 0 else -1
         host = _part(span, 0, len(span.text) if at < 0 else at)
         if not (_NAME.fullmatch(host.text) or _is_ipv6(host.text)) or len(host.text) > _LONGEST_HOST:
-            self.wrong(messages.DEPLOY_HOST, host, host=host.text[:60])
+            self.report(messages.DEPLOY_HOST, host, host=host.text[:60])
         if at < 0:
             return host, host, None
         written = _part(span, at + 1, len(span.text))
         if re.fullmatch(r"[0-9]{1,5}", written.text) and 0 < int(written.text) <= _HIGHEST_PORT:
             return host, written, int(written.text)
-        self.wrong(messages.DEPLOY_PORT, written, port=written.text[:20])
+        self.report(messages.DEPLOY_PORT, written, port=written.text[:20])
         return host, written, None
 
     def arguments(self, span: Span) -> tuple[str, ...]:
@@ -161,14 +161,14 @@ class _Reader:
         except UnicodeError:
             pass
         where = span if bad is None else _part(span, bad.start(), bad.end())
-        self.wrong(messages.DEPLOY_ESCAPE, where, escape=where.text)
+        self.report(messages.DEPLOY_ESCAPE, where, escape=where.text)
         return ""
 
     def problem(self, span: Span, problem: str) -> None:
         """Report a line of another shape."""
-        self.wrong(messages.DEPLOY_SYNTAX, span, problem=problem)
+        self.report(messages.DEPLOY_SYNTAX, span, problem=problem)
 
-    def wrong(self, message: Message, span: Span, **values: str) -> None:
+    def report(self, message: FindingKind, span: Span, **values: str) -> None:
         """Report a bad part."""
         self.found.add(message.at(span, hint=None, **values))
 

@@ -8,19 +8,19 @@ from pathlib import Path
 
 from lfield.errors import ProgramError
 from lfield.lang import syntax
-from lfield.lang.capabilities import Capabilities, Generated, unknown_names
-from lfield.lang.checker import check
+from lfield.lang.capability_port import CapabilityTypes, GeneratedClasses, unknown_names
+from lfield.lang.checker import check_program
 from lfield.lang.checker.symbols import BUILTIN_TYPES
 from lfield.lang.includes import FileSet, FindInclude
-from lfield.lang.parser import parse
+from lfield.lang.parser import parse_file
 from lfield.lang.tree import CheckedProgram
 from lfield.manifest import DeviceManifest
-from lfield.text.files import MAX_TEXT, read_bytes
-from lfield.text.source import Diagnostic, Diagnostics, Source
+from lfield.text.input_files import MAX_TEXT, read_bytes
+from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckResult:
     """What the front end found: the program (None when there are errors), and all diagnostics in order."""
 
     program: CheckedProgram | None
@@ -48,9 +48,9 @@ def check_file(
     *,
     devices: Mapping[str, DeviceManifest] | None = None,
     find_include: FindInclude = no_include,
-    capabilities: Capabilities | None = None,
+    capabilities: CapabilityTypes | None = None,
     doubled: Collection[str] = (),
-) -> Checked:
+) -> CheckResult:
     """Check a program file and all it includes.
 
     `devices` are the device types of the drivers by their name; `find_include` maps the path in
@@ -65,7 +65,7 @@ def check_file(
     for file in files.files:
         for unit in file.units:
             if unit.name in doubled:
-                _hollow_out(file, unit, {*BUILTIN_TYPES, *(devices or {})})
+                _keep_only_portals(file, unit, {*BUILTIN_TYPES, *(devices or {})})
     return _checked(files, found, devices or {}, capabilities)
 
 
@@ -75,8 +75,8 @@ def check_text(
     *,
     devices: Mapping[str, DeviceManifest] | None = None,
     find_include: FindInclude = no_include,
-    capabilities: Capabilities | None = None,
-) -> Checked:
+    capabilities: CapabilityTypes | None = None,
+) -> CheckResult:
     """Check a program text; its includes are looked up beside `name`."""
     found = Diagnostics()
     files = FileSet(found, find_include)
@@ -88,17 +88,17 @@ def _checked(
     files: FileSet,
     found: Diagnostics,
     devices: Mapping[str, DeviceManifest],
-    capabilities: Capabilities | None,
-) -> Checked:
-    made = _generated(files, devices, capabilities) if capabilities is not None else Generated({})
+    capabilities: CapabilityTypes | None,
+) -> CheckResult:
+    made = _generated(files, devices, capabilities) if capabilities is not None else GeneratedClasses({})
     if made.classes and capabilities is not None and not found.errors:
-        for diagnostic in capabilities.misfits(made.classes, files.files):
+        for diagnostic in capabilities.registry_problems(made.classes, files.files):
             found.add(diagnostic)
         if found.errors:
-            # Every call of what does not fit would only say it again.
-            return Checked(None, found.in_order())
-    generated = [parse(source, found) for source in (*made.common, *made.classes.values())]
-    program = check(
+            # Every call of a wrong portal would repeat the finding.
+            return CheckResult(None, found.in_order())
+    generated = [parse_file(source, found) for source in (*made.common, *made.classes.values())]
+    program = check_program(
         [*generated, *files.files],
         devices,
         found,
@@ -106,10 +106,10 @@ def _checked(
         capabilities=capabilities,
         generated=frozenset(made.classes),
     )
-    return Checked(None if found.errors else program, found.in_order())
+    return CheckResult(None if found.errors else program, found.in_order())
 
 
-def _hollow_out(file: syntax.File, unit: syntax.Unit, known: Collection[str]) -> None:
+def _keep_only_portals(file: syntax.ParsedFile, unit: syntax.Unit, known: Collection[str]) -> None:
     """Leave only the portals of a resource, which do nothing for ever, when it has an unknown device."""
     names = {field.type.name for field in unit.fields} & unknown_names([file], known)
     if not names:
@@ -118,17 +118,17 @@ def _hollow_out(file: syntax.File, unit: syntax.Unit, known: Collection[str]) ->
     unit.methods = [method for method in unit.methods if method.kind in ("init", "portal")]
     for method in unit.methods:
         forever = syntax.Literal_(method.span, 1, value=True)
-        method.body = [syntax.While(method.span, forever, syntax.Block(method.span, []))]
+        method.body = [syntax.While(method.span, forever, syntax.BlockStmt(method.span, []))]
     file.types -= names
 
 
 def _generated(
-    files: FileSet, devices: Mapping[str, DeviceManifest], capabilities: Capabilities
-) -> Generated:
+    files: FileSet, devices: Mapping[str, DeviceManifest], capabilities: CapabilityTypes
+) -> GeneratedClasses:
     """The classes of all capabilities that the files name; the files these bring along are read too."""
     known = {*BUILTIN_TYPES, *devices}
     wanted: set[str] = set()
-    made = Generated({})
+    made = GeneratedClasses({})
     while unknown := unknown_names(files.files, {*known, *wanted}):
         new = unknown.intersection(capabilities.names())
         if not new:

@@ -7,10 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lfield.lang import messages
-from lfield.lang.parser import parse
-from lfield.lang.syntax import File, Include
-from lfield.text.files import MAX_TEXT, bad_byte, read_within, reason
-from lfield.text.source import Diagnostic, Diagnostics, Source
+from lfield.lang.parser import parse_file
+from lfield.lang.syntax import Include, ParsedFile
+from lfield.text.input_files import MAX_TEXT, error_reason, invalid_byte, read_within
+from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 FindInclude = Callable[[str], Path | None]
 
@@ -19,14 +19,14 @@ class FileSet:
     """Reads and parses files; `complete` is False when an include could not be read."""
 
     def __init__(self, found: Diagnostics, find_include: FindInclude) -> None:
-        self.files: list[File] = []
+        self.files: list[ParsedFile] = []
         self.complete = True
         self._found, self._find_include = found, find_include
-        self._seen: set[str] = set()
+        self._read_paths: set[str] = set()
 
     def read(self, data: bytes, path: Path) -> None:
         """Parse the bytes of a file and the files it includes, unless that was done already."""
-        if os.path.realpath(path) in self._seen:
+        if os.path.realpath(path) in self._read_paths:
             return
         source = self._decoded(data, str(path))
         if source is not None:
@@ -34,11 +34,11 @@ class FileSet:
 
     def add(self, source: Source, path: Path) -> None:
         """Parse a source that was read from `path`, then the files it includes, and so on."""
-        self._seen.add(os.path.realpath(path))
+        self._read_paths.add(os.path.realpath(path))
         waiting = [(source, path)]
         while waiting:
             source, path = waiting.pop(0)
-            file = parse(source, self._found)
+            file = parse_file(source, self._found)
             self.files.append(file)
             for include in file.includes:
                 waiting.extend(self._included(include, path))
@@ -51,16 +51,18 @@ class FileSet:
             return []
         try:
             identity = os.path.realpath(path)
-            if identity in self._seen:
+            if identity in self._read_paths:
                 return []
-            self._seen.add(identity)
+            self._read_paths.add(identity)
             source = self._decoded(read_within(path, MAX_TEXT), str(path))
         except FileNotFoundError:
             self._missing(messages.INCLUDE_MISSING.at(include.span, path=path))
             return []
         except (OSError, ValueError) as error:
             shown = f"'{path}'"
-            self._missing(messages.INCLUDE_UNREADABLE.at(include.span, path=shown, reason=reason(error)))
+            self._missing(
+                messages.INCLUDE_UNREADABLE.at(include.span, path=shown, reason=error_reason(error))
+            )
             return []
         return [] if source is None else [(source, path)]
 
@@ -69,7 +71,7 @@ class FileSet:
         try:
             return Source(name, data.decode("utf-8-sig"))
         except UnicodeDecodeError as error:
-            where, byte = bad_byte(name, error)
+            where, byte = invalid_byte(name, error)
             self._missing(messages.NOT_UTF8.at(where, byte=byte))
             return None
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from lfield.lang import messages
-from lfield.text.findings import Message
-from lfield.text.source import Diagnostics, Source, Span
+from lfield.text.message_tables import FindingKind
+from lfield.text.source_text import Diagnostics, Source, Span
 
 #: Reserved words; `specific` is a word only after `resource` or `coordinator` in the head of a class.
 KEYWORDS = frozenset(
@@ -20,7 +20,7 @@ KEYWORDS = frozenset(
     )
 )
 
-#: Operators of C and Java that L does not have; they are tokens, so that the parser can say so.
+#: Operators of C and Java that L does not have; they are tokens, so that the parser can report them.
 FOREIGN_OPERATORS = frozenset(
     (
         *("++", "--", "&=", "|=", "^="),
@@ -29,8 +29,8 @@ FOREIGN_OPERATORS = frozenset(
 )
 
 
-class Kind(Enum):
-    """What a token is. Keywords and operators are told apart by their text."""
+class TokenKind(Enum):
+    """The kind of a token. Keywords and operators are distinguished by their text."""
 
     NAME = "name"
     KEYWORD = "keyword"
@@ -43,18 +43,18 @@ class Kind(Enum):
 
 @dataclass(slots=True, eq=False)
 class Token:
-    """One token; `value` is the number or the text (escapes decoded) of a literal."""
+    """One token; `value` is the number or the text (escapes decoded) of a literal, or what END is called."""
 
-    kind: Kind
+    kind: TokenKind
     text: str
     span: Span
     value: int | float | str | None = None
 
     def __str__(self) -> str:
         """How an error message names it."""
-        if self.kind is Kind.END:
-            return "the end of the file"
-        if self.kind is Kind.STRING:
+        if self.kind is TokenKind.END:
+            return str(self.value)
+        if self.kind is TokenKind.STRING:
             return "text"
         return f"'{self.text}'" if len(self.text) <= 40 else "a very long word"
 
@@ -63,8 +63,8 @@ class Token:
 class Scan:
     """All tokens of a source, END last, and the lines on which scanning itself found a mistake.
 
-    The parser says nothing more about those lines, so that one mistake is told once. `cut` says that some
-    of the text could not be read at all and may have held anything.
+    The parser reports nothing more on those lines, so that one mistake is reported once. `cut` means that
+    some of the text could not be read at all and may have held anything.
     """
 
     tokens: list[Token] = field(default_factory=list)
@@ -86,7 +86,9 @@ _TOKEN = re.compile(
     | (?P<quoted>        '[^'\n]*+'?+ | [“”„«][^“”»"\n]{0,1000}+[“”»"] )
     | (?P<symbol>        ===|!==|&&|\|\||==|!=|<=|>=|\+\+|--|[-+*/%&|^]=|->|=>|::|<<|>>
                          |[-+*/%=!<>&|^~?:;,.(){}\[\]] )
-    | (?P<illegal>       (?: [^\x00-\x7f] | [\#@`$\\\x00-\x08\x0b\x0e-\x1f\x7f] )++ )
+    | (?P<hash>          \#[^\n]*+ )
+    | (?P<decorator>     @[A-Za-z_][\w.]*+ )
+    | (?P<illegal>       (?: [^\x00-\x7f] | [@`$\\\x00-\x08\x0b\x0e-\x1f\x7f] )++ )
     """,
     re.VERBOSE | re.ASCII,
 )
@@ -96,10 +98,10 @@ _ESCAPE = re.compile(r"\\(u\{[0-9a-fA-F]{1,6}\}|u\{?|.)", re.DOTALL)
 _SIMPLE_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", '"': '"', "\\": "\\"}
 
 
-def scan(source: Source, found: Diagnostics) -> Scan:
+def scan(source: Source, found: Diagnostics, *, end: str = "the end of the file") -> Scan:
     """All tokens of the source. Mistakes go to `found`; only a text that is none stops the scan."""
     scanner = _Scanner(source, found)
-    scanner.run()
+    scanner.run(end)
     return scanner.result
 
 
@@ -110,7 +112,7 @@ class _Scanner:
         self.source, self.found = source, found
         self.result = Scan()
 
-    def run(self) -> None:
+    def run(self, end_name: str) -> None:
         text = self.source.text
         end = self.span(len(text), len(text))
         if alien := _NOT_TEXT.search(text):
@@ -123,27 +125,27 @@ class _Scanner:
                 group = str(match.lastgroup)
                 if group not in _SKIPPED:
                     self.token(group, match.group(), self.span(*match.span()))
-        self.result.tokens.append(Token(Kind.END, "", end))
+        self.result.tokens.append(Token(TokenKind.END, "", end, end_name))
 
     def token(self, group: str, text: str, span: Span) -> None:
         """Append the token of one match, or report it."""
         match group:
             case "symbol":
-                self.append(Kind.SYMBOL, text, span)
+                self.append(TokenKind.SYMBOL, text, span)
             case "name":
-                self.append(Kind.KEYWORD if text in KEYWORDS else Kind.NAME, text, span)
+                self.append(TokenKind.KEYWORD if text in KEYWORDS else TokenKind.NAME, text, span)
             case "int":
                 # Twenty digits are out of range already; more would only cost time.
-                self.append(Kind.INT, text, span, int((text.lstrip("0") or "0")[:20]))
+                self.append(TokenKind.INT, text, span, int((text.lstrip("0") or "0")[:20]))
             case "real":
-                self.append(Kind.REAL, text, span, float(text))
+                self.append(TokenKind.REAL, text, span, float(text))
             case "string":
-                self.append(Kind.STRING, text, span, self.decoded(text, span))
+                self.append(TokenKind.STRING, text, span, self.decoded(text, span))
             case _:
                 self.mistake(group, text, span)
 
     def mistake(self, group: str, text: str, span: Span) -> None:
-        """Report what is no token, and put in its place the token that was probably meant."""
+        """Report an invalid token and replace it by the token that was probably meant."""
         match group:
             case "open_comment":
                 opening = self.span(span.start, span.start + 2)
@@ -151,17 +153,18 @@ class _Scanner:
                 self.result.bad_lines.add(self.span(span.end, span.end).line)
                 self.result.cut = True
             case "bad_number":
-                self.error(messages.BAD_NUMBER, span, text=text[:40])
-                self.append(Kind.INT, text, span, 0)
+                self.error(messages.BAD_NUMBER, span, hint=_number_hint(text), text=text[:40])
+                self.append(TokenKind.INT, text, span, 0)
             case "open_string":
                 self.error(messages.UNCLOSED_STRING, span)
-                self.append(Kind.STRING, text, span, "")
+                self.append(TokenKind.STRING, text, span, "")
             case "quoted":
                 self.error(messages.SINGLE_QUOTES, span, text=text.strip("'“”„«»\""))
-                self.append(Kind.STRING, text, span, "")
+                self.append(TokenKind.STRING, text, span, "")
             case _:
+                where = self.span(span.start, span.start + 1) if group == "hash" else span
                 self.error(
-                    messages.ILLEGAL_CHARACTER, span, hint=_character_hint(text), character=_shown(text[0])
+                    messages.ILLEGAL_CHARACTER, where, hint=_character_hint(text), character=_shown(text[0])
                 )
 
     def decoded(self, text: str, span: Span) -> str:
@@ -181,10 +184,10 @@ class _Scanner:
 
         return _ESCAPE.sub(replace, text[1:-1])
 
-    def append(self, kind: Kind, text: str, span: Span, value: int | float | str | None = None) -> None:
+    def append(self, kind: TokenKind, text: str, span: Span, value: int | float | str | None = None) -> None:
         self.result.tokens.append(Token(kind, text, span, value))
 
-    def error(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
+    def error(self, message: FindingKind, span: Span, *, hint: str | None = None, **values: object) -> None:
         self.found.add(message.at(span, hint=hint, **values))
         self.result.bad_lines.add(span.line)
 
@@ -198,17 +201,35 @@ def _shown(character: str) -> str:
     return f"'{character}' ({number})" if character.isprintable() and not character.isspace() else number
 
 
+def _number_hint(text: str) -> str | None:
+    """What to write instead of a number of another language; None for the usual hint."""
+    if re.fullmatch(r"0[xX][0-9a-fA-F]{1,15}|0[bB][01]{1,60}|0[oO][0-7]{1,20}", text):
+        return f"L has only decimal numbers: write {int(text, 0)}"
+    plain = text.replace("_", "")
+    if plain != text and plain.isdigit():
+        return f"write {plain[:40]}"
+    if suffixed := re.fullmatch(r"(\d+(?:\.\d+)?)[fFdDlLuU]{1,3}", text):
+        return f"write {suffixed[1][:40]}"
+    return None
+
+
 def _character_hint(text: str) -> str | None:
-    """A better hint for characters that word processors and web pages put in; None keeps the usual one."""
+    """The hint for characters that word processors and web pages insert; None for the usual one."""
     character = text[0]
     if character in "“”„‟«»":
         return 'write the straight quote "'
     if character in "‘’":
-        return "remove it; text stands in straight double quotes"
+        return "remove it; a string is in straight double quotes"
     if character in "–—−":
         return "write the minus sign -"
     if character == "#":
+        if re.match(r"#\s*include\b", text):
+            return 'write include "file.L"; without the #; headers of C and C++ have no use in L'
+        if re.match(r"#\s*(define|pragma|ifdef|ifndef|if|else|endif|undef)\b", text):
+            return "L has no preprocessor; leave the line out. A comment begins with //"
         return "a comment begins with //"
+    if character == "@" and len(text) > 1:
+        return "L has no decorators and annotations; leave it out"
     if character.isspace() or not character.isprintable():
         return "it cannot be seen; replace it by a plain space"
     return None

@@ -1,7 +1,7 @@
-"""The raw syntax tree: what was written, before any name means anything.
+"""The raw syntax tree, before names are resolved.
 
 The parser builds it, the checker turns it into tree.py. Where a piece of text made no sense there is a
-`Bad` node; the checker says nothing about it, because the parser has.
+`Bad` node, which the checker does not report again.
 """
 
 from __future__ import annotations
@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from lfield.lang.tree import MethodKind, UnitKind, Usage
-from lfield.text.source import Source, Span
+from lfield.text.source_text import Source, Span
 
-#: The name of a type that could not be read; nobody can write it.
+#: The name of a type that could not be read; not a valid name of L.
 BAD_TYPE = "?"
 
 
@@ -72,7 +72,7 @@ class Unary(Expr):
 
 @dataclass(slots=True, eq=False)
 class Binary(Expr):
-    """Any operator with two sides; `sign` is where the operator stands."""
+    """Any operator with two sides; `sign` is the operator."""
 
     operator: str
     sign: Span
@@ -82,7 +82,7 @@ class Binary(Expr):
 
 @dataclass(slots=True, eq=False)
 class Assign(Expr):
-    """`target = value` or `target += value`; `sign` is where the operator stands."""
+    """`target = value` or `target += value`; `sign` is the operator."""
 
     operator: str
     sign: Span
@@ -92,7 +92,7 @@ class Assign(Expr):
 
 @dataclass(slots=True, eq=False)
 class Member(Expr):
-    """`object.name`; `place` is where the name stands."""
+    """`object.name`; `place` is the name."""
 
     object: Expr
     name: str
@@ -160,7 +160,7 @@ class Empty(Stmt):
 
 
 @dataclass(slots=True, eq=False)
-class Block(Stmt):
+class BlockStmt(Stmt):
     """`{ ... }`."""
 
     body: list[Stmt]
@@ -168,7 +168,7 @@ class Block(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Declare(Stmt):
-    """`T name;` or `T name = value;`; `place` is where the name stands."""
+    """`T name;` or `T name = value;`; `place` is the name."""
 
     type: TypeName
     name: str
@@ -212,7 +212,7 @@ class For(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Each(Stmt):
-    """`for (T name : array) body`; `place` is where the name stands."""
+    """`for (T name : array) body`; `place` is the name."""
 
     type: TypeName
     name: str
@@ -247,7 +247,7 @@ class Throw(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Catch:
-    """`catch (T name) body`; `place` is where the name stands."""
+    """`catch (T name) body`; `place` is the name."""
 
     type: TypeName
     name: str
@@ -266,14 +266,14 @@ class Try(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Together(Stmt):
-    """`together body`; `span` is the word."""
+    """`together body`; `span` is the keyword."""
 
     body: Stmt
 
 
 @dataclass(slots=True, eq=False)
 class Within(Stmt):
-    """`within (seconds) body`; `span` is the word."""
+    """`within (seconds) body`; `span` is the keyword."""
 
     seconds: Expr
     body: Stmt
@@ -281,9 +281,9 @@ class Within(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Reserve(Stmt):
-    """`reserve (who) body`; `span` is the word."""
+    """`reserve (target) body`; `span` is the keyword."""
 
-    who: Expr
+    target: Expr
     body: Stmt
 
 
@@ -291,7 +291,7 @@ class Reserve(Stmt):
 
 
 @dataclass(slots=True, eq=False)
-class Parameter:
+class ParameterDecl:
     """`T name`."""
 
     type: TypeName
@@ -316,7 +316,7 @@ class Method:
 
     kind: MethodKind
     name: str
-    parameters: list[Parameter]
+    parameters: list[ParameterDecl]
     result: TypeName | None
     public: bool
     synchronized: bool
@@ -352,7 +352,7 @@ class Include:
 
 
 @dataclass(slots=True, eq=False)
-class File:
+class ParsedFile:
     """One parsed file; `broken` when units may be missing.
 
     `types` are the names of types it mentions, `called` the names it calls without an object.

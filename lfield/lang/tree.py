@@ -13,7 +13,7 @@ from typing import Literal
 
 from lfield.lang.types import Type
 from lfield.manifest import DeviceManifest, Instruction
-from lfield.text.source import Source, Span
+from lfield.text.source_text import Source, Span
 
 UnitKind = Literal["class", "resource", "coordinator"]
 Usage = Literal["global", "resource", "coordinator"]
@@ -34,7 +34,7 @@ class Local:
 
 @dataclass(slots=True, eq=False)
 class Field:
-    """A field; `index` counts from 0 within its unit. One of a DeviceType says which one it is."""
+    """A field; `index` counts from 0 within its unit. A DeviceType names the device type."""
 
     name: str
     type: Type
@@ -91,6 +91,10 @@ class Unit:
         """Add a method."""
         self.methods.append(made)
         self._methods.setdefault((made.name, made.kind), []).append(made)
+
+    def mark_thrown(self) -> None:
+        """Objects of this class become exceptions."""
+        self.thrown = True
 
     def field(self, name: str) -> Field | None:
         """The field of that name."""
@@ -258,8 +262,8 @@ class Query(Expr):
 
 
 @dataclass(slots=True, eq=False)
-class Library(Expr):
-    """A function of the library (lang/library.py); `operation` names the instruction it becomes."""
+class LibraryCall(Expr):
+    """A function of the library (lang/language_library.py); `operation` names the instruction it becomes."""
 
     operation: str
     arguments: list[Expr]
@@ -369,13 +373,13 @@ class Try(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Together(Stmt):
-    """A body whose `Begin`s are worked at one time; it ends when all of them have come back."""
+    """A body whose `StartCall`s run concurrently; it ends when all of them have returned."""
 
     body: list[Stmt]
 
 
 @dataclass(slots=True, eq=False)
-class Begin(Stmt):
+class StartCall(Stmt):
     """A portal call of the innermost `together` around it, or the call of an offer.
 
     `target` takes the result when the block ends: a local or an element of an array; None drops it.
@@ -387,7 +391,7 @@ class Begin(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Within(Stmt):
-    """A body that is given up after so many seconds."""
+    """A body with a time limit in seconds."""
 
     seconds: Expr
     body: list[Stmt]
@@ -395,14 +399,14 @@ class Within(Stmt):
 
 @dataclass(slots=True, eq=False)
 class Reserve(Stmt):
-    """A body during which nobody else is served by `who`: a proxy, an offer, or an array of them."""
+    """A body during which `target` (a proxy, an offer, or an array of them) serves no other coordinator."""
 
-    who: Expr
+    target: Expr
     body: list[Stmt]
 
 
 @dataclass(slots=True, eq=False)
-class Block(Stmt):
+class BlockStmt(Stmt):
     """Statements with a scope of their own."""
 
     body: list[Stmt]

@@ -43,13 +43,13 @@ REAL = Type("real")
 STRING = Type("string")
 VOID = Type("void")
 NULL = Type("null")
-#: The type of an expression that already has an error; it fits everywhere, so one mistake is told once.
+#: The type of an expression that already has an error; it fits everywhere, so one mistake is reported once.
 UNKNOWN = Type("unknown")
 #: `Exception`: what `catch (Exception e)` binds; every object fits it, only throw and three methods take it.
 EXCEPTION = ClassType("Exception")
 
 #: The built-in exception classes (appendix I names the first two), besides `Exception` itself, and what each
-#: is a kind of: whoever takes that takes both. A robot in trouble with its hardware is one case, however
+#: is a kind of: a catch of that catches both. A robot in trouble with its hardware is one case, however
 #: the hardware failed; the others have nothing in common that one handler could do about them.
 BUILTIN_EXCEPTIONS = {
     "UnreachableResourceException": "Exception",
@@ -82,13 +82,13 @@ def is_reference(kind: Type) -> bool:
     return kind not in (BOOLEAN, INT, REAL, VOID)
 
 
-def distance(given: Type, wanted: Type) -> int | None:
+def distance(given: Type, expected: Type) -> int | None:
     """How many steps up a class is a kind of another one: 0 for itself; None when it is none.
 
     Every class is a kind of `Exception`, since its objects can be thrown.
     """
     steps = 0
-    while given != wanted:
+    while given != expected:
         if not isinstance(given, ClassType) or given == EXCEPTION:
             return None
         given = ClassType(BUILTIN_EXCEPTIONS.get(given.name, EXCEPTION.name))

@@ -1,7 +1,7 @@
-"""What agents may use and what their devices are bound to: plain data.
+"""Bindings as plain data: limits of agents, and the drivers and endpoints of their devices.
 
-A devices file is read by `bindings_file`. Nothing is commanded from a default: a needed device that is not
-bound is an error, unless the mission is simulated; then it gets a fake.
+`bindings_file` reads them. No device is commanded by default: a needed device that is not bound is an error,
+unless the mission is simulated; then it gets a simulated device.
 """
 
 from __future__ import annotations
@@ -12,59 +12,59 @@ from dataclasses import dataclass, field, replace
 import msgspec
 
 from lfield.driver.binding import SIMULATED, DeviceBinding
+from lfield.driver.driver_index import DriverInfo, DriverLookup
 from lfield.driver.frame import Origin, Placement, Pose, Vector
-from lfield.driver.known import Drivers, KnownDriver
 from lfield.errors import BindingError
-from lfield.guard.core import SILENCE
-from lfield.text.suggest import listed
-from lfield.vm.contract import Limits
+from lfield.guard.core import HOST_TIMEOUT
+from lfield.text.suggestions import listed
+from lfield.vm.engine_interface import AgentLimits
 
-#: A heap is addressed by 32-bit offsets; below a page not even an empty agent fits.
+#: Bytes. A heap is addressed by 32-bit offsets; an empty agent needs a page.
 MIN_HEAP, MAX_HEAP = 1 << 12, 1 << 31
 
-#: How long a host with fakes may be silent, in seconds: nothing can be hurt, and a desk is busy. What a
-#: devices file says is for the field.
+#: Seconds that a host with simulated devices may be silent: nothing can be hurt, and a desktop computer may
+#: be busy. The value in a devices file is for the field.
 SIM_SILENCE = 2.0
 
-#: How long a lease of a fenced coordinator's host may last, in seconds, and what it is unless it is chosen.
-SHORTEST_LEASE, LONGEST_LEASE, USUAL_LEASE = 0.2, 60.0, 2.0
+#: Range and default of the lease of a fenced coordinator's host, in seconds.
+MIN_LEASE, MAX_LEASE, DEFAULT_LEASE = 0.2, 60.0, 2.0
 
-#: How long a reservation may last unheard, and what it is unless it is chosen; for how long others wait for
-#: what is reserved, at most and unless it is chosen. In seconds.
-SHORTEST_RESERVATION, LONGEST_RESERVATION, USUAL_RESERVATION = 0.5, 600.0, 6.0
-LONGEST_RESERVED_WAIT, USUAL_RESERVED_WAIT = 3600.0, 5.0
+#: Range and default of the lease of a reservation, and range and default of the time that others wait for a
+#: reserved resource, in seconds.
+MIN_RESERVATION, MAX_RESERVATION, DEFAULT_RESERVATION = 0.5, 600.0, 6.0
+MAX_RESERVED_WAIT, DEFAULT_RESERVED_WAIT = 3600.0, 5.0
 
-#: More hosts than these do not decide that another one is lost: each of them talks to all others.
-MOST_MEMBERS = 9
+#: Maximum number of hosts that decide on a loss: each of them talks to all others.
+MAX_MEMBERS = 9
 
-#: What a binding states of an attribute.
-Stated = float | int | bool | str | tuple[str, ...]
+#: A value of an attribute that a binding states.
+StatedValue = float | int | bool | str | tuple[str, ...]
 
-#: Metres: how far from the team's origin anybody may be, and how high or low an origin or a place.
-FARTHEST, HIGHEST, LOWEST = 1e6, 1e5, -1e4
+#: Metres: maximum distance from the team's origin, and range of the altitude of an origin or position.
+MAX_DISTANCE, MAX_ALTITUDE, MIN_ALTITUDE = 1e6, 1e5, -1e4
 
-#: Agent id -> field name -> device type: what a mission needs. Every agent is a key, also without devices.
-Needed = Mapping[str, Mapping[str, str]]
+#: Agent id -> field name -> device type: the needs of a mission. Every agent is a key, also without devices.
+NeededDevices = Mapping[str, Mapping[str, str]]
 
 
 @dataclass(frozen=True, slots=True)
-class Recovery:
-    """Who decides that a coordinator is lost (appendix I), and how long a host may run one unheard (s).
+class RecoverySettings:
+    """The hosts that decide that a coordinator is lost (appendix I), and the lease in seconds.
 
-    `members` are hosts; more than half of them decide. In a devices file none means all.
+    A majority of the `members` decides. No members in a devices file means all hosts.
     """
 
-    lease: float = USUAL_LEASE
+    lease: float = DEFAULT_LEASE
     members: tuple[str, ...] = ()
 
-    def among(self, hosts: Collection[str]) -> Recovery:
-        """The same with its members in the order of the team. Raises BindingError when nobody has chosen them
-        among too many."""
-        if not self.members and len(hosts) > MOST_MEMBERS:
+    def among(self, hosts: Collection[str]) -> RecoverySettings:
+        """The same with its members in the order of the team. Raises BindingError for a large team without
+        members."""
+        if not self.members and len(hosts) > MAX_MEMBERS:
             raise BindingError(
                 [
                     f"a team of {len(hosts)} hosts with a coordinator that calls heartbeatInterval needs the "
-                    f"names of at most {MOST_MEMBERS} that decide: add 'recovery: {{members: [...]}}' to the "
+                    f"names of at most {MAX_MEMBERS} that decide: add 'recovery: {{members: [...]}}' to the "
                     "devices file"
                 ]
             )
@@ -76,26 +76,27 @@ class Recovery:
 
 @dataclass(frozen=True, slots=True)
 class ReservationTimes:
-    """Of `reserve`, in seconds: how long a reservation lasts when nothing is heard of its holder, and for how
-    long others wait for what is reserved; `waits` are those of single resources."""
+    """Times of `reserve` in seconds: lease of a reservation without a heartbeat of its holder, and the time
+    that others wait for a reserved resource; `waits` are those of single resources."""
 
-    lease: float = USUAL_RESERVATION
-    wait: float = USUAL_RESERVED_WAIT
+    lease: float = DEFAULT_RESERVATION
+    wait: float = DEFAULT_RESERVED_WAIT
     waits: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class MissionStart:
-    """What a new start of a coordinator does not wait for: the hosts in `without`."""
+    """Hosts (`without`) that a restarted coordinator does not wait for."""
 
     without: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
 class Frames:
-    """The team's frame: its `origin` on the Earth, and the poses in it of hosts and of agents.
+    """The team's frame: its `origin` on the Earth, and the poses of hosts and agents in it.
 
-    An agent has its own, else its host's. `everybody` are all agents in the order of the deployment.
+    The pose of an agent takes precedence over that of its host. `everybody` are all agents in the order of
+    the deployment.
     """
 
     origin: Origin | None = None
@@ -104,16 +105,16 @@ class Frames:
     everybody: tuple[str, ...] = ()
 
     def __bool__(self) -> bool:
-        """Whether the team has a frame at all."""
+        """Whether the team has a frame."""
         return self.origin is not None or bool(self.hosts or self.agents)
 
     def place(self, host: str) -> Vector | None:
-        """Where a host is, None where nobody has said."""
+        """The position of a host, None where it is not given."""
         pose = self.hosts.get(host)
         return None if pose is None else (pose.north, pose.east, pose.down)
 
-    def of(self, agent: str) -> Placement | None:
-        """What is said of where an agent is; None for nothing."""
+    def placement(self, agent: str) -> Placement | None:
+        """The placement of an agent; None where it is not given."""
         pose = self.agents.get(agent)
         if self.origin is None and pose is None:
             return None
@@ -124,32 +125,32 @@ class Frames:
 class Bindings:
     """Limits of agents, and devices by agent and field; times are in seconds.
 
-    `attributes` is what they state of single agents in the words of the registry, a set as its members.
-    `engine` says what runs the program (`lfield.vm.wasm.choice`).
+    `attributes` is what they state of single agents in units of the registry, a set as its members.
+    `engine` selects the engine that runs the program (`lfield.vm.wasm.engine_selection`).
     """
 
-    agents: Mapping[str, Limits] = field(default_factory=dict)
+    agents: Mapping[str, AgentLimits] = field(default_factory=dict)
     devices: Mapping[str, Mapping[str, DeviceBinding]] = field(default_factory=dict)
-    defaults: Limits = field(default_factory=Limits)
+    defaults: AgentLimits = field(default_factory=AgentLimits)
     unreachable_after: float = 10.0
-    silence: float = SILENCE
-    recovery: Recovery = field(default_factory=Recovery)
-    attributes: Mapping[str, Mapping[str, Stated]] = field(default_factory=dict)
+    silence: float = HOST_TIMEOUT
+    recovery: RecoverySettings = field(default_factory=RecoverySettings)
+    attributes: Mapping[str, Mapping[str, StatedValue]] = field(default_factory=dict)
     frames: Frames = field(default_factory=Frames)
     reservations: ReservationTimes = field(default_factory=ReservationTimes)
     engine: str = "auto"
     start: MissionStart = field(default_factory=MissionStart)
 
     def reserved_wait(self, agent: str) -> float:
-        """For how many seconds others wait for a resource that somebody has reserved."""
+        """Seconds for which others wait for a reserved resource."""
         return self.reservations.waits.get(agent, self.reservations.wait)
 
-    def limits(self, agent: str) -> Limits:
-        """The limits of an agent: its own, then the defaults of the file, then the machine's."""
+    def limits(self, agent: str) -> AgentLimits:
+        """The limits of an agent: its own, then the defaults of the file, then those of the machine."""
         return self.agents.get(agent, self.defaults)
 
     def of(self, agents: Collection[str]) -> list[DeviceBinding]:
-        """Every device of these agents, as the guards of their host need them."""
+        """Every device of these agents, for the guards of their host."""
         return [device for agent in agents for device in self.devices.get(agent, {}).values()]
 
     @property
@@ -157,55 +158,58 @@ class Bindings:
         """Every device of the mission."""
         return self.of(list(self.devices))
 
-    def see_that_nothing_outlives_a_lease(self) -> None:
-        """Raise BindingError when the devices of a host that stands still go on for longer than its lease.
+    def check_lease_bounds(self) -> None:
+        """Raise BindingError when the devices of a failed host may move for longer than its lease.
 
-        Its guards stop them after the silence of the host; at the end of the lease another host may go on.
+        Its guards stop them after `silence` seconds; after the lease another host may take over.
         """
         silence, lease = self.silence, self.recovery.lease
         if silence <= lease or all(device.is_sensor for device in self.all):
             return
         raise BindingError(
             [
-                f"devices go safe when their host was silent for {silence:g} s, and its lease ends after "
-                f"{lease:g} s, when another host may go on: write 'silence: {lease:g}' or less in the "
+                f"devices go safe after their host was silent for {silence:g} s, but its lease ends after "
+                f"{lease:g} s, when another host may take over: write 'silence: {lease:g}' or less in the "
                 f"devices file, or 'recovery: {{lease: {silence:g}}}' or more"
             ]
         )
 
 
-def each_needed(needed: Needed) -> Iterator[tuple[str, str, str]]:
+def needed_devices_of(needed: NeededDevices) -> Iterator[tuple[str, str, str]]:
     """Agent, field and device type of every needed device."""
     for agent, fields in needed.items():
         for name, device_type in fields.items():
             yield agent, name, device_type
 
 
-def undoubled(needed: Needed, doubled: Collection[str]) -> Needed:
-    """What is needed when a test stands in for some agents, which then have no devices."""
+def without_doubles(needed: NeededDevices, doubled: Collection[str]) -> NeededDevices:
+    """The needs without those of agents that a test replaces, which have no devices."""
     return {agent: {} if agent in doubled else fields for agent, fields in needed.items()}
 
 
-def maker_of(drivers: Drivers, device_type: str) -> KnownDriver | None:
-    """The driver that makes a device type."""
+def driver_of(drivers: DriverLookup, device_type: str) -> DriverInfo | None:
+    """The driver that provides a device type."""
     return next((driver for driver in drivers.by_driver.values() if device_type in driver.manifests), None)
 
 
 def on_fakes(
-    bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str] | None = None
+    bindings: Bindings,
+    needed: NeededDevices,
+    drivers: DriverLookup,
+    resources: Mapping[str, str] | None = None,
 ) -> Bindings:
-    """Every needed device on a fake, with the limits and options of the file where it has them; SIM_SILENCE,
-    or the lease where that is shorter.
+    """Every needed device simulated, with the limits and options of the file where it has them; the silence
+    is SIM_SILENCE, or the lease where that is shorter.
 
-    Every needed device type has a driver. `resources` are the types of the agents: by them a driver knows
-    what kind of device a fake shall be. Raises BindingError for devices that must be bound even so.
+    Every needed device type has a driver. `resources` are the types of the agents, from which a driver
+    derives the kind of simulated device. Raises BindingError for devices that must be bound even then.
     """
-    lacking = _lacking(bindings, needed, drivers, resources or {})
-    lacking += nowhere(bindings, needed, drivers)
+    lacking = _without_fake(bindings, needed, drivers, resources or {})
+    lacking += unplaced_devices(bindings, needed, drivers)
     if lacking:
         raise BindingError(lacking)
     simulated: dict[str, dict[str, DeviceBinding]] = {agent: {} for agent in needed}
-    for agent, name, device_type in each_needed(needed):
+    for agent, name, device_type in needed_devices_of(needed):
         bound = bindings.devices.get(agent, {}).get(name)
         simulated[agent][name] = (
             _faked(bound) if bound else _fake(bindings, agent, name, device_type, drivers, resources or {})
@@ -214,34 +218,37 @@ def on_fakes(
 
 
 def chosen_fakes(
-    bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str]
+    bindings: Bindings, needed: NeededDevices, drivers: DriverLookup, resources: Mapping[str, str]
 ) -> list[str]:
-    """Which fakes `on_fakes` has chosen where nobody has bound the device, a line for each choice."""
+    """The default simulated devices that `on_fakes` has chosen for unbound devices, a line for each
+    choice."""
     devices: dict[str, list[str]] = {}
-    for agent, name, device_type in each_needed(needed):
-        driver, bound = maker_of(drivers, device_type), bindings.devices.get(agent, {}).get(name)
+    for agent, name, device_type in needed_devices_of(needed):
+        driver, bound = driver_of(drivers, device_type), bindings.devices.get(agent, {}).get(name)
         if driver is not None and bound == _fake(bindings, agent, name, device_type, drivers, resources):
-            words = driver.manifests[device_type].fake_words(resources.get(agent, ""))
-            devices.setdefault(words, []).append(f"{agent}.{name}")
+            label = driver.manifests[device_type].fake_label(resources.get(agent, ""))
+            devices.setdefault(label, []).append(f"{agent}.{name}")
     return [
-        f"{', '.join(names)}: {words}; a devices file chooses another"
-        for words, names in devices.items()
-        if words
+        f"{', '.join(names)}: {label}; a devices file chooses another"
+        for label, names in devices.items()
+        if label
     ]
 
 
 def _faked(device: DeviceBinding) -> DeviceBinding:
-    """A bound device on its fake; devices of one endpoint share one."""
+    """A bound device, simulated; devices of one endpoint share one simulator."""
     if device.endpoint.startswith(SIMULATED):
         return device
     return msgspec.structs.replace(device, endpoint=f"{SIMULATED}{device.endpoint or device.name}")
 
 
-def _lacking(bindings: Bindings, needed: Needed, drivers: Drivers, resources: Mapping[str, str]) -> list[str]:
-    """The devices of which no fake can be made without a binding, a sentence each."""
+def _without_fake(
+    bindings: Bindings, needed: NeededDevices, drivers: DriverLookup, resources: Mapping[str, str]
+) -> list[str]:
+    """The devices that cannot be simulated without a binding, a sentence each."""
     problems = []
-    for agent, name, device_type in each_needed(needed):
-        driver = maker_of(drivers, device_type)
+    for agent, name, device_type in needed_devices_of(needed):
+        driver = driver_of(drivers, device_type)
         if driver is None or name in bindings.devices.get(agent, {}):
             continue
         manifest = driver.manifests[device_type]
@@ -249,29 +256,29 @@ def _lacking(bindings: Bindings, needed: Needed, drivers: Drivers, resources: Ma
         missing = [option.name for option in manifest.options if option.name not in known]
         if missing:
             problems.append(
-                f"{agent}.{name} ({device_type}) needs {', '.join(missing)} also on a fake: bind it in a "
-                "devices file"
+                f"{agent}.{name} ({device_type}) needs {', '.join(missing)} also when simulated: bind it in "
+                "a devices file"
             )
     return problems
 
 
-def nowhere(bindings: Bindings, needed: Needed, drivers: Drivers) -> list[str]:
-    """The devices that have places, of which nobody could tell where in the team's frame; a sentence each.
+def unplaced_devices(bindings: Bindings, needed: NeededDevices, drivers: DriverLookup) -> list[str]:
+    """The devices with positions whose position in the team's frame is unknown; a sentence each.
 
-    They would be about a place of their own, and be compared with the others'.
+    Their positions would be relative to their own origin, and compared with those of others.
     """
     problems = []
-    for agent, name, device_type in each_needed(needed) if bindings.frames else ():
-        driver, placed = maker_of(drivers, device_type), bindings.frames.of(agent)
+    for agent, name, device_type in needed_devices_of(needed) if bindings.frames else ():
+        driver, placed = driver_of(drivers, device_type), bindings.frames.placement(agent)
         manifest = None if driver is None else driver.manifests[device_type]
         if manifest is None or not manifest.has_places or (placed is not None and placed.pose is not None):
             continue
         if placed is None or not manifest.geographic:
-            lacks = "" if placed is None else ", since it does not find itself on the Earth"
-            origin = ", or the team an origin" if manifest.geographic else ""
+            lacks = "" if placed is None else ", since it has no global position"
+            origin = ", or give the team an origin" if manifest.geographic else ""
             problems.append(
-                f"{agent}.{name} ({device_type}) tells places, and nothing says where they are in the team's "
-                f"frame{lacks}: give {agent} or its host a 'frame' in the devices file{origin}"
+                f"{agent}.{name} ({device_type}) reports positions, but their place in the team's "
+                f"frame is unknown{lacks}: give {agent} or its host a 'frame' in the devices file{origin}"
             )
     return problems
 
@@ -281,12 +288,12 @@ def _fake(
     agent: str,
     name: str,
     device_type: str,
-    drivers: Drivers,
+    drivers: DriverLookup,
     resources: Mapping[str, str],
 ) -> DeviceBinding:
-    """A device that nobody has bound, on a fake of its own: there is nothing that could be hurt."""
-    driver = maker_of(drivers, device_type)
-    assert driver is not None, "a type without a driver has been told before"
+    """A simulated device for a device that is not bound."""
+    driver = driver_of(drivers, device_type)
+    assert driver is not None, "types without a driver are reported before"
     manifest = driver.manifests[device_type]
     return DeviceBinding(
         agent=agent,
@@ -297,12 +304,12 @@ def _fake(
         safe_state=manifest.default_safe_state,
         options=manifest.fake_options(resources.get(agent, "")),
         waivers=[waiver for waiver, _ in manifest.waivers],
-        frame=bindings.frames.of(agent),
+        frame=bindings.frames.placement(agent),
     )
 
 
-def with_files(bindings: Bindings, drivers: Drivers, place: Callable[[str], str]) -> Bindings:
-    """The same with every file that an option names at another place."""
+def with_files(bindings: Bindings, drivers: DriverLookup, place: Callable[[str], str]) -> Bindings:
+    """The same with every file of an option replaced by `place`."""
 
     def moved(device: DeviceBinding) -> DeviceBinding:
         options = drivers.by_driver[device.driver].manifests[device.type].options

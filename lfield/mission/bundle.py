@@ -1,22 +1,22 @@
-"""A bundle: a mission in one file (`mission.lfm`), built on the desk, run by robots.
+"""A bundle: a mission in one file (`mission.lfm`), built on the ground computer, run by robots.
 
     "LFMB"  u16 version  u16 size of the signature  u32 length of the table  32 bytes SHA-256 of the table
     table  parts  signature
 
-The table is msgpack: for each part its name, its size and the SHA-256 of its bytes, in the order in which
-they follow one another. So the digest in the header is one of all, and what the signature signs
-(`authority/signature.py`); there need not be one.
+The table is msgpack: for each part its name, its size and the SHA-256 of its bytes, in the order of the
+parts. So the digest in the header covers all parts; the optional signature signs it
+(`authority/bundle_signature.py`).
 
     program   the core of the program; its digest is the program's identity
     team      types, ids, hosts and arguments of all agents; its digest is that of the deployment
-    registry  what the team can do (registry_part.py); empty when the program names no capability
+    registry  capabilities of the team (registry_part.py); empty when the program names no capability
     bindings  limits, devices, and the addresses of hosts
-    drivers   what is known of the drivers of these devices
-    access    who may do what (access/rules.py); empty when there is no access file
-    texts     name, warnings, sources and line maps: what messages are made of
+    drivers   manifests of the drivers of these devices
+    access    access rules (access/access_rules.py); empty when there is no access file
+    texts     name, warnings, sources and line maps, for messages
 
-The same mission is always the same bytes. Reading is safe for bytes from anywhere: nothing is executed, every
-length and type is checked, and the verifier has passed the program before anybody gets it.
+Encoding is deterministic. Decoding is safe for untrusted bytes: nothing is executed, every length and type is
+checked, and the verifier checks the program before it is used.
 """
 
 from __future__ import annotations
@@ -32,29 +32,29 @@ import msgspec
 from lfield.bytecode import encoding
 from lfield.bytecode.program import Debug, Program
 from lfield.capability.model import Registry
-from lfield.driver.known import KnownDriver, KnownDrivers
+from lfield.driver.driver_index import DriverIndex, DriverInfo
 from lfield.errors import BindingError, BundleError, InputFileError, ProgramFileError
-from lfield.mission.access.release import Release
-from lfield.mission.access.rules import Access, decode_access, encode_access
+from lfield.mission.access.access_rules import Access, decode_access, encode_access
+from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.bindings import Bindings, with_files
 from lfield.mission.bundle_check import check_bindings, check_rows
 from lfield.mission.mission import Mission, needed_devices
-from lfield.mission.team import Row, Team, encode_rows, team_of
-from lfield.text.files import read_head, reason
+from lfield.mission.team import Team, TeamRow, encode_rows, team_of
+from lfield.text.input_files import error_reason, read_head
 
-#: What the name of a bundle ends in.
+#: The suffix of a bundle.
 SUFFIX = ".lfm"
 MAGIC = b"LFMB"
-VERSION = 2
-#: A larger file is refused unread.
+VERSION = 3
+#: A larger file is rejected unread.
 MAX_SIZE = 64 << 20
 
 _HEADER = struct.Struct("<4sHHI32s")
-#: The parts in their order.
+#: The parts in order.
 PARTS = ("program", "team", "registry", "bindings", "drivers", "access", "texts")
 
 
-class Part(NamedTuple):
+class PartEntry(NamedTuple):
     """A row of the table."""
 
     name: str
@@ -62,14 +62,14 @@ class Part(NamedTuple):
     digest: bytes
 
 
-class Bound(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The part `bindings`: what a computer may have its own of. `addresses` are "host:port" by host."""
+class BindingsPart(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The part `bindings`: what a host may override. `addresses` are "host:port" by host."""
 
     bindings: Bindings
     addresses: dict[str, str]
 
 
-class Texts(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+class TextsPart(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The part `texts`."""
 
     name: str
@@ -77,24 +77,24 @@ class Texts(msgspec.Struct, frozen=True, array_like=True, forbid_unknown_fields=
     debug: Debug
 
 
-class Contents(NamedTuple):
+class BundleContents(NamedTuple):
     """The parts of a bundle, checked against their digests, and the digest of all.
 
-    `signature` is as it came, and nobody has looked at it; empty where nobody has signed.
+    `signature` is not verified; empty for an unsigned bundle.
     """
 
     digest: bytes
-    table: tuple[Part, ...]
+    table: tuple[PartEntry, ...]
     parts: Mapping[str, memoryview]
     signature: bytes
 
 
 _encoder = msgspec.msgpack.Encoder()
-_table = msgspec.msgpack.Decoder(list[Part])
-_rows = msgspec.msgpack.Decoder(list[Row])
-_bound = msgspec.msgpack.Decoder(Bound)
-_drivers = msgspec.msgpack.Decoder(dict[str, KnownDriver])
-_texts = msgspec.msgpack.Decoder(Texts)
+_table = msgspec.msgpack.Decoder(list[PartEntry])
+_rows = msgspec.msgpack.Decoder(list[TeamRow])
+_bound = msgspec.msgpack.Decoder(BindingsPart)
+_drivers = msgspec.msgpack.Decoder(dict[str, DriverInfo])
+_texts = msgspec.msgpack.Decoder(TextsPart)
 
 
 def encode(mission: Mission) -> bytes:
@@ -105,21 +105,23 @@ def encode(mission: Mission) -> bytes:
         encoding.encode_core(mission.program),
         encode_rows(mission.team.rows),
         b"" if mission.registry is None else encode_registry(mission.registry),
-        _encoder.encode(Bound(mission.bindings, mission.team.reached)),
-        _encoder.encode({name: driver.plain for name, driver in mission.drivers.by_driver.items()}),
+        _encoder.encode(BindingsPart(mission.bindings, mission.team.addresses_by_host)),
+        _encoder.encode(
+            {name: driver.without_local_parts for name, driver in mission.drivers.by_driver.items()}
+        ),
         encode_access(mission.access),
-        _encoder.encode(Texts(mission.name, mission.warnings, mission.program.debug)),
+        _encoder.encode(TextsPart(mission.name, mission.warnings, mission.program.debug)),
     )
-    rows = [Part(name, len(p), hashlib.sha256(p).digest()) for name, p in zip(PARTS, parts, strict=True)]
+    rows = [PartEntry(name, len(p), hashlib.sha256(p).digest()) for name, p in zip(PARTS, parts, strict=True)]
     table = _encoder.encode(rows)
     header = _HEADER.pack(MAGIC, VERSION, 0, len(table), hashlib.sha256(table).digest())
     return b"".join((header, table, *parts))
 
 
-def contents(data: bytes) -> Contents:
-    """The parts of a bundle. Raises BundleError for bytes that are none, or that are damaged."""
+def contents(data: bytes) -> BundleContents:
+    """The parts of a bundle. Raises BundleError for other or damaged bytes."""
     if len(data) < _HEADER.size or data[:4] != MAGIC:
-        raise BundleError("it does not begin as a bundle does")
+        raise BundleError("it does not start with the header of a bundle")
     if len(data) > MAX_SIZE:
         raise BundleError(f"it is larger than {MAX_SIZE >> 20} MiB")
     _, version, size, length, digest = _HEADER.unpack_from(data)
@@ -131,58 +133,58 @@ def contents(data: bytes) -> Contents:
     rest = memoryview(data)[_HEADER.size :]
     table, parts = rest[:length], rest[length : max(length, len(rest) - size)]
     if hashlib.sha256(table).digest() != digest:
-        raise BundleError("it is damaged or cut (the table of its parts is not the one it had)")
+        raise BundleError("it is damaged or truncated (the digest of its table does not match)")
     try:
         rows = tuple(_table.decode(table))
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise BundleError(f"the table of its parts is malformed ({error})") from None
-    return Contents(digest, rows, _split(rows, parts), bytes(rest[length + len(parts) :]))
+    return BundleContents(digest, rows, _split(rows, parts), bytes(rest[length + len(parts) :]))
 
 
 def with_signature(data: bytes, signature: bytes) -> bytes:
-    """The bundle with another signature in place of what it has; its digest stays. Raises BundleError."""
+    """The bundle with another signature, or its first; its digest stays. Raises BundleError."""
     found = contents(data)
     magic, version, _, length, digest = _HEADER.unpack_from(data)
     header = _HEADER.pack(magic, version, len(signature), length, digest)
     return b"".join((header, data[_HEADER.size : len(data) - len(found.signature)], signature))
 
 
-def _split(rows: tuple[Part, ...], data: memoryview) -> dict[str, memoryview]:
-    """The parts by name, each as its digest wants it."""
+def _split(rows: tuple[PartEntry, ...], data: memoryview) -> dict[str, memoryview]:
+    """The parts by name, after a check of their digests."""
     if tuple(row.name for row in rows) != PARTS:
-        raise BundleError("it has other parts than a bundle has")
+        raise BundleError("its parts are not those of a bundle")
     if any(row.size < 0 for row in rows) or sum(row.size for row in rows) != len(data):
-        raise BundleError("it is cut, or something follows it")
+        raise BundleError("it is truncated, or followed by other data")
     found, at = {}, 0
     for row in rows:
         found[row.name] = part = data[at : at + row.size]
         at += row.size
         if hashlib.sha256(part).digest() != row.digest:
-            raise BundleError(f"it is damaged (the digest of its {row.name} does not fit)")
+            raise BundleError(f"it is damaged (the digest of its {row.name} does not match)")
     return found
 
 
 def decode(data: bytes) -> Mission:
-    """The mission in the bytes of a bundle, checked as a whole. Raises BundleError."""
-    whole = contents(data)
-    parts, release = whole.parts, Release(whole.digest, whole.signature)
-    texts: Texts = _decoded("texts", _texts, parts)
+    """The mission in the bytes of a bundle, fully checked. Raises BundleError."""
+    parsed = contents(data)
+    parts, release = parsed.parts, BundleId(parsed.digest, parsed.signature)
+    texts: TextsPart = _decoded("texts", _texts, parts)
     try:
         program = encoding.decode_core(parts["program"], texts.debug)
     except ProgramFileError as error:
-        raise BundleError(f"its program is not sound: {error.reason}") from None
-    bound: Bound = _decoded("bindings", _bound, parts)
+        raise BundleError(f"its program is invalid: {error.reason}") from None
+    bound: BindingsPart = _decoded("bindings", _bound, parts)
     team = _team(_decoded("team", _rows, parts), program, bound.addresses)
-    drivers = KnownDrivers(_decoded("drivers", _drivers, parts))
+    drivers = DriverIndex(_decoded("drivers", _drivers, parts))
     check_bindings(bound.bindings, needed_devices(program, team), drivers, team.hosts)
     registry, access = _registry(parts["registry"], bound.bindings), _access(parts["access"])
-    return _decided(
+    return _check_recovery(
         Mission(texts.name, program, team, bound.bindings, drivers, registry, texts.warnings, access, release)
     )
 
 
-def _decided(mission: Mission) -> Mission:
-    """The mission, if it says who decides that a coordinator is lost."""
+def _check_recovery(mission: Mission) -> Mission:
+    """The mission, after a check that its recovery members are named where required."""
     try:
         _ = mission.recovery
     except BindingError as error:
@@ -194,10 +196,10 @@ def _decoded(name: str, decoder: msgspec.msgpack.Decoder[Any], parts: Mapping[st
     try:
         return decoder.decode(parts[name])
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
-        raise BundleError(f"its {name} cannot be read ({error})") from None
+        raise BundleError(f"its {name} cannot be decoded ({error})") from None
 
 
-def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Team:
+def _team(rows: list[TeamRow], program: Program, addresses: Mapping[str, str]) -> Team:
     check_rows(rows, program.units)
     kinds = {name: kind for name, kind in program.units.items() if kind != "class"}
     return team_of(rows, kinds, {}).at(addresses)
@@ -206,7 +208,7 @@ def _team(rows: list[Row], program: Program, addresses: Mapping[str, str]) -> Te
 def _registry(data: memoryview, bindings: Bindings) -> Registry | None:
     if not data:
         return None
-    # Only a mission that names a capability needs what reads conditions.
+    # Only a mission that names a capability needs the checker of conditions.
     from lfield.mission.registry_part import check_stated, decode_registry
 
     try:
@@ -214,18 +216,18 @@ def _registry(data: memoryview, bindings: Bindings) -> Registry | None:
         check_stated(bindings.attributes, registry)
         return registry
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
-        raise BundleError(f"its registry cannot be read ({error})") from None
+        raise BundleError(f"its registry cannot be decoded ({error})") from None
 
 
 def _access(data: memoryview) -> Access:
     try:
         return decode_access(data)
     except (msgspec.DecodeError, RecursionError, ValueError) as error:
-        raise BundleError(f"its access rules cannot be read ({error})") from None
+        raise BundleError(f"its access rules cannot be decoded ({error})") from None
 
 
 def read(path: Path) -> Mission:
-    """The mission in a file; files that options of its devices name are seen from the folder of the file.
+    """The mission in a file; paths of files in device options are relative to its folder.
 
     Raises InputFileError, and BundleError that names the file.
     """
@@ -240,8 +242,8 @@ def read(path: Path) -> Mission:
 
 
 def read_file(path: Path) -> bytes:
-    """The bytes of a file, so many that one which is too large is known as such. Raises InputFileError."""
+    """The bytes of a file, at most one more than MAX_SIZE. Raises InputFileError."""
     try:
         return read_head(path, MAX_SIZE + 1)
     except (OSError, ValueError) as error:
-        raise InputFileError(str(path), reason(error)) from None
+        raise InputFileError(str(path), error_reason(error)) from None

@@ -1,6 +1,6 @@
-"""A mission as plain data: all that a host runs from, however it came about.
+"""A mission as plain data: everything that a host needs to run it.
 
-On the desk `load` makes it of files; a robot reads it from a bundle. Nothing here knows L or YAML.
+On the ground computer `load` builds it from files; a robot reads it from a bundle. Knows neither L nor YAML.
 """
 
 from __future__ import annotations
@@ -9,32 +9,32 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from lfield.bytecode.acting import fenced_classes
 from lfield.bytecode.program import Program
+from lfield.bytecode.side_effects import fenced_classes
 from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
-from lfield.driver.known import Drivers, KnownDrivers
-from lfield.mission.access.release import FROM_FILES, Release
-from lfield.mission.access.rules import UNWRITTEN, Access, Calls
-from lfield.mission.bindings import Bindings, Frames, Needed, Recovery, chosen_fakes, on_fakes
+from lfield.driver.driver_index import DriverIndex, DriverLookup
+from lfield.mission.access.access_rules import NO_RULES, Access, CallPermissions
+from lfield.mission.access.signed_bundle import FROM_FILES, BundleId
+from lfield.mission.bindings import Bindings, Frames, NeededDevices, RecoverySettings, chosen_fakes, on_fakes
 from lfield.mission.team import Team
 
-#: The attributes that say where an agent is in the team's frame.
-PLACE = frozenset({"north", "east", "down"})
+#: The attributes that give an agent's position in the team's frame.
+POSITION_ATTRIBUTES = frozenset({"north", "east", "down"})
 
-#: The quantity of a vehicle that says whether it stands on the ground.
+#: The quantity of a vehicle that reports whether it is on the ground.
 ON_GROUND = "landed"
 
-#: What the devices of a team are. A team that has none is neither.
-World = Literal["", "fakes", "hardware"]
+#: Kind of a team's devices; '' for a team without devices.
+DeviceWorld = Literal["", "fakes", "hardware"]
 
 
 @dataclass(frozen=True, slots=True)
 class Mission:
-    """Program, team, bindings, the `drivers` of its devices, and who may do what: `access`.
+    """Program, team, bindings, the `drivers` of its devices, and the access rules (`access`).
 
     The `registry` is None when the program names no capability; its live attributes are in their own units.
-    `warnings` are what the compiler had to say, drawn, and which fakes were chosen. `release` is the bundle
+    `warnings` are rendered compiler warnings and the choice of simulated devices. `release` is the bundle
     that it was read from.
     """
 
@@ -42,44 +42,49 @@ class Mission:
     program: Program
     team: Team
     bindings: Bindings
-    drivers: Drivers
+    drivers: DriverLookup
     registry: Registry | None = None
     warnings: tuple[str, ...] = ()
-    access: Access = UNWRITTEN
-    release: Release = FROM_FILES
+    access: Access = NO_RULES
+    release: BundleId = FROM_FILES
 
     @property
     def stated(self) -> Registry | None:
-        """The registry with what bindings state of agents: where those are whose devices do not tell it."""
-        return None if self.registry is None else placed(self.registry, self.team.types, self.bindings.frames)
+        """The registry with attributes from bindings; includes the poses of agents without position
+        telemetry."""
+        return (
+            None
+            if self.registry is None
+            else with_poses(self.registry, self.team.types, self.bindings.frames)
+        )
 
     @property
     def max_block(self) -> int:
-        """The largest block a coordinator of the mission may have, in bytes."""
+        """The maximum block size of a coordinator of the mission, in bytes."""
         return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
 
     @property
-    def needed(self) -> Needed:
-        """For each agent its device fields and their device types."""
+    def needed(self) -> NeededDevices:
+        """By agent its device fields and their device types."""
         return needed_devices(self.program, self.team)
 
     @property
-    def calls(self) -> Calls | None:
-        """What its rules say of portal calls; None where every coordinator may call everything."""
+    def calls(self) -> CallPermissions | None:
+        """The access rules for portal calls; None where every coordinator may call everything."""
         if not self.access.callers:
             return None
-        return Calls(self.access, self.team.members, [m.name for m in self.program.core.methods])
+        return CallPermissions(self.access, self.team.members, [m.name for m in self.program.core.methods])
 
     def devices_of(self, host: str) -> list[DeviceBinding]:
-        """The devices of the agents that the deployment puts on a host."""
-        return self.bindings.of([member.id for member in self.team.on(self.team.number(host))])
+        """The devices of the agents that are deployed on a host."""
+        return self.bindings.of([member.id for member in self.team.members_on(self.team.number(host))])
 
     def has_resources(self, host: str) -> bool:
-        """Whether the deployment puts a resource on a host: a new start of a coordinator needs that host."""
-        return any(member.kind == "resource" for member in self.team.on(self.team.number(host)))
+        """Whether resources are deployed on a host: a restarted coordinator needs such a host."""
+        return any(member.kind == "resource" for member in self.team.members_on(self.team.number(host)))
 
     def vehicles_of(self, host: str) -> list[str]:
-        """The devices of a host that say whether they are on the ground, by their names."""
+        """The names of a host's devices that report whether they are on the ground."""
         found = []
         for device in self.devices_of(host):
             driver = self.drivers.by_driver.get(device.driver)
@@ -89,8 +94,8 @@ class Mission:
         return found
 
     @property
-    def world(self) -> World:
-        """Whether its devices are fakes."""
+    def world(self) -> DeviceWorld:
+        """Whether its devices are simulated."""
         endpoints = [device.endpoint for device in self.bindings.all]
         if not endpoints:
             return ""
@@ -98,28 +103,28 @@ class Mission:
 
     @property
     def fenced(self) -> frozenset[str]:
-        """The ids of coordinators that may be recovered elsewhere: they run only under a lease."""
+        """The ids of coordinators with failover: they run only while their host holds a lease."""
         classes = fenced_classes(self.program)
         return frozenset(member.id for member in self.team.coordinators if member.type in classes)
 
     @property
-    def recovery(self) -> Recovery:
-        """Who decides that a fenced coordinator is lost; without one nobody does.
+    def recovery(self) -> RecoverySettings:
+        """The hosts that decide by majority that a fenced coordinator is lost, and the lease.
 
-        Raises BindingError when they must be named and are not: whoever makes a mission has looked.
+        Raises BindingError when they must be named and are not; `load` checks this.
         """
         chosen = self.bindings.recovery
         return chosen.among(self.team.hosts) if self.fenced else replace(chosen, members=())
 
     def on_fakes(self) -> Mission:
-        """The same mission with a fake for each device; which were chosen is added to its warnings."""
+        """The same mission with all devices simulated; its warnings list which devices were chosen."""
         needed, types = self.needed, self.team.types
         bindings = on_fakes(self.bindings, needed, self.drivers, types)
         chosen = chosen_fakes(bindings, needed, self.drivers, types)
         return replace(self, bindings=bindings, warnings=tuple(dict.fromkeys((*self.warnings, *chosen))))
 
     def at(self, team: Team) -> Mission:
-        """The same mission with its team at other addresses."""
+        """The same mission with other addresses of its hosts."""
         return replace(self, team=team)
 
     def with_bindings(self, bindings: Bindings) -> Mission:
@@ -127,15 +132,15 @@ class Mission:
         return replace(self, bindings=bindings)
 
 
-def placed(registry: Registry, types: Mapping[str, str], frames: Frames) -> Registry:
-    """A registry in which agents of these `types` are where their poses say.
+def with_poses(registry: Registry, types: Mapping[str, str], frames: Frames) -> Registry:
+    """The registry with the positions of agents of these `types` from their poses.
 
-    What has telemetry of its place tells that; what the registry states of an agent counts before its pose.
+    Position telemetry takes precedence over both; an attribute in the registry over the pose.
     """
     agents = dict(registry.agents)
     for agent, pose in frames.agents.items():
         provider = registry.providers.get(types.get(agent, ""))
-        if provider is None or not PLACE.isdisjoint(provider.live):
+        if provider is None or not POSITION_ATTRIBUTES.isdisjoint(provider.live):
             continue
         where: dict[str, Value] = {"north": pose.north, "east": pose.east, "down": pose.down}
         agents[agent] = {**where, **registry.agents.get(agent, {})}
@@ -143,12 +148,30 @@ def placed(registry: Registry, types: Mapping[str, str], frames: Frames) -> Regi
 
 
 def needed_devices(program: Program, team: Team) -> dict[str, dict[str, str]]:
-    """For each agent of a team its device fields and their device types."""
+    """By agent of a team its device fields and their device types."""
     classes = {record.name: record for record in program.core.classes}
     return {m.id: {field.name: field.type for field in classes[m.type].devices} for m in team.members}
 
 
-def makers_of(drivers: Drivers, types: Collection[str]) -> KnownDrivers:
-    """The drivers that make some device types, with what is needed of them."""
-    limited = ((name, driver.only(types)) for name, driver in sorted(drivers.by_driver.items()))
-    return KnownDrivers({name: driver for name, driver in limited if driver.manifests})
+def drivers_for(drivers: DriverLookup, types: Collection[str]) -> DriverIndex:
+    """The drivers for some device types."""
+    limited = ((name, driver.for_types(types)) for name, driver in sorted(drivers.by_driver.items()))
+    return DriverIndex({name: driver for name, driver in limited if driver.manifests})
+
+
+def duplicate_statements(mission: Mission) -> list[str]:
+    """Attributes that both the devices file and the mission's registry or frame state, a line each."""
+    own, placed = mission.registry, mission.stated
+    if own is None or placed is None:
+        return []
+    return [
+        f"{name} of {agent} is stated in the devices file and {_where(own, agent, name)}, which counts"
+        for agent, values in mission.bindings.attributes.items()
+        for name in values
+        if name in placed.agents.get(agent, {})
+    ]
+
+
+def _where(own: Registry, agent: str, name: str) -> str:
+    """The other source of an attribute."""
+    return "in the mission's registry" if name in own.agents.get(agent, {}) else "by its frame there"

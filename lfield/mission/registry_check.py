@@ -1,4 +1,4 @@
-"""Every mistake in some files of a registry, also against the resources of a program."""
+"""`capabilities check`: findings in registry files, also against the resource types of a program."""
 
 from __future__ import annotations
 
@@ -7,46 +7,46 @@ from contextlib import suppress
 from pathlib import Path
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import check_files, shipped
-from lfield.capability.reading.signatures import Signature, signatures_of
-from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import (
+from lfield.capability.program_types.live_units import convert_live_units
+from lfield.capability.program_types.program_check import (
     check_against,
     check_classes,
-    check_questions,
+    check_feed_portals,
     check_types,
-    fulfilled,
+    satisfied,
 )
+from lfield.capability.registry_reader.registry_files import check_files, shipped
+from lfield.capability.registry_reader.unit_signatures import Signature, signatures_of
 from lfield.driver.plugins import Plugins, discover
-from lfield.errors import Finding, ProgramError
+from lfield.errors import ProgramError, ReportableFinding
 from lfield.lang.includes import FileSet
-from lfield.lang.syntax import File
-from lfield.mission.load import CAPABILITIES, agents_of, beside, compile_file
-from lfield.text.files import MAX_TEXT, read_bytes
-from lfield.text.source import Diagnostic, Diagnostics, Remark, Span
-from lfield.text.suggest import listed
+from lfield.lang.syntax import ParsedFile
+from lfield.mission.loader import CAPABILITIES, agents_of, compile_file, sibling_file
+from lfield.text.input_files import MAX_TEXT, read_bytes
+from lfield.text.source_text import Diagnostic, Diagnostics, PlainFinding, Span
+from lfield.text.suggestions import listed
 
 
 def check_registry(
     files: Sequence[Path], *, alone: bool = False, program: Path | None = None
-) -> list[Finding]:
-    """What is wrong with some files together with those that come with lfield, unless they stand `alone`.
+) -> list[ReportableFinding]:
+    """The findings in some files, which are merged with the registry of lfield unless `alone`.
 
-    A file named `NAME.capabilities.yaml` is a mission's: it may override the others, its agents are those of
-    `NAME.dL` beside it, and without a `program` its program is `NAME.L` there. A note says of a resource of
-    the program that only has the name of ours what it does not serve. Raises InputFileError for a file that
-    cannot be read.
+    A file named `NAME.capabilities.yaml` belongs to a mission: it may override the registry of lfield, its
+    agents are those of `NAME.dL` beside it, and its program is `NAME.L` unless `program` is given. A note
+    lists what a resource type of the program, with the name of one of lfield, does not serve. Raises
+    InputFileError for a file that cannot be read.
     """
     missions = [path for path in files if path.name.endswith(CAPABILITIES)]
     plugins = discover()
     ours = [] if alone else [*shipped(), *plugins.capabilities]
     known = {path.resolve() for path in ours}
     base = [*ours, *(path for path in files if path not in missions and path.resolve() not in known)]
-    found, unserved = Diagnostics(), dict[str, Remark]()
+    found, unserved = Diagnostics(), dict[str, PlainFinding]()
     each: Sequence[Path | None] = missions or [None]
     for mission in each:
         deployment = None if mission is None else _deployment(mission)
-        chosen = program or (beside(deployment, ".L") if deployment is not None else None)
+        chosen = program or (sibling_file(deployment, ".L") if deployment is not None else None)
         units = {} if chosen is None else signatures_of(program_files(chosen, plugins, found))
         agents = None if deployment is None else agents_of(deployment)
         registry, mistakes = check_files(base, mission=mission, agents=agents)
@@ -59,16 +59,16 @@ def check_registry(
             if not _of(mistake.span, ours) or _of(mistake.span, files):
                 found.add(mistake)
         unserved |= {note.message: note for note in _unserved(registry, units, ours)}
-    return [*_once(found.in_order()), *unserved.values()]
+    return [*_without_duplicates(found.in_order()), *unserved.values()]
 
 
 def _of(span: Span, files: Iterable[Path]) -> bool:
-    """Whether something stands in one of some files."""
+    """Whether something is defined in one of some files."""
     return Path(span.source.name).resolve() in {file.resolve() for file in files}
 
 
-def _once(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """Each once: what all missions share was read for each of them."""
+def _without_duplicates(mistakes: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Without duplicates: the files that missions share are read once for each of them."""
     return list({(m.code, m.span.source.name, m.span.start): m for m in mistakes}.values())
 
 
@@ -79,44 +79,49 @@ def _misfits(
     units: Mapping[str, Signature],
     plugins: Plugins,
 ) -> list[Diagnostic]:
-    """What a registry says wrongly of the resources of a program."""
+    """The mismatches between a registry and the resource types of a program."""
     found = Diagnostics()
     check_against(registry, units, found)
     resources = {name: unit for name, unit in units.items() if unit.kind == "resource"}
     devices = {name: unit.devices for name, unit in resources.items()}
-    settle_live(registry, devices, plugins.device_types, found)
+    convert_live_units(registry, devices, plugins.device_types, found)
     if mission is not None and program is not None:
         check_types(registry, mission, resources, plugins.find_source, found)
-    if program is not None and _asks(registry):
-        # What is wrong with the program itself, `lfield check` says.
+    if program is not None and _has_queries(registry):
+        # `lfield check` reports the errors of the program itself.
         with suppress(ProgramError):
-            check_questions(registry, compile_file(program)[0], found)
+            check_feed_portals(registry, compile_file(program)[0], found)
     return found.in_order()
 
 
-def _unserved(registry: Registry, units: Mapping[str, Signature], ours: Sequence[Path]) -> Iterator[Remark]:
-    """What files of ours promise of resource types that in a program are others, a line for each type."""
-    for type, provider in fulfilled(registry, units).providers.items():
+def _unserved(
+    registry: Registry, units: Mapping[str, Signature], ours: Sequence[Path]
+) -> Iterator[PlainFinding]:
+    """Primitives that the registry of lfield promises of a type and the program's type lacks: a line each."""
+    for type, provider in satisfied(registry, units).providers.items():
         promised = registry.providers[type].serves
-        lost = [name for name in promised if name not in provider.serves and _of(promised[name].span, ours)]
-        if lost:
-            said = (
-                f"the {type} of the program does not serve {listed(lost)}, as ours does: it lacks the portals"
+        unserved_names = [
+            name for name in promised if name not in provider.serves and _of(promised[name].span, ours)
+        ]
+        if unserved_names:
+            message = (
+                f"resource {type} of the program does not serve {listed(unserved_names)}, unlike the one in "
+                "lfield: it lacks the portals"
             )
-            yield Remark(f"note: {said}", "note")
+            yield PlainFinding(f"note: {message}", "note", "registry-note")
 
 
-def program_files(path: Path, plugins: Plugins, found: Diagnostics) -> list[File]:
-    """A program and all it includes, parsed. Raises InputFileError."""
+def program_files(path: Path, plugins: Plugins, found: Diagnostics) -> list[ParsedFile]:
+    """A program and all files that it includes, parsed. Raises InputFileError."""
     files = FileSet(found, plugins.find_source)
     files.read(read_bytes(path, MAX_TEXT), path)
     return files.files
 
 
-def _asks(registry: Registry) -> bool:
+def _has_queries(registry: Registry) -> bool:
     return any(live.portal for provider in registry.providers.values() for live in provider.live.values())
 
 
 def _deployment(mission: Path) -> Path:
-    """The deployment that a mission's file belongs to, whether it is there or not."""
+    """The path of the deployment that belongs to a mission's file; it may not exist."""
     return mission.with_name(f"{mission.name.removesuffix(CAPABILITIES)}.dL")

@@ -1,7 +1,8 @@
-"""The registry as a part of a bundle: what robots decide by, without places and explanations.
+"""The registry as a part of a bundle: what robots need for decisions, without source positions and
+explanations.
 
-An expression is its text there, and is parsed and checked again when it is read: what an evaluator is given
-has always been checked on the same computer.
+An expression is stored as text and syntax tree, so a robot needs no parser. The tree is checked again when it
+is read: an evaluator runs only expressions that were checked on the same computer.
 """
 
 from __future__ import annotations
@@ -13,8 +14,14 @@ from typing import Any
 
 import msgspec
 
-from lfield.capability.condition import Mistake
-from lfield.capability.matching.expression import WANTED, Scope, Wanted, check, parse
+from lfield.capability.condition_encoding import decode_tree, encode_tree
+from lfield.capability.condition_tree import MAX_LIMIT, Mistake
+from lfield.capability.matching.condition_checker import (
+    EXPECTATIONS,
+    Expectation,
+    NameScope,
+    check_expression,
+)
 from lfield.capability.model import (
     Composition,
     Expression,
@@ -23,16 +30,16 @@ from lfield.capability.model import (
     Value,
 )
 from lfield.errors import BundleError
-from lfield.mission.bindings import Stated
+from lfield.mission.bindings import StatedValue
 
-#: Explanations are for the desk: nothing that a robot does or says needs them.
+#: Explanations are not needed on a robot.
 _EMPTIED = frozenset({"meaning"})
-#: Places in files that are not here.
+#: Positions in source files.
 _LEFT_OUT = frozenset({"span"})
 
 
 def encode_registry(registry: Registry) -> bytes:
-    """The bytes of a registry; the same registry is always the same bytes."""
+    """The bytes of a registry; deterministic."""
     return msgspec.msgpack.encode(_plain(registry))
 
 
@@ -40,25 +47,27 @@ def decode_registry(data: bytes | memoryview) -> Registry:
     """The registry in some bytes. Raises BundleError, msgspec.DecodeError and RecursionError."""
     registry = _decoder.decode(data)
     for problem in _problems(registry):
-        raise BundleError(f"its registry makes no sense: {problem}")
+        raise BundleError(f"its registry is invalid: {problem}")
     return registry
 
 
-def check_stated(stated: Mapping[str, Mapping[str, Stated]], registry: Registry) -> None:
-    """Bindings state only what the registry knows, each of its kind. Raises BundleError."""
+def check_stated(stated: Mapping[str, Mapping[str, StatedValue]], registry: Registry) -> None:
+    """Check that bindings state only attributes of the registry, each of its type. Raises BundleError."""
     for agent, values in stated.items():
         for name, value in values.items():
             attribute = registry.attributes.get(name)
-            said = frozenset(value) if isinstance(value, tuple) else value
-            if attribute is None or not attribute.takes(said):
-                raise BundleError(f"its bindings state {value!r} of {agent}, which is no {name}")
+            stated_value = frozenset(value) if isinstance(value, tuple) else value
+            if attribute is None or not attribute.accepts(stated_value):
+                raise BundleError(
+                    f"its bindings state {name} = {value!r} of {agent}, which is not a valid value"
+                )
 
 
 def _plain(value: Any) -> Any:
-    """A value of the model as msgpack has it. The order of mappings is kept: the order of needs counts."""
+    """A value of the model for msgpack. The order of mappings is preserved: that of needs matters."""
     match value:
         case Expression():
-            return value.text
+            return [value.text, encode_tree(value.tree)]
         case Path():
             return value.name
         case frozenset():
@@ -74,36 +83,37 @@ def _plain(value: Any) -> Any:
 
 
 def _made(kind: type, value: Any) -> Any:
-    """What msgpack does not know: an expression from its text, a path from its name."""
-    if not isinstance(value, str):
-        raise ValueError(f"a {kind.__name__} is text")
-    if kind is Path:
-        return Path(value)
-    expression, mistakes = parse(value)
-    if expression is None:
-        raise ValueError("; ".join(map(str, mistakes)))
-    return expression
+    """Decode types that msgpack lacks: a path from its name, an expression from its text and tree."""
+    match value:
+        case str() if kind is Path:
+            return Path(value)
+        case [str(text), tree] if kind is Expression:
+            return Expression(text, decode_tree(text, tree))
+    raise ValueError(f"malformed {kind.__name__}")
 
 
 _decoder = msgspec.msgpack.Decoder(Registry, dec_hook=_made)
 
 
-# --- what must hold -----------------------------------------------------------------------------------
+# --- validation ---------------------------------------------------------------------------------------
 
 
 def _problems(registry: Registry) -> Iterator[str]:
-    """What would be stumbled over later: names that lead nowhere, values and expressions of a wrong kind."""
-    yield from _strangers("attribute", _named_attributes(registry), registry.attributes)
-    yield from _strangers("primitive", _named_primitives(registry), registry.primitives)
-    # Only now: what is checked next looks these names up.
+    """Problems that would fail later: unknown names, values and expressions of a wrong type."""
+    yield from _unknown_names("attribute", _named_attributes(registry), registry.attributes)
+    yield from _unknown_names("primitive", _named_primitives(registry), registry.primitives)
+    # Only after the names are valid: the next checks look them up.
     for name, value in _values(registry):
-        if not registry.attributes[name].takes(value):
-            yield f"{value!r} is no value of {name}"
-    for expression, scope, wanted in _expressions(registry):
-        yield from map(str, _mistakes(expression, scope, wanted))
+        if not registry.attributes[name].accepts(value):
+            yield f"{value!r} is not a valid value of {name}"
+    for query in registry.constraints.values():
+        if query.limit is not None and not 1 <= query.limit <= MAX_LIMIT:
+            yield f"a query has the limit {query.limit}"
+    for expression, scope, expected_type in _expressions(registry):
+        yield from map(str, _mistakes(expression, scope, expected_type))
 
 
-def _strangers(what: str, names: Iterable[str], known: Mapping[str, object]) -> Iterator[str]:
+def _unknown_names(what: str, names: Iterable[str], known: Mapping[str, object]) -> Iterator[str]:
     return (f"there is no {what} '{name}'" for name in names if name not in known)
 
 
@@ -122,9 +132,9 @@ def _named_primitives(registry: Registry) -> Iterator[str]:
         yield from (served.primitive for served in provider.serves.values())
     for rule in registry.equivalences.values():
         yield from (rule.serves, rule.by)
-    for whole in registry.compositions.values():
-        yield whole.serves
-        yield from (need.primitive for need in whole.needs.values())
+    for composition in registry.compositions.values():
+        yield composition.serves
+        yield from (need.primitive for need in composition.needs.values())
 
 
 def _values(registry: Registry) -> Iterator[tuple[str, Value]]:
@@ -136,34 +146,40 @@ def _values(registry: Registry) -> Iterator[tuple[str, Value]]:
         yield from own.items()
 
 
-def _expressions(registry: Registry) -> Iterator[tuple[Expression | None, Scope, Wanted]]:
-    """Every expression with what its names may mean and what it has to be."""
-    offer = Scope.of_offer(registry.attributes)
+def _expressions(registry: Registry) -> Iterator[tuple[Expression | None, NameScope, Expectation]]:
+    """Every expression with the scope of its names and its expected type."""
+    offer = NameScope.of_offer(registry.attributes)
     for provider in registry.providers.values():
         yield from _of_provider(provider, offer)
     for rule in registry.equivalences.values():
         yield rule.when, offer, "boolean"
-    for whole in registry.compositions.values():
-        yield from _of_composition(whole, registry, offer)
+    for composition in registry.compositions.values():
+        yield from _of_composition(composition, registry, offer)
+    for query in registry.constraints.values():
+        yield query.condition, offer, "boolean"
+        for key in query.order:
+            yield key.value, offer, "number"
 
 
-def _of_provider(provider: Provider, offer: Scope) -> Iterator[tuple[Expression | None, Scope, Wanted]]:
+def _of_provider(
+    provider: Provider, offer: NameScope
+) -> Iterator[tuple[Expression | None, NameScope, Expectation]]:
     for served in provider.serves.values():
         yield served.when, offer, "boolean"
 
 
 def _of_composition(
-    rule: Composition, registry: Registry, offer: Scope
-) -> Iterator[tuple[Expression | None, Scope, Wanted]]:
+    rule: Composition, registry: Registry, offer: NameScope
+) -> Iterator[tuple[Expression | None, NameScope, Expectation]]:
     for need in rule.needs.values():
         yield need.when, offer, "boolean"
     for name, worth in rule.attributes.items():
-        wanted = WANTED[registry.attributes[name].type]
-        yield worth, Scope.of_parts(registry.attributes, rule.needs), wanted
+        expected_type = EXPECTATIONS[registry.attributes[name].type]
+        yield worth, NameScope.of_parts(registry.attributes, rule.needs), expected_type
     for condition in rule.where:
-        yield condition, Scope.of_parts(registry.attributes, rule.needs, rule.attributes), "boolean"
+        yield condition, NameScope.of_parts(registry.attributes, rule.needs, rule.attributes), "boolean"
 
 
-def _mistakes(expression: Expression | None, scope: Scope, wanted: Wanted) -> list[Mistake]:
-    """What is wrong with an expression. Checking also settles what bare names of members mean."""
-    return [] if expression is None else check(expression, scope, wanted)
+def _mistakes(expression: Expression | None, scope: NameScope, expected: Expectation) -> list[Mistake]:
+    """The errors of an expression. The check also resolves bare names of members."""
+    return [] if expression is None else check_expression(expression, scope, expected)

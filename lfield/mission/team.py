@@ -1,4 +1,4 @@
-"""The team as every host sees it: who is deployed where, and at which address a host is reached."""
+"""The deployed team: the host of each agent, and the addresses of hosts."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import msgspec
 
 from lfield.errors import AddressError, UsageError
 from lfield.net.transport import DEFAULT_PORT, split_address
-from lfield.text.suggest import did_you_mean, listed
-from lfield.vm.agent import AgentKind, Member
+from lfield.text.suggestions import did_you_mean, listed
+from lfield.vm.agent import AgentKind, TeamMember
 
-#: What is said of an agent in a deployment: type, id, host, and arguments. Of a witness, a host without
-#: agents, there is only the host.
-Row = tuple[str, str, str, tuple[str, ...]]
+#: A row of a deployment: type, id, host and arguments of an agent. For a witness, a host without agents, only
+#: the host.
+TeamRow = tuple[str, str, str, tuple[str, ...]]
 
 
-class Deployed(NamedTuple):
-    """An agent where it starts."""
+class DeployedMember(NamedTuple):
+    """An agent with its initial host."""
 
     id: str
     type: str
@@ -31,107 +31,111 @@ class Deployed(NamedTuple):
 class Team:
     """`members` in the order of the deployment; `addresses[n]` is the "host:port" of `hosts[n]`.
 
-    Hosts without members are witnesses: they take part when the team decides that a host is lost.
+    Hosts without members are witnesses: they vote when the team decides that a host is lost.
 
-    `deployment` is the SHA-256 of `encode_rows`: types, ids, hosts and arguments. Addresses do not count.
+    `deployment` is the SHA-256 of `encode_rows`: types, ids, hosts and arguments, without addresses.
     """
 
-    members: tuple[Member, ...]
+    members: tuple[TeamMember, ...]
     hosts: tuple[str, ...]
     addresses: tuple[str, ...]
     deployment: bytes
 
     def number(self, host: str) -> int:
-        """A host's number."""
+        """The index of a host."""
         return self.hosts.index(host)
 
-    def on(self, host: int) -> list[Member]:
+    def members_on(self, host: int) -> list[TeamMember]:
         """The agents that start on a host, in order."""
         return [m for m in self.members if m.host == host]
 
     @property
     def types(self) -> dict[str, str]:
-        """The types of all agents, by their ids."""
+        """The types of all agents, by id."""
         return {member.id: member.type for member in self.members}
 
     @property
     def homes(self) -> dict[str, str]:
-        """The hosts of all agents, by their ids."""
+        """The hosts of all agents, by id."""
         return {member.id: self.hosts[member.host] for member in self.members}
 
     @property
-    def coordinators(self) -> list[Member]:
+    def coordinators(self) -> list[TeamMember]:
         """All coordinators."""
         return [m for m in self.members if m.kind == "coordinator"]
 
     @property
-    def deployed(self) -> list[Deployed]:
+    def deployed(self) -> list[DeployedMember]:
         """All agents with the names of their hosts."""
-        return [Deployed(m.id, m.type, self.hosts[m.host]) for m in self.members]
+        return [DeployedMember(m.id, m.type, self.hosts[m.host]) for m in self.members]
 
     @property
-    def rows(self) -> list[Row]:
-        """What the deployment says of its agents, in order, and of witnesses."""
+    def rows(self) -> list[TeamRow]:
+        """The rows of the deployment, in order: agents and witnesses."""
         agents = [(m.type, m.id, self.hosts[m.host], m.arguments) for m in self.members]
         homes = {member.host for member in self.members}
         return [*agents, *(("", "", host, ()) for n, host in enumerate(self.hosts) if n not in homes)]
 
     @property
-    def reached(self) -> dict[str, str]:
-        """The address of every host by its name."""
+    def addresses_by_host(self) -> dict[str, str]:
+        """The addresses of all hosts, by name."""
         return dict(zip(self.hosts, self.addresses, strict=True))
 
     def at(self, addresses: Mapping[str, str]) -> Team:
-        """The same team, some of its hosts at other addresses."""
-        found = self.reached | {host: address for host, address in addresses.items() if host in self.hosts}
+        """The same team with other addresses of some hosts."""
+        found = self.addresses_by_host | {
+            host: address for host, address in addresses.items() if host in self.hosts
+        }
         return replace(self, addresses=tuple(found.values()))
 
-    def lookup(self, host: str) -> str:
-        """The host of that name. Raises UsageError with those there are, and the one probably meant."""
+    def find_host(self, host: str) -> str:
+        """The host with that name; an IPv6 address may lack its brackets. Raises UsageError."""
         if host in self.hosts:
             return host
+        if f"[{host}]" in self.hosts:
+            return f"[{host}]"
         hint = did_you_mean(host, self.hosts)
         raise UsageError(
             f"the deployment has no host '{host}': it has {listed(self.hosts)}{f'; {hint}' if hint else ''}"
         )
 
 
-def team_of(rows: Iterable[Row], kinds: Mapping[str, AgentKind], ports: Mapping[str, int]) -> Team:
-    """The team of some rows. `kinds` says of each type whether it is a resource or a coordinator.
+def team_of(rows: Iterable[TeamRow], kinds: Mapping[str, AgentKind], ports: Mapping[str, int]) -> Team:
+    """The team of some rows. `kinds` has for each type whether it is a resource or a coordinator.
 
-    A host without a port has the default one.
+    A host without a port gets the default one.
     """
-    said = list(rows)
-    numbers = {host: i for i, host in enumerate(dict.fromkeys(host for _, _, host, _ in said))}
+    row_list = list(rows)
+    numbers = {host: i for i, host in enumerate(dict.fromkeys(host for _, _, host, _ in row_list))}
     members = tuple(
-        Member(i, id, type, kinds[type], numbers[host], arguments)
-        for i, (type, id, host, arguments) in enumerate(row for row in said if row[0])
+        TeamMember(i, id, type, kinds[type], numbers[host], arguments)
+        for i, (type, id, host, arguments) in enumerate(row for row in row_list if row[0])
     )
     addresses = tuple(f"{host}:{ports.get(host, DEFAULT_PORT)}" for host in numbers)
-    return Team(members, tuple(numbers), addresses, hashlib.sha256(encode_rows(said)).digest())
+    return Team(members, tuple(numbers), addresses, hashlib.sha256(encode_rows(row_list)).digest())
 
 
-def encode_rows(rows: Iterable[Row]) -> bytes:
+def encode_rows(rows: Iterable[TeamRow]) -> bytes:
     """The bytes by which deployments are compared; `lfield.lang.deployment` hashes the same."""
     return msgspec.msgpack.encode(list(rows))
 
 
-def parse_maps(words: Sequence[str], team: Team) -> dict[str, str]:
+def parse_maps(given: Sequence[str], team: Team) -> dict[str, str]:
     """`NAME=ADDR:PORT` from the command line, by host; raises UsageError."""
     maps: dict[str, str] = {}
-    for word in words:
-        name, equals, address = word.partition("=")
+    for argument in given:
+        name, equals, address = argument.partition("=")
         if not equals or not _has_port(address):
             raise UsageError(
-                f"--map {word}: write it as NAME=ADDR:PORT, as in --map alpha=10.0.0.5:8181 or "
+                f"--map {argument}: write it as NAME=ADDR:PORT, as in --map alpha=10.0.0.5:8181 or "
                 "--map alpha=[fd00::5]:8181"
             )
-        maps[team.lookup(name)] = address
+        maps[team.find_host(name)] = address
     return maps
 
 
 def _has_port(address: str) -> bool:
-    """Whether it is an address with a port that can be called, IPv6 in brackets."""
+    """Whether an address has a valid port, IPv6 in brackets."""
     try:
         _, port = split_address(address)
     except AddressError:

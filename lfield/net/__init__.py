@@ -1,1 +1,1 @@
-"""Transports: the only place with sockets."""
+"""Network transports and links: the only package with network sockets."""

@@ -1,4 +1,4 @@
-"""One link of a host, from its greeting to its end."""
+"""Link session of a host: handshake, acceptance, messages, end."""
 
 from __future__ import annotations
 
@@ -7,295 +7,319 @@ import math
 from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
-from lfield.errors import AddressError, GreetingError, LfieldError, OverBudget
-from lfield.net.waiting.bars import LONGEST_BAR
-from lfield.wire.coordinators import Transfer
-from lfield.wire.messages import Control, Hello, Message, Ping, Refuse
+from lfield.errors import AddressError, CpuBudgetExceeded, HandshakeError, LfieldError
+from lfield.net.scheduling.temporary_bans import LONGEST_BAN
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+from lfield.wire.coordinator_messages import Transfer
+from lfield.wire.messages import Control, HandshakeRefused, Hello, Message, Ping
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.authority.identity import Identity
-    from lfield.authority.judge import Verdict
-    from lfield.net.greeting import Greeting
-    from lfield.net.owner import Refusals
+    from lfield.authority.peer_verification import AdmissionDecision
+    from lfield.net.handshake import Handshake
+    from lfield.net.link_owner import RefusedHosts
     from lfield.net.transport import Link
 
-#: Whoever calls and has not greeted after so many seconds is no host; whoever is called has less time, and is
-#: called again.
-GREETED_WITHIN, ANSWERED_WITHIN = 10.0, 5.0
+#: Seconds for an incoming handshake, and for an outgoing one, which is shorter since dialling is repeated.
+HANDSHAKE_TIMEOUT, ANSWER_TIMEOUT = 10.0, 5.0
 
 
-class Sessions(Protocol):
-    """Who keeps the links of a host."""
+class SessionOwner(Protocol):
+    """The owner of a host's sessions."""
 
-    def new_greeting(self, dialled: str | None, who: Identity) -> Greeting:
-        """The greeting for a new link with somebody, made when it can be sent."""
+    def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
+        """The handshake for a new link, made when it can be sent."""
 
-    def crossed(self, host: str, came: float) -> bool:
-        """Whether this host's own call is the one that counts, of two that crossed; the other `came` then."""
+    def prefers_outgoing(self, host: str, made_at: float) -> bool:
+        """Whether this host's own dial wins over a crossing one of time `made_at`."""
 
-    def known(self, session: Session, hello: Hello) -> None:
-        """A link has greeted, and its other side has taken ours."""
+    def on_greeted(self, session: Session, hello: Hello) -> None:
+        """A link has completed its handshake on both sides."""
 
-    def gone(self, session: Session) -> None:
+    def on_link_closed(self, session: Session) -> None:
         """A link is closed."""
 
     @property
-    def refusals(self) -> Refusals:
-        """Where it is reported that a link was refused."""
+    def refusals(self) -> RefusedHosts:
+        """Receives reports of refused links."""
 
-    def heard(self, session: Session, message: Control) -> None:
-        """A message came in on a greeted link."""
+    def on_message(self, session: Session, message: Control) -> None:
+        """A message arrived on an established link."""
 
     @property
     def on_arrival(self) -> Callable[[str, Transfer, memoryview], None]:
-        """Where coordinators go."""
+        """Receives coordinators."""
 
     @property
     def on_oversize(self) -> Callable[[str, Transfer, int], None]:
-        """Where the headers of coordinators go that are too large."""
+        """Receives the headers of oversized coordinators."""
 
     @property
     def now(self) -> Callable[[], float]:
-        """The clock's monotonic time."""
+        """The monotonic time."""
 
-    def complain(self, text: str) -> None:
-        """A line for the log, once."""
+    def log_once(self, line: LogLine) -> None:
+        """Write a log line once."""
 
-    def note(self, text: str) -> None:
-        """A line for the log."""
+    def note(self, line: LogLine) -> None:
+        """Write a log line."""
 
-    def bar(self, host: str) -> float:
-        """A host has sent too much: do not accept it for a while; for how many seconds."""
+    def ban(self, host: str) -> float:
+        """Ban a flooding host for a while. Returns the seconds."""
 
-    def barred_for(self, host: str) -> float:
-        """For how many seconds a host is not accepted, since it has sent too much."""
+    def ban_remaining(self, host: str) -> float:
+        """Remaining seconds of a host's ban for flooding."""
 
 
 class Session:
-    """One link from its greeting to its end."""
+    """One link from its handshake to its end."""
 
     link: Link
-    _greeting: Greeting
+    _handshake: Handshake
 
-    def __init__(self, peers: Sessions, dialled: str | None) -> None:
-        self._peers, self._now = peers, peers.now
+    def __init__(self, owner: SessionOwner, dialled: str | None) -> None:
+        self._owner, self._now = owner, owner.now
         self.dialled = dialled
         self.connected = False
-        #: When it was made, and when the other took it.
+        #: When the link was made, and when the peer accepted it.
         self.made, self.linked_at = self._now(), math.inf
         self.hello: Hello | None = None
-        #: When something last came, and when this host last had no use for the link.
-        self.heard = self.idle = 0.0
+        #: When data last arrived, and when this host last had no use for the link.
+        self.last_received = self.last_idle = 0.0
         self.reason = ""
-        self.over = asyncio.Event()
-        #: Whether it has been silent for so long that another link is tried beside it.
+        self.closed = asyncio.Event()
+        #: Whether the link is silent and a replacement is being tried.
         self.is_suspected = False
-        #: Set while that is so, and when it is over.
-        self.doubtful = asyncio.Event()
-        self._patience: asyncio.TimerHandle | None = None
+        #: The event of the time while silent, and the end of the session.
+        self.suspected = asyncio.Event()
+        self._timer: asyncio.TimerHandle | None = None
 
     @property
     def linked(self) -> bool:
-        """Whether the other has taken it."""
+        """Whether the peer has accepted the link."""
         return self.linked_at < math.inf
 
-    def wait(self, link: Link) -> None:
-        """Somebody calls: wait for the greeting, though not for ever. A stranger hears nothing before it."""
-        self.link = link
-        self._patience = asyncio.get_running_loop().call_later(self._bound, self._give_up)
-        if link.who.kind != "stranger":
-            self.begin(link)
+    def mark_connected(self) -> None:
+        """The peer has answered, even if the handshake failed."""
+        self.connected = True
 
-    def begin(self, link: Link) -> None:
-        """Greet first, and end the link where the other is to hear nothing but why."""
+    def mark_idle(self, now: float) -> None:
+        """This host has no use for the link at this time."""
+        self.last_idle = now
+
+    def await_greeting(self, link: Link) -> None:
+        """Wait for the Hello of a caller, with a time-out. A stranger receives nothing before it."""
+        self.link = link
+        self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
+        if link.who.kind != "stranger":
+            self.open(link)
+
+    def open(self, link: Link) -> None:
+        """Send the Hello first; close the link if the peer may receive only a refusal."""
         try:
             self.greet(link)
-        except GreetingError as error:
+        except HandshakeError as error:
             self.reason = str(error)
-            self._tell_refusal()
+            self._send_refusal()
             if not self.dialled:
-                self._complain(self.reason)
+                self._log_once(self.reason)
             link.close()
 
     def greet(self, link: Link) -> None:
-        """Say who we are, and wait for the other's greeting, though not for ever. Again: nothing happens.
+        """Send the Hello and wait for the peer's, with a time-out. Repeated calls have no effect.
 
-        What this host knows is told as it is now: to be connected may have taken long. Raises GreetingError.
+        The Hello has the present state: connecting may have taken long. Raises HandshakeError.
         """
         if self.connected:
             return
         self.link, self.connected = link, True
-        self._greeting = self._peers.new_greeting(self.dialled, link.who)
-        if self._patience is None:
-            self._patience = asyncio.get_running_loop().call_later(self._bound, self._give_up)
+        self._handshake = self._owner.new_handshake(self.dialled, link.who)
+        if self._timer is None:
+            self._timer = asyncio.get_running_loop().call_later(self._timeout, self._on_timeout)
         with suppress(AddressError):
-            link.send(self._greeting.begin())
+            link.send(self._handshake.first_message())
 
     def on_message(self, link: Link, message: Message) -> None:
-        """The greeting first, then whatever its sender may send."""
+        """Process the Hello first, then permitted messages."""
         try:
-            self._heard(link, message)
-        except GreetingError:
-            self._tell_refusal()
+            self._on_message(link, message)
+        except HandshakeError:
+            self._send_refusal()
             raise
 
-    def _heard(self, link: Link, message: Message) -> None:
+    def _on_message(self, link: Link, message: Message) -> None:
         if self.hello is None:
-            self._greeted(link, message)
+            self._on_greeting(link, message)
             return
-        if isinstance(message, Refuse):
-            raise GreetingError(f"{self.hello.host} refused this host: {message.reason}")
-        self._greeting.admit(message)
-        self._taken(self.hello)
-        self._peers.heard(self, message)  # type: ignore[arg-type]  # admit lets only Control pass
+        if isinstance(message, HandshakeRefused):
+            raise HandshakeError(f"{self.hello.host} refused this host: {message.reason}")
+        self._handshake.admit(message)
+        self._on_accepted(self.hello)
+        self._owner.on_message(self, message)  # type: ignore[arg-type]  # admit lets only Control pass
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """A coordinator: only from a greeted host."""
-        self._peers.on_arrival(self._sender(), header, block)
+        """Receive a coordinator, only from a host after the handshake."""
+        hello = self.hello
+        if hello is not None and hello.role == "host" and self.linked_at < math.inf and not self.is_suspected:
+            self.last_received, sender = self._now(), hello.host
+        else:
+            sender = self._sender()
+        self._owner.on_arrival(sender, header, block)
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """A coordinator over the limit."""
-        self._peers.on_oversize(self._sender(), header, size)
+        """Receive the header of an oversized coordinator."""
+        self._owner.on_oversize(self._sender(), header, size)
 
-    def _greeted(self, link: Link, message: Message) -> None:
-        """The other's greeting: tell it that it is taken, or why it is not."""
-        # On a link just made, the other's greeting may be read before whoever called gets its turn.
+    def _on_greeting(self, link: Link, message: Message) -> None:
+        """Accept or refuse the peer's Hello."""
+        # The peer's Hello may be read before the dialling task runs.
         self.greet(link)
-        hello = self._greeting.receive(message)
-        if hello.role == "host" and self._peers.barred_for(hello.host):
-            self._refuse(f"{hello.host} sent too much: this host accepts it again within {LONGEST_BAR:g} s")
-        if self.dialled is None and hello.role == "host" and self._peers.crossed(hello.host, self.made):
+        hello = self._handshake.receive(message)
+        if hello.role == "host" and self._owner.ban_remaining(hello.host):
+            self._refuse(f"{hello.host} sent too much: this host accepts it again within {LONGEST_BAN:g} s")
+        if (
+            self.dialled is None
+            and hello.role == "host"
+            and self._owner.prefers_outgoing(hello.host, self.made)
+        ):
             link.close()
             return
         self.hello = hello
-        link.greeted(hello.role)
+        link.accept_role(hello.role)
         if hello.role == "host":
             link.send(Ping(0))
         else:
-            self._taken(hello)
+            self._on_accepted(hello)
 
     def _refuse(self, reason: str) -> NoReturn:
         with suppress(AddressError):
-            self.link.send(Refuse(reason))
-        raise GreetingError(reason)
+            self.link.send(HandshakeRefused(reason))
+        raise HandshakeError(reason)
 
-    def _taken(self, hello: Hello) -> None:
-        """Something came after the greeting: the other has taken ours."""
-        self.heard = self._now()
+    def _on_accepted(self, hello: Hello) -> None:
+        """A message after the Hello: the peer has accepted ours."""
+        self.last_received = self._now()
         if self.linked_at < math.inf:
             if self.is_suspected:
                 self.is_suspected = False
-                self.doubtful.clear()
+                self.suspected.clear()
             return
-        self._relax()
-        self.linked_at = self.heard
-        self._peers.known(self, hello)
+        self._cancel_timeout()
+        self.linked_at = self.last_received
+        self._owner.on_greeted(self, hello)
 
     def _sender(self) -> str:
-        """Who sends a coordinator. Raises GreetingError for anybody who is not a host."""
+        """The sending host of a coordinator. Raises HandshakeError for a peer that is no host."""
         hello = self.hello
         if hello is None or hello.role != "host":
-            raise GreetingError("a coordinator came from nobody that has greeted as a host")
-        self._taken(hello)
+            raise HandshakeError("a coordinator came before the handshake of a host")
+        self._on_accepted(hello)
         return hello.host
 
-    def on_excess(self, link: Link, error: OverBudget) -> None:
-        """A host sends more than its messages may cost; where that is for too long, its link is closed.
+    def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
+        """A host exceeds its CPU budget; its link is closed if that lasts too long.
 
-        It may not have greeted: handshakes can be what is too much.
+        It may have no handshake yet: handshakes can exceed the budget too.
         """
         self.link, who = link, link.who
         if not error.closes:
-            self._peers.note(
-                f"{who} at {self.caller} sends too much: {error}; they are taken more slowly, and after "
-                f"{error.seconds:g} s the link is closed"
+            self._owner.note(
+                log_messages.PEER_SLOWED.line(
+                    peer=who, caller=self.caller, reason=error, seconds=error.seconds
+                )
             )
             return
-        wait = self._peers.bar(who.name)
-        then = f"{who.name} is accepted again after {wait:g} s"
-        self._peers.note(f"{who} at {self.caller} sends too much: {error}; the link is closed, and {then}")
-        self.dismiss(f"{who.name} sends too much; {then}")
-        self._peers.gone(self)
+        wait = self._owner.ban(who.name)
+        self._owner.note(
+            log_messages.PEER_BANNED.line(
+                peer=who, caller=self.caller, reason=error, name=who.name, seconds=wait
+            )
+        )
+        self.close_with_error(f"{who.name} sends too much; {who.name} is accepted again after {wait:g} s")
+        self._owner.on_link_closed(self)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """The end of the link."""
-        self._relax()
+        """The link is closed."""
+        self._cancel_timeout()
         self.reason = self.reason or str(error or "")
-        if isinstance(error, GreetingError) and not self.linked:
+        if isinstance(error, HandshakeError) and not self.linked:
             self._report_refusal()
-        # Whoever only looks goes as it likes, without a word.
+        # The end of an observer's link is not logged.
         went = self.hello is not None and self.hello.role == "observer" and isinstance(error, AddressError)
-        if error and not self.dialled and not went and not isinstance(error, OverBudget):
-            # Whose address it is stands before, without the port: each attempt has another.
-            self._complain(error.reason if isinstance(error, AddressError) else str(error))
-        self._peers.gone(self)
-        self.over.set()
-        self.doubtful.set()
+        if error and not self.dialled and not went and not isinstance(error, CpuBudgetExceeded):
+            # The log has the address without the port, which differs for each attempt.
+            self._log_once(error.reason if isinstance(error, AddressError) else str(error))
+        self._owner.on_link_closed(self)
+        self.closed.set()
+        self.suspected.set()
 
-    def judged(self, verdict: Verdict) -> None:
-        """The other is good for this now: for no link, or for less on this one than when it was made."""
-        self._greeting.verdict = verdict
-        if verdict.why:
-            self._peers.complain(verdict.why)
+    def on_reauthorised(self, verdict: AdmissionDecision) -> None:
+        """Apply a changed authorisation: close the link, or reduce its permissions."""
+        self._handshake.reauthorise(verdict)
+        who, why = self.link.who, verdict.why
         if verdict.extent == "nothing":
-            self.dismiss(verdict.why)
+            self._owner.log_once(log_messages.PEER_REFUSED.line(peer=who, reason=why))
+            self.close_with_error(why)
+        elif why:
+            self._owner.log_once(log_messages.PEER_RESTRICTED.line(peer=who, reason=why))
 
-    def dismiss(self, reason: str) -> None:
-        """Tell the other why its link ends, and end it."""
+    def close_with_error(self, reason: str) -> None:
+        """Send the reason, and close the link."""
         self.reason = reason
         with suppress(AddressError):
-            self.link.send(Refuse(reason))
+            self.link.send(HandshakeRefused(reason))
         self.link.close()
 
     def suspect(self) -> None:
-        """It has been silent for so long that another link is tried beside it, until something comes."""
+        """The link is silent: a replacement is tried until data arrives."""
         self.is_suspected = True
-        self.doubtful.set()
+        self.suspected.set()
 
-    def end(self) -> None:
-        """Another link has taken its place. What waits for a silent one would keep it open for a while."""
+    def on_replaced(self) -> None:
+        """Another link replaces this one. Queued data would keep a silent one open for a while."""
         if self.is_suspected:
             self.link.abort()
         else:
             self.link.close()
 
-    def _relax(self) -> None:
-        if self._patience:
-            self._patience.cancel()
+    def _cancel_timeout(self) -> None:
+        if self._timer:
+            self._timer.cancel()
 
     @property
-    def _bound(self) -> float:
-        return GREETED_WITHIN if self.dialled is None else ANSWERED_WITHIN
+    def _timeout(self) -> float:
+        return HANDSHAKE_TIMEOUT if self.dialled is None else ANSWER_TIMEOUT
 
-    def _give_up(self) -> None:
-        self.turn_away(f"it has not greeted within {self._bound:g} s")
+    def _on_timeout(self) -> None:
+        self.reject(f"it has not greeted within {self._timeout:g} s")
 
-    def turn_away(self, reason: str) -> None:
+    def reject(self, reason: str) -> None:
         """Close the link at once."""
         self.reason = reason
         if not self.dialled:
-            self._complain(reason)
+            self._log_once(reason)
         self.link.abort()
 
-    def _tell_refusal(self) -> None:
+    def _send_refusal(self) -> None:
         with suppress(AddressError):
-            if self._greeting.refusal:
-                self.link.send(self._greeting.refusal)
+            if self._handshake.refusal:
+                self.link.send(self._handshake.refusal)
 
     def _report_refusal(self) -> None:
-        """The host at the other end is the one that was dialled, or that its certificate names."""
+        """Report the dialled host, or the host in its certificate, as refused."""
         host = self.dialled or (self.link.who.name if self.link.who.kind == "host" else "")
         if host and self.connected:
-            told = self._greeting.refusal
+            told = self._handshake.refusal
             reason = told.reason if told else self.reason
-            self._peers.refusals.report(host, reason, self._greeting.refused_bundle)
+            self._owner.refusals.report(host, reason, self._handshake.refused_bundle)
 
     @property
     def caller(self) -> str:
-        """The other's address without the port, which is another for every attempt."""
+        """The peer's address without the port, which differs for each attempt."""
         return self.link.peer.rpartition(":")[0] or self.link.peer
 
-    def _complain(self, reason: str) -> None:
-        self._peers.complain(f"closed a link from {self.caller}: {reason}")
+    def _log_once(self, reason: str) -> None:
+        self._owner.log_once(log_messages.LINK_CLOSED.line(caller=self.caller, reason=reason))

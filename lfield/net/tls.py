@@ -1,11 +1,10 @@
-"""TLS 1.3 for one link, both ends with certificates, as a pure core: bytes in, bytes and plain text out.
+"""TLS 1.3 with mutual authentication for one link. Sans-IO: bytes in, bytes and plain text out.
 
-It has no loop and no socket. OpenSSL checks that a certificate is signed by the team's authority, and not
-when it begins and ends: in flight that is more than yes or no (`lfield.authority.judge`). What it knows of
-the other end is in `who`, a stranger until both certificates are verified; until then nothing that this side
-wants to say goes out.
+OpenSSL checks the signature of the team's CA, but not the validity period, which is judged by
+`lfield.authority.peer_verification`. `who` is the peer, a stranger until both certificates are verified;
+until then no application data is sent.
 
-No session is ever resumed: each link has new keys, so what was recorded of one is nothing on another.
+Sessions are never resumed: each link has new keys.
 """
 
 from __future__ import annotations
@@ -16,48 +15,48 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from lfield.authority.identity import STRANGER, Identity, identity_of
-from lfield.authority.judge import NO_CHECK_TIME
-from lfield.errors import GreetingError, KeysError, LfieldError, WireError
+from lfield.authority.identity import ANONYMOUS, Identity, identity_of
+from lfield.authority.peer_verification import NO_CHECK_TIME
+from lfield.errors import HandshakeError, KeysError, LfieldError, WireError
 
 if TYPE_CHECKING:
-    from lfield.authority.keys import Keys
+    from lfield.authority.key_material import Keys
     from lfield.wire.framing import Buffer
 
-#: What may come until the other end is proven, in bytes: certificates of ours have some hundred.
+#: Maximum bytes received before authentication; our certificates have some hundred.
 MAX_HANDSHAKE = 1 << 14
-#: The most plain text in one record.
+#: Maximum plain text in one record.
 _RECORD = 1 << 14
-#: The first byte of a handshake.
+#: First byte of a handshake record.
 _HANDSHAKE = 0x16
 
-#: What OpenSSL says of a certificate that another authority has signed, or nobody.
-_FOREIGN = (7, 18, 19, 20, 21)
-#: What the other end says of ours.
-_NOT_TAKEN = (
+#: OpenSSL's verification errors for a certificate not signed by our CA.
+_FOREIGN_ALERTS = (7, 18, 19, 20, 21)
+#: Alerts of the peer about our certificate.
+_REJECTED = (
     "ALERT_UNKNOWN_CA",
     "ALERT_BAD_CERTIFICATE",
     "ALERT_CERTIFICATE_UNKNOWN",
     "ALERT_UNSUPPORTED_CERTIFICATE",
     "ALERT_DECRYPT_ERROR",
 )
-_NONE_SHOWN = ("PEER_DID_NOT_RETURN_A_CERTIFICATE",)
-_NONE_WANTED = ("ALERT_CERTIFICATE_REQUIRED",)
+_NO_CERTIFICATE = ("PEER_DID_NOT_RETURN_A_CERTIFICATE",)
+_CERTIFICATE_REQUIRED = ("ALERT_CERTIFICATE_REQUIRED",)
 
 
-#: Hears of a certificate that was verified: DER, and whom it names.
-Seen = Callable[[bytes, Identity], None]
+#: Called with a verified certificate: DER and name.
+OnVerified = Callable[[bytes, Identity], None]
 
 
-class Tls:
-    """What this process proves itself with, and which authority it believes.
+class TlsIdentity:
+    """The credentials of this process, and its trusted CA.
 
-    `seen` hears of each certificate that was verified: DER, and whom it names. Raises KeysError for keys that
+    `on_verified` is called for each verified certificate: DER and name. Raises KeysError for keys that
     OpenSSL cannot use.
     """
 
-    def __init__(self, keys: Keys, seen: Seen = lambda certificate, who: None) -> None:
-        self._seen = seen
+    def __init__(self, keys: Keys, on_verified: OnVerified = lambda certificate, who: None) -> None:
+        self._on_verified = on_verified
         self._calling, self._called = (
             ssl.SSLContext(side) for side in (ssl.PROTOCOL_TLS_CLIENT, ssl.PROTOCOL_TLS_SERVER)
         )
@@ -66,50 +65,50 @@ class Tls:
                 _prepare(context, keys)
         except (OSError, UnicodeDecodeError):
             raise KeysError(
-                "the keys are damaged, or do not belong together: copy them again from where 'lfield keys' "
-                "has put them"
+                "the keys are damaged or mismatched: copy them again from the output of 'lfield keys'"
             ) from None
         self._called.num_tickets = 0
 
-    def own(self) -> Identity:
-        """Who a host with these keys is to others, and to itself: it tries. Raises KeysError."""
+    def own_identity(self) -> Identity:
+        """The identity of a host with these keys, checked by a handshake with itself. Raises KeysError."""
         near, far = self.channel(calls=True), self.channel(calls=False)
         try:
-            while not far.proven and (said := near.take()):
-                list(far.feed(said))
-                list(near.feed(far.take()))
+            while not far.proven and (said := near.data_to_send()):
+                list(far.receive(said))
+                list(near.receive(far.data_to_send()))
         except LfieldError as error:
-            raise KeysError(f"these keys are no good for a host: {error}") from None
+            raise KeysError(f"keys rejected for a host: {error}") from None
         return far.who
 
-    def channel(self, *, calls: bool) -> Channel:
-        """One end of a new link: of whoever calls, or of whoever is called."""
-        return Channel(self._calling if calls else self._called, self._seen, calls=calls)
+    def channel(self, *, calls: bool) -> TlsChannel:
+        """One end of a new link, accepting or dialling."""
+        return TlsChannel(self._calling if calls else self._called, self._on_verified, calls=calls)
 
 
-class Channel:
-    """One end of a link, from its handshake on."""
+class TlsChannel:
+    """One end of a TLS link, from its handshake on."""
 
-    def __init__(self, context: ssl.SSLContext, seen: Seen, *, calls: bool) -> None:
-        self._seen = seen
-        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
-        self._tls = context.wrap_bio(self._incoming, self._outgoing, server_side=not calls)
-        self._came = 0
-        #: Who is at the other end; a stranger until that is proven.
-        self.who: Identity = STRANGER
+    def __init__(self, context: ssl.SSLContext, on_verified: OnVerified, *, calls: bool) -> None:
+        self._on_verified = on_verified
+        #: Protocol data to send besides encrypted text is in `outgoing`.
+        self._incoming, self.outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls)
+        self._has_received = 0
+        #: The peer; a stranger until authenticated.
+        self.who: Identity = ANONYMOUS
         self.proven = False
         if calls:
-            self._shake_hands()
+            self._do_handshake()
 
-    def feed(self, data: Buffer) -> Iterator[bytes]:
-        """Take the next bytes; the plain text of each record that they complete.
+    def receive(self, data: Buffer) -> Iterator[bytes]:
+        """Process received bytes; returns the plain text of each completed record.
 
-        Then there may be something in `take`, also when this raises: GreetingError where a certificate is
-        not good, here or there, WireError for what is no TLS, or was bent on the way.
+        `data_to_send` may have data afterwards, also on an error. Raises HandshakeError for a rejected
+        certificate on either side, and WireError for invalid or corrupted TLS.
         """
         try:
             if not self.proven:
-                data = self._first(memoryview(data))
+                data = self._continue_handshake(memoryview(data))
             self._incoming.write(data)
             while self.proven and (self._incoming.pending or self._tls.pending()):
                 plain = self._tls.read(_RECORD)
@@ -121,41 +120,41 @@ class Channel:
         except ssl.SSLZeroReturnError:
             return
         except ssl.SSLError as error:
-            raise _told(error) from None
+            raise _tls_error(error) from None
 
-    def seal(self, data: Buffer) -> bytes:
-        """The bytes to send for some plain text, in one piece; the other end must be proven."""
+    def encrypt(self, data: Buffer) -> bytes:
+        """Encrypt plain text in one piece; the peer must be authenticated."""
         done, size = self._tls.write(data), len(data)
         while done < size:
             done += self._tls.write(memoryview(data)[done:])
-        return self._outgoing.read()
+        return self.outgoing.read()
 
-    def take(self) -> bytes:
-        """What must be sent beside that: the handshake, and why it ends."""
-        return self._outgoing.read()
+    def data_to_send(self) -> bytes:
+        """Pending protocol data: handshake and alerts."""
+        return self.outgoing.read()
 
-    def _first(self, data: memoryview) -> memoryview:
-        """Go on with the handshake; what is left of the bytes when it is over.
+    def _continue_handshake(self, data: memoryview) -> memoryview:
+        """Continue the handshake. Returns the bytes behind its end.
 
-        A stranger makes this process hold no more than that, and of another program nothing at all.
+        Data of a stranger is bounded; data that is no TLS is not stored.
         """
-        if self._came == 0 and len(data) and data[0] != _HANDSHAKE:
-            raise WireError("its first bytes are no TLS: it is no lfield host, or one of an earlier version")
-        part, rest = data[: MAX_HANDSHAKE - self._came], data[MAX_HANDSHAKE - self._came :]
-        self._came += len(part)
+        if self._has_received == 0 and len(data) and data[0] != _HANDSHAKE:
+            raise WireError("received data is not TLS: the peer is no lfield host, or an outdated one")
+        part, rest = data[: MAX_HANDSHAKE - self._has_received], data[MAX_HANDSHAKE - self._has_received :]
+        self._has_received += len(part)
         self._incoming.write(part)
-        if not self._shake_hands() and len(rest):
-            raise WireError(f"over {MAX_HANDSHAKE} bytes came before it had proven who it is")
+        if not self._do_handshake() and len(rest):
+            raise WireError(f"over {MAX_HANDSHAKE} bytes received before authentication")
         return rest
 
-    def _shake_hands(self) -> bool:
+    def _do_handshake(self) -> bool:
         try:
             self._tls.do_handshake()
         except ssl.SSLWantReadError:
             return False
         self.who, self.proven = identity_of(self._tls.getpeercert() or {}), True
         if self.who.kind != "stranger":
-            self._seen(self._tls.getpeercert(binary_form=True) or b"", self.who)
+            self._on_verified(self._tls.getpeercert(binary_form=True) or b"", self.who)
         return True
 
 
@@ -170,22 +169,22 @@ def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
 
 
 def _no_password() -> bytes:
-    """OpenSSL would ask at the terminal."""
+    """Replaces OpenSSL's prompt at the terminal."""
     return b""
 
 
 @contextmanager
 def as_file(data: bytes) -> Iterator[str]:
-    """A path for whoever reads files alone, once; what is there is on no disk, and needs none."""
-    reading = piped(data)
+    """A one-time path to bytes in memory, for APIs that read files only; no disk is used."""
+    reading = pipe_with(data)
     try:
         yield f"/proc/self/fd/{reading}"
     finally:
         os.close(reading)
 
 
-def piped(data: bytes) -> int:
-    """A descriptor from which these bytes can be read, and then no more; so many must fit into a pipe."""
+def pipe_with(data: bytes) -> int:
+    """A descriptor from which these bytes can be read once; they must fit into a pipe."""
     reading, writing = os.pipe()
     try:
         os.set_blocking(writing, False)
@@ -195,17 +194,19 @@ def piped(data: bytes) -> int:
     return reading
 
 
-def _told(error: ssl.SSLError) -> LfieldError:
-    """What OpenSSL found, in a sentence."""
+def _tls_error(error: ssl.SSLError) -> LfieldError:
+    """OpenSSL's error as a message."""
     if isinstance(error, ssl.SSLCertVerificationError):
-        if error.verify_code in _FOREIGN:
-            return GreetingError("its certificate is not signed by the authority of this team")
-        return GreetingError(f"its certificate is not good: {error.verify_message}")
+        if error.verify_code in _FOREIGN_ALERTS:
+            return HandshakeError("peer certificate rejected: not signed by the CA of this team")
+        return HandshakeError(f"peer certificate rejected: {error.verify_message}")
     reason = error.reason or str(error)
-    if reason.endswith(_NONE_SHOWN):
-        return GreetingError("it shows no certificate; 'lfield keys' makes one")
-    if reason.endswith(_NONE_WANTED):
-        return GreetingError("it wants a certificate, and got none")
-    if reason.endswith(_NOT_TAKEN):
-        return GreetingError("it does not take the certificate shown to it: it believes another authority")
-    return WireError(f"this is no TLS 1.3, or it was bent on the way: {reason.lower().replace('_', ' ')}")
+    if reason.endswith(_NO_CERTIFICATE):
+        return HandshakeError("peer sent no certificate; make one with 'lfield keys'")
+    if reason.endswith(_CERTIFICATE_REQUIRED):
+        return HandshakeError("peer requires a certificate, and none was sent")
+    if reason.endswith(_REJECTED):
+        return HandshakeError("peer rejected the certificate of this host: it trusts another CA")
+    return WireError(
+        f"received data is no TLS 1.3, or was corrupted in transit: {reason.lower().replace('_', ' ')}"
+    )

@@ -1,10 +1,9 @@
-"""What a transport is: listen, connect, and links that carry messages and blocks.
+"""The transport interface: listen, connect, and links for messages and blocks.
 
-`tcp` is the real one and `memory` the one for tests and simulation; `lfield.testing.transport_kit` holds
-what both must do. Addresses are "host:port" strings; IPv6 hosts stand in brackets.
+`tcp_transport` is the real one, `memory` the one for tests and simulation; `lfield.testing.transport_kit`
+tests both. Addresses are "host:port"; IPv6 hosts are in brackets.
 
-All calls and callbacks happen on one thread. Callbacks never happen inside `send`, `send_transfer` or
-`close`, so a caller need not expect its own state to change under it.
+All calls and callbacks happen on one thread. No callback runs inside `send`, `send_transfer` or `close`.
 """
 
 from __future__ import annotations
@@ -18,39 +17,39 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from lfield.authority.identity import Identity
-    from lfield.errors import LfieldError, OverBudget
-    from lfield.net.health.traffic import Counts
-    from lfield.wire.coordinators import Transfer
+    from lfield.errors import CpuBudgetExceeded, LfieldError
+    from lfield.net.health.traffic import TcpCounts
+    from lfield.wire.coordinator_messages import Transfer
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Role
 
-#: What the address of a Unix socket begins with; the path follows.
+#: Prefix of the address of a Unix socket, before its path.
 UNIX = "unix:"
-#: The port of a host whose address gives none (chapter IV, figure 4.9).
+#: Default port of a host (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181
 
 
 class LinkHandler(Protocol):
-    """Whoever owns a link and hears what comes out of it.
+    """The owner of a link, which receives its messages.
 
-    A handler may raise WireError or GreetingError: the link is then closed with that error.
+    A handler may raise WireError or HandshakeError: the link is then closed with that error.
     """
 
     def on_message(self, link: Link, message: Message) -> None:
         """A message arrived."""
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """A coordinator arrived. `block` is not copied and never changes; keep it only if you mean to."""
+        """A coordinator arrived. `block` is not copied and never changes."""
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """A coordinator with a block over the limit came by; its `size` bytes were thrown away."""
+        """A coordinator with an oversized block arrived; its `size` bytes were discarded."""
 
-    def on_excess(self, link: Link, error: OverBudget) -> None:
-        """The member at the other end is over its budget of processing time: its messages are taken more
-        slowly. Where `error.closes`, the link is closed, and `on_closed` follows when it is gone."""
+    def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
+        """The member at the other end exceeds its CPU budget: its messages are slowed down. If
+        `error.closes`, the link is closed, and `on_closed` follows."""
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """The link is gone; called once, last. `error` is None after a plain close by either side."""
+        """The link is closed; called once, last. `error` is None after a regular close by either side."""
 
 
 class Link(Protocol):
@@ -58,41 +57,41 @@ class Link(Protocol):
 
     @property
     def peer(self) -> str:
-        """The address of the other end, for sentences."""
+        """The address of the peer, for messages."""
 
     @property
     def who(self) -> Identity:
-        """Who is there, as proven. Whoever calls knows it when the link is made; whoever is called may take
-        the other for a stranger until the first message has come."""
+        """The authenticated peer. The dialling side knows it when the link is made; the accepting side may
+        see a stranger until the first message."""
 
     @property
     def is_answered(self) -> bool:
-        """Whether a handshake has begun that the other end began."""
+        """Whether the peer has started a handshake."""
 
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
-        """Queue a coordinator. The block must not change before the link is done with it, which is when
-        an answer to the transfer has come or the link is closed. Raises AddressError on a closed link."""
+        """Queue a coordinator. The block must not change until an answer arrives or the link is closed.
+        Raises AddressError on a closed link."""
 
-    def greeted(self, role: Role) -> None:
-        """The peer's greeting is taken: from now on it may send what its role may.
+    def accept_role(self, role: Role) -> None:
+        """Accept the Hello of the peer: from now on it may send what its role permits.
 
-        Until then only a greeting or a refusal passes, and anything else closes the link.
+        Before, any message but a Hello or a refusal closes the link.
         """
 
-    def expect(self, round_trip: float) -> None:
-        """Answers take so many seconds: what is lost is sent again accordingly."""
+    def set_round_trip(self, round_trip: float) -> None:
+        """Set the measured round trip in seconds, which determines retransmission time-outs."""
 
-    def counts(self) -> Counts | None:
-        """What the kernel has counted of its connection; None where it tells nothing."""
+    def counts(self) -> TcpCounts | None:
+        """The kernel's counters of the connection; None if unavailable."""
 
     def close(self) -> None:
-        """Send what is queued, if the peer takes it soon, then close. Closing twice is allowed."""
+        """Send queued data, if the peer accepts it soon, then close. Closing twice is allowed."""
 
     def abort(self) -> None:
-        """Close at once; what is queued is lost. It may be closed already."""
+        """Close at once and discard queued data. A closed link is ignored."""
 
 
 class Listener(Protocol):
@@ -100,25 +99,25 @@ class Listener(Protocol):
 
     @property
     def address(self) -> str:
-        """Where it listens, with the real port if 0 was asked for."""
+        """The listening address, with the actual port if 0 was requested."""
 
     def close(self) -> None:
-        """Take no more links. Those that exist stay."""
+        """Stop accepting links. Existing ones remain."""
 
 
 class Transport(Protocol):
     """A way to reach other hosts."""
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
-        """Listen there; `on_link` names the handler of each new link, and may send on it at once.
+        """Listen; `on_link` returns the handler of each new link, and may send on it at once.
 
-        Raises AddressError. Exactly the address is bound: it is for the caller to insist on loopback.
+        Binds exactly this address; the caller restricts it to loopback. Raises AddressError.
         """
 
     async def connect(self, address: str, handler: LinkHandler) -> Link:
-        """A link to whoever listens there; `handler` may hear from it before this returns.
+        """Connect to a listener; `handler` may be called before this returns.
 
-        Raises AddressError, and GreetingError where one of the two does not take the other's certificate.
+        Raises AddressError, and HandshakeError if a certificate is rejected by either side.
         """
 
 
@@ -146,8 +145,7 @@ def join_address(host: str, port: int) -> str:
 
 
 def is_lasting(host: str) -> bool:
-    """Whether a host is written as an address that stays what it is; a zone is the name of an interface,
-    which may go and come back with another number."""
+    """Whether a host is a fixed address; the interface of a zone may return under another number."""
     try:
         return getattr(ip_address(host), "scope_id", None) is None
     except ValueError:
@@ -155,7 +153,7 @@ def is_lasting(host: str) -> bool:
 
 
 def is_number(address: str) -> bool:
-    """Whether it is one of an interface, and no name that has to be looked up."""
+    """Whether it is an IP address, which needs no lookup."""
     try:
         ip_address(split_address(address)[0])
     except (AddressError, ValueError):

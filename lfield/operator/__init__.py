@@ -1,1 +1,1 @@
-"""A team seen from outside: asked, queried, found, diagnosed."""
+"""Operator side: status requests, orders, queries, dashboard, diagnoses."""

@@ -1,14 +1,14 @@
-"""What runs on this computer: each `lfield up` has a private folder of its own, which commands find.
+"""Registry of the runs on this computer: each `lfield up` has a private directory that commands find.
 
     <base>/<mission>-<8 hex digits>/
         note.json     what runs: the mission, who started it and when, where its hosts are (Note)
         alpha.sock    the Unix socket of each host that runs here, for ps, query and estop
 
-The bases are in `places`; where one is open to a group, so are the run, its note and its sockets. A run lives
-as long as a process of it holds the lock of its note: a number of a process may be another's tomorrow, a lock
-goes with whoever held it. It is one for writing, and of an open file (F_OFD_SETLK): who may only read the
-note, as a group, cannot take it. What is left of a run that was killed is tidied up by the next command of
-its user.
+The bases are those of `run_dirs`; where one is open to a group, so are the run, its note and its sockets.
+
+A run lives as long as a process holds the lock of its note. A process id can be reused; a lock ends with its
+process. It is a write lock of an open file (F_OFD_SETLK), so a group that may only read the note cannot take
+it. The next command of the user removes what a killed run has left.
 
 What a note of another user says is that user's word: it may claim any host of any mission, so it is kept
 apart.
@@ -36,28 +36,36 @@ from msgspec import Meta
 from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
-from lfield.net.door import GROUP
+from lfield.net.peer_credentials import GROUP
 from lfield.net.transport import UNIX
-from lfield.operator.places import Base, Spot, bases, for_group, looked_into, spots, unseen
-from lfield.text.private import (
-    let_read,
+from lfield.operator.run_dirs import (
+    RunLocation,
+    SearchRoot,
+    is_shared_with_group,
+    run_locations,
+    search_roots,
+    searched_dirs,
+    unreadable_hint,
+)
+from lfield.text.secure_files import (
+    grant_group_read,
     new_private_folder,
-    private_opened,
+    open_private_folder,
     read_private,
-    temporary_folder,
     write_private,
 )
-from lfield.text.suggest import listed
-from lfield.text.visible import as_text
+from lfield.text.suggestions import listed
+from lfield.text.terminal_escape import printable_argument
+from lfield.text.user_dirs import shared_runtime_dir
 from lfield.wire.fields import MAX_LABEL, Name
 
 #: So long the path of a Unix socket may be, in bytes.
 _MAX_SOCKET = 107
 #: A larger note is none; those of another user count as one, and so many of that user's files are looked at.
-_MAX_NOTE, _MOST_OF_OTHERS = 4 << 20, 256
+_MAX_MANIFEST, _MAX_FOREIGN = 4 << 20, 256
 #: The most hosts that a team has.
 _MAX_HOSTS = 4096
-_NOTE = "note.json"
+_MANIFEST = "note.json"
 _ID = re.compile(r"[\w.+-]{1,24}-[0-9a-f]{8}", re.ASCII)
 #: A lock of all of a file, as the kernel is asked for it: its kind, where it begins and ends, and whose.
 _LOCK = struct.Struct("hhqqi")
@@ -65,8 +73,8 @@ _LOCK = struct.Struct("hhqqi")
 _UNFINISHED, _UNFINISHED_FOR = re.compile(r"\.[0-9a-f]{16}"), 60.0
 
 
-class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a run says of itself, in JSON.
+class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The manifest of a run, in JSON.
 
     `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
     seconds since 1970; of its devices none has longer than `rest_within` seconds to come to rest. `addresses`
@@ -91,30 +99,30 @@ class Note(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """A run that somebody has begun, in its folder, which belongs to the user `owner`.
+    """A run in its directory, which belongs to the user `owner`.
 
     It `is_foreign` where that is neither who looks, nor root, nor a service. Who looks may have `named` it.
     """
 
     folder: Path
-    note: Note
+    manifest: RunManifest
     owner: str = ""
     is_foreign: bool = False
     named: bool = False
 
     @property
     def id(self) -> str:
-        """What it is called, here and by `--run`: as its folder. No user has the names of another."""
+        """The id, also for `--run`: the name of its directory, with the owner for runs of other users."""
         return f"{self.owner}/{self.folder.name}" if self.is_foreign else self.folder.name
 
     @property
     def user(self) -> str:
-        """The other user whose word it is that there is such a run; '' where it is believed, or was named."""
+        """The owner of a run of another user; '' for a trusted run, or one named by --run."""
         return self.owner if self.is_foreign and not self.named else ""
 
-    def door(self, host: str) -> str:
-        """The address of a host of the team for commands here, '' for one that this run does not run."""
-        name = self.note.doors.get(host)
+    def control_socket(self, host: str) -> str:
+        """The control socket of a host; '' for a host that is not in this run."""
+        name = self.manifest.doors.get(host)
         return f"{UNIX}{self.folder / name}" if name else ""
 
 
@@ -122,8 +130,8 @@ class Run:
 
 
 @dataclass(frozen=True, slots=True)
-class Doors:
-    """Where the hosts of a run listen for commands, by name, and the open lock that keeps the run alive.
+class ControlSockets:
+    """The control sockets of the hosts of a run by name, and the lock that marks the run as alive.
 
     Processes that inherit `lock` keep it alive too.
     """
@@ -132,46 +140,46 @@ class Doors:
     lock: int
 
 
-def begun(mission: Mission, file: Path, here: Iterable[str]) -> Note:
-    """What a run tells of itself that this process begins: the hosts `here` of a mission from a file."""
-    return Note(
-        mission=as_text(str(file.absolute())),
+def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManifest:
+    """The manifest of a run of this process: the hosts `here` of a mission from a file."""
+    return RunManifest(
+        mission=printable_argument(str(file.absolute())),
         deployment=mission.team.deployment.hex(),
         pid=os.getpid(),
         started=time.time(),
         rest_within=longest_rest(mission.bindings.all),
-        addresses=mission.team.reached,
-        doors={host: _door_name(number, host) for number, host in enumerate(here)},
+        addresses=mission.team.addresses_by_host,
+        doors={host: _socket_name(number, host) for number, host in enumerate(here)},
     )
 
 
 @contextmanager
-def running(note: Note, tell: Callable[[str], None]) -> Iterator[Doors]:
-    """Let commands on this computer find a run for the duration; `tell` hears who does not, and should.
+def publish_run(manifest: RunManifest, report: Callable[[str], None]) -> Iterator[ControlSockets]:
+    """Publish a run to commands on this computer; `report` prints which users would not find it.
 
     Raises OutputFileError where no command would: nobody could stop it, or others say what it is.
     """
-    run, lock = _begin(note, tell)
+    run, lock = _create(manifest, report)
     try:
-        yield Doors({host: run.door(host) for host in run.note.doors}, lock)
+        yield ControlSockets({host: run.control_socket(host) for host in run.manifest.doors}, lock)
     finally:
         _remove(run.folder)
         os.close(lock)
 
 
-def _begin(note: Note, tell: Callable[[str], None]) -> tuple[Run, int]:
-    """The folder of a new run, in the best place that can be had, and its lock."""
+def _create(manifest: RunManifest, report: Callable[[str], None]) -> tuple[Run, int]:
+    """Create the directory of a new run in the best place, with its lock."""
     first: OutputFileError | None = None
-    for spot in spots():
+    for spot in run_locations():
         try:
-            begun = _begin_in(spot, note)
+            begun = _create_in(spot, manifest)
         except OutputFileError as error:
             first = first or error
             continue
-        if first is not None and for_group() and spot.group < 0:
-            tell(f"members of the group {GROUP} do not find this run: {first}")
+        if first is not None and is_shared_with_group() and spot.group < 0:
+            report(f"members of the group {GROUP} do not find this run: {first}")
         return begun
-    reason = first or OutputFileError(str(temporary_folder()), "others could remove what is in it")
+    reason = first or OutputFileError(str(shared_runtime_dir().parent), "others could remove files in it")
     raise OutputFileError(
         reason.path,
         f"{reason.reason}; no command could find what runs, to stop it: set XDG_RUNTIME_DIR to another "
@@ -179,26 +187,28 @@ def _begin(note: Note, tell: Callable[[str], None]) -> tuple[Run, int]:
     )
 
 
-def _begin_in(spot: Spot, note: Note) -> tuple[Run, int]:
-    """The folder of a new run, and its lock. It appears to others whole and locked, or not at all."""
+def _create_in(spot: RunLocation, manifest: RunManifest) -> tuple[Run, int]:
+    """Create the directory of a new run with its lock, atomically."""
     base = spot.path
-    name = re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(note.mission).stem)[:24].lstrip(".") or "run"
-    run = Run(base / f"{name}-{secrets.token_hex(4)}", note)
-    for door in run.note.doors:
-        if len(os.fsencode(run.door(door))) > len(UNIX) + _MAX_SOCKET:
-            raise OutputFileError(run.door(door), "the path is too long for a socket; set XDG_RUNTIME_DIR")
-    _tidy(base)
+    name = re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(manifest.mission).stem)[:24].lstrip(".") or "run"
+    run = Run(base / f"{name}-{secrets.token_hex(4)}", manifest)
+    for door in run.manifest.doors:
+        if len(os.fsencode(run.control_socket(door))) > len(UNIX) + _MAX_SOCKET:
+            raise OutputFileError(
+                run.control_socket(door), "the path is too long for a socket; set XDG_RUNTIME_DIR"
+            )
+    _remove_abandoned(base)
     unfinished = base / f".{secrets.token_hex(8)}"
     new_private_folder(unfinished)
     lock = -1
     try:
-        write_private(unfinished / _NOTE, msgspec.json.encode(run.note))
-        lock = os.open(unfinished / _NOTE, os.O_RDWR | os.O_NOFOLLOW)
+        write_private(unfinished / _MANIFEST, msgspec.json.encode(run.manifest))
+        lock = os.open(unfinished / _MANIFEST, os.O_RDWR | os.O_NOFOLLOW)
         fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
         if spot.group >= 0:
             # Not before it is locked: who may read it could lock it first.
-            for path in (unfinished / _NOTE, unfinished, base):
-                let_read(path, spot.group)
+            for path in (unfinished / _MANIFEST, unfinished, base):
+                grant_group_read(path, spot.group)
         os.rename(unfinished, run.folder)
     except (OSError, OutputFileError) as error:
         if lock >= 0:
@@ -210,8 +220,8 @@ def _begin_in(spot: Spot, note: Note) -> tuple[Run, int]:
     return run, lock
 
 
-def _door_name(number: int, host: str) -> str:
-    """The name of a host's socket: its own where that will do for a file."""
+def _socket_name(number: int, host: str) -> str:
+    """The file name of a host's socket: its own name if possible."""
     fits = re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,30}", host)
     return f"{host}.sock" if fits else f"+{number}.sock"
 
@@ -227,53 +237,53 @@ def _name_of(user: int) -> str:
 
 
 def runs_here() -> list[Run]:
-    """All runs on this computer that live and that this user may see, the oldest first; foreign ones last."""
-    found = [run for base in bases() for run in _runs_in(base)]
-    return sorted(found, key=lambda run: (run.is_foreign, run.note.started, run.id))
+    """All live runs that this user may see, the oldest first; those of other users last."""
+    found = [run for base in search_roots() for run in _runs_in(base)]
+    return sorted(found, key=lambda run: (run.is_foreign, run.manifest.started, run.id))
 
 
-def nothing_here() -> str:
-    """Where a command has looked in vain, and what to do for runs that are elsewhere."""
-    hidden = unseen()
+def no_runs_hint() -> str:
+    """The searched directories, and what to do for runs that are elsewhere."""
+    hidden = unreadable_hint()
     return (
-        f"looked into {listed(looked_into())}; a run that was started with another TMPDIR or XDG_RUNTIME_DIR "
-        f"is found with that set the same{f'; {hidden}' if hidden else ''}"
+        f"searched {listed(searched_dirs())}; for a run with another XDG_RUNTIME_DIR set the same "
+        f"value{f'; {hidden}' if hidden else ''}"
     )
 
 
-def _runs_in(base: Base) -> Iterator[Run]:
-    left, most = _MAX_NOTE, _MOST_OF_OTHERS if base.is_foreign else None
+def _runs_in(base: SearchRoot) -> Iterator[Run]:
+    left, most = _MAX_MANIFEST, _MAX_FOREIGN if base.is_foreign else None
     if os.geteuid() in base.owners:
         for path in base.paths:
-            _tidy(path)
+            _remove_abandoned(path)
     names = ((path, name) for path in base.paths for name in _names_in(path, base.owners, most))
     for path, name in islice(names, most):
         folder = path / name
         if not (_ID.fullmatch(name) and _is_locked(folder)):
             continue
         with suppress(OSError, msgspec.DecodeError, UnicodeDecodeError, RecursionError):
-            data = read_private(folder / _NOTE, left, base.owners)
+            data = read_private(folder / _MANIFEST, left, base.owners)
             left -= len(data) if base.is_foreign else 0
             owner = _name_of(folder.lstat().st_uid)
-            yield Run(folder, msgspec.json.decode(data, type=Note), owner, base.is_foreign)
+            yield Run(folder, msgspec.json.decode(data, type=RunManifest), owner, base.is_foreign)
 
 
 def _names_in(base: Path, owners: Collection[int], most: int | None = None) -> list[str]:
     try:
-        with private_opened(base, owners) as folder, os.scandir(folder) as found:
+        with open_private_folder(base, owners) as folder, os.scandir(folder) as found:
             return sorted(entry.name for entry in islice(found, most))
     except OSError:
         return []
 
 
 def _is_locked(folder: Path, *, unsure: bool = False) -> bool:
-    """Whether a process lives that belongs to the run with that folder: one that may write its note.
+    """Whether a process of the run in that directory is alive: one that may write its manifest.
 
     `unsure` where that cannot be seen.
     """
     try:
         # What is there may be a fifo, and not be opened before somebody writes.
-        note = os.open(folder / _NOTE, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        note = os.open(folder / _MANIFEST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
         return False
     except OSError:
@@ -288,8 +298,8 @@ def _is_locked(folder: Path, *, unsure: bool = False) -> bool:
         os.close(note)
 
 
-def _tidy(base: Path) -> None:
-    """Remove what is left in a folder of this user of runs that were killed."""
+def _remove_abandoned(base: Path) -> None:
+    """Remove the directories of killed runs of this user."""
     for name in _names_in(base, ()):
         folder = base / name
         if _is_abandoned(folder, name) and not _is_locked(folder, unsure=True):
@@ -297,7 +307,7 @@ def _tidy(base: Path) -> None:
 
 
 def _is_abandoned(folder: Path, name: str) -> bool:
-    """Whether what is there was a run, unless it is locked. One that is being made is not locked at first."""
+    """Whether it is the directory of a run; one that is being created is not locked at first."""
     if _ID.fullmatch(name):
         return True
     try:
@@ -307,8 +317,8 @@ def _is_abandoned(folder: Path, name: str) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    """Remove a folder of this user with the files in it. Another process may be at it, too."""
-    with suppress(OSError), private_opened(folder) as opened:
+    """Remove a directory of this user; another process may remove it at the same time."""
+    with suppress(OSError), open_private_folder(folder) as opened:
         for name in os.listdir(opened):
             with suppress(FileNotFoundError):
                 os.unlink(name, dir_fd=opened)

@@ -1,1 +1,1 @@
-"""A team in one process on virtual time, with faults on purpose."""
+"""Deterministic simulation of a team in one process on virtual time, with fault injection."""

@@ -1,5 +1,5 @@
-"""Public kits for tests: missions, golden programs, conformance kits."""
+"""Public test kits: missions, golden programs, conformance kits."""
 
-from lfield.testing.mission.answers import After, LObject, Throws
+from lfield.testing.mission.double_answers import After, LObject, Throws
 
 __all__ = ["After", "LObject", "Throws"]

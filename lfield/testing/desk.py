@@ -1,6 +1,6 @@
-"""A desk on virtual time: drivers behind their guards, and fakes on cables, in one process.
+"""A test bench on virtual time: drivers behind their guards, and fakes on cables, in one process.
 
-The conformance kit of a driver on its own fake, in a second or two instead of a minute or two:
+The conformance kit of a driver on its own fake, in seconds instead of minutes:
 
     def test_a_lamp_passes_its_kit():
         desk = Desk()
@@ -8,13 +8,13 @@ The conformance kit of a driver on its own fake, in a second or two instead of a
         found = desk.try_kit(bind(PLUGIN, endpoint=lamp.endpoint))
         assert [finding for finding in found if finding.outcome == "failed"] == []
 
-Or what a test itself does with devices, as `lfield.testing.driver_bench.guarded` has them:
+Or a scenario of the test, with devices as of `lfield.testing.driver_bench.guarded`:
 
-    async def story(lamp):
+    async def scenario(lamp):
         await lamp.call("moveTo", 0.5)
         fake.fault("stuck=true")
 
-    desk.run(story, bind(PLUGIN, endpoint=fake.endpoint))
+    desk.run(scenario, bind(PLUGIN, endpoint=fake.endpoint))
 
 Guards, drivers and fakes are the real ones, as in a mission's test: the computer, its processes, its clock
 and the cables are a model. One seed is one run.
@@ -29,45 +29,47 @@ from contextlib import contextmanager
 from functools import partial
 from typing import TypeVar
 
-from lfield.devices.try_out import checks_of, try_devices
+from lfield.devices.conformance_run import conformance_checks, run_conformance
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.kit import Check, Finding
 from lfield.driver.plugins import Plugins, discover
 from lfield.driver.sims import Sim, discover_sims
 from lfield.errors import MissionTestError, PluginError, Stuck
-from lfield.guard.core import SILENCE
-from lfield.loop import Fake
-from lfield.simulate.computers.computer import Computer, Process
-from lfield.simulate.computers.loop import generators
-from lfield.simulate.computers.machines import Machine, MachineClock
-from lfield.simulate.computers.network import Network
-from lfield.simulate.computers.timeline import Timeline
+from lfield.event_loop import ServedFake
+from lfield.guard.core import HOST_TIMEOUT
+from lfield.simulate.computers.event_queue import EventQueue
+from lfield.simulate.computers.process_loop import closing_generators
+from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
+from lfield.simulate.computers.simulated_machine import MachineClock, SimulatedMachine
+from lfield.simulate.computers.simulated_network import SimulatedNetwork
 from lfield.simulate.hardware import guard
-from lfield.testing.cables import CabledFake, all_serve
+from lfield.testing.cabled_fakes import CabledFake, wait_until_serving
 from lfield.testing.driver_bench import guarded
-from lfield.testing.mission.fence import fenced
+from lfield.testing.mission.io_guard import io_guarded
 
 T = TypeVar("T")
 
-#: Seconds of virtual time that a story may take.
+#: Seconds of virtual time for a scenario.
 LONGEST = 3600.0
-#: Seconds between two looks whether a story is over.
-LOOK = 0.02
+#: Seconds between two checks whether a scenario has ended.
+POLL_INTERVAL = 0.02
 
 
 class DeskFake:
-    """A fake on the desk, for tests: what `lfield.testing.driver_bench.RunningFake` is in real time."""
+    """A fake on the desk, for tests; the counterpart of `lfield.testing.driver_bench.RunningFake` in real
+    time.
+    """
 
-    def __init__(self, process: Process, fake: Fake) -> None:
+    def __init__(self, process: SimulatedProcess, fake: ServedFake) -> None:
         self._process, self._fake = process, fake
 
     @property
     def endpoint(self) -> str:
-        """Where it answers, as a binding has it."""
+        """Its endpoint, as in a binding."""
         return self._fake.endpoint
 
     def fault(self, *settings: str) -> None:
-        """Let something be wrong from now on, `NAME[@DEVICE]=VALUE`. Raises MissionTestError."""
+        """Sets faults, `NAME[@DEVICE]=VALUE`. Raises MissionTestError."""
         wrong: list[ValueError] = []
 
         def apply() -> None:
@@ -76,31 +78,31 @@ class DeskFake:
             except ValueError as error:
                 wrong.append(error)
 
-        with _beside_the_story():
+        with _outside_story():
             self._process.loop.enter(apply)
         if wrong:
             raise MissionTestError(f"the fake '{self._fake.kind}': {wrong[0]}")
 
     def facts(self, device: str = "") -> Mapping[str, str | int | bool]:
-        """What is true of a device now, by its id or the only one, whatever the wire says."""
+        """True values of a device, by its id or the only one, independent of the wire."""
         return self._fake.facts[device or next(iter(self._fake.facts))]()
 
 
 class Desk:
-    """One computer with what stands on the desk beside it. `plugins` are by default those installed."""
+    """One computer with the devices connected to it. `plugins` are by default the installed ones."""
 
     def __init__(self, *, plugins: Plugins | None = None, seed: int = 0) -> None:
         self._plugins = plugins or discover()
-        dice = random.Random(seed)
-        self._timeline = Timeline()
-        machine = Machine("desk", self._timeline, random.Random(dice.random()))
-        self._network = Network(self._timeline, {machine.name: machine}, dice)
-        self._computer = Computer(machine, self._network, {"lfield.guard.process": guard})
+        rng = random.Random(seed)
+        self._timeline = EventQueue()
+        machine = SimulatedMachine("desk", self._timeline, random.Random(rng.random()))
+        self._network = SimulatedNetwork(self._timeline, {machine.name: machine}, rng)
+        self._computer = SimulatedComputer(machine, self._network, {"lfield.guard.process": guard})
         self._fakes: list[CabledFake] = []
 
     @property
     def now(self) -> float:
-        """Seconds since the desk was set up."""
+        """Seconds since the desk was created."""
         return self._timeline.now
 
     @property
@@ -109,29 +111,29 @@ class Desk:
         return self._computer.machine.clock
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:
-        """Do something at a moment of `now`, while a story runs."""
+        """Runs an action at a time of `now`, while a scenario runs."""
         self._timeline.at(seconds, action)
 
     def kill(self, pid: int) -> None:
-        """End a process of its computer by force: a guard, by `guard_pid` of its device. Raises KeyError."""
+        """Kills a process of its computer: a guard, by `guard_pid` of its device. Raises KeyError."""
         process = {process.pid: process for process in self._computer.processes}[pid]
         self._timeline.after(0.0, partial(process.die, -9))
 
     def fake(self, sim: str | Sim, *options: str) -> DeskFake:
-        """A fake, by the name of its driver where it is installed, with options of `lfield sim`.
+        """Starts a fake, by the name of its driver if it is installed, with options of `lfield sim`.
 
         Raises PluginError and MissionTestError.
         """
         if isinstance(sim, str):
             known = discover_sims()
             if sim not in known:
-                there = ", ".join(sorted(known)) or "none"
-                raise PluginError(f"there is no fake '{sim}' (fakes installed: {there})")
+                available = ", ".join(sorted(known)) or "none"
+                raise PluginError(f"there is no fake '{sim}' (fakes installed: {available})")
             sim = known[sim]
-        name = f"{sim.name} {len(self._fakes) + 1}"
-        with fenced() as caught:
+        name = f"{sim.name}-{len(self._fakes) + 1}"
+        with io_guarded() as caught:
             cabled = CabledFake(name, sim, options, self._timeline, self._network)
-            serving = all_serve({name: cabled}, self._timeline)[name]
+            serving = wait_until_serving({name: cabled}, self._timeline)[name]
         for error in caught:
             raise error
         self._fakes.append(cabled)
@@ -142,12 +144,13 @@ class Desk:
         story: Callable[..., Awaitable[T]],
         *devices: DeviceBinding,
         within: float = LONGEST,
-        silence: float = SILENCE,
+        silence: float = HOST_TIMEOUT,
     ) -> T:
-        """Run `story(*devices)` in a process of the computer, each device a GuardedDevice; what it returns.
+        """Runs `story(*devices)` in a process of the computer, with each device a GuardedDevice; returns its
+        result.
 
-        The devices are opened behind guards first, and closed in the end. `silence` is how long the host may
-        be silent, in seconds. Raises what the story raises, DevicesError, and Stuck after `within` seconds.
+        The devices are opened behind guards first and closed at the end. `silence` is the host time-out in
+        seconds. Raises the exceptions of the story, DevicesError, and Stuck after `within` seconds.
         """
 
         async def guarded_story() -> T:
@@ -163,50 +166,50 @@ class Desk:
         *devices: DeviceBinding,
         checks: Iterable[Check] | None = None,
         may_move: bool = True,
-        silence: float = SILENCE,
+        silence: float = HOST_TIMEOUT,
     ) -> list[Finding]:
-        """The findings of the conformance kit on devices of one driver, as `lfield kit` makes them.
+        """The findings of the conformance kit on devices of one driver, as by `lfield kit`.
 
-        `checks` are by default all: those of every driver and the driver's own. Raises as `run`.
+        `checks` are by default all: the standard ones and the driver's own. Raises as `run`.
         """
         if checks is None:
-            checks = checks_of(self._plugins.by_driver[devices[0].driver])
-        trying = try_devices(
+            checks = conformance_checks(self._plugins.by_driver[devices[0].driver])
+        trying = run_conformance(
             self._plugins, devices, checks, may_move, lambda finding: None, clock=self.clock, silence=silence
         )
         return self._played(trying, LONGEST)
 
     def _played(self, story: Awaitable[T], within: float) -> T:
-        process, told, end = self._computer.start(), list[asyncio.Task[T]](), self.now + within
+        process, tasks, end = self._computer.start(), list[asyncio.Task[T]](), self.now + within
 
-        async def begin() -> T:
+        async def run_story() -> T:
             return await story
 
-        with fenced() as caught, generators():
-            process.loop.enter(lambda: told.append(process.loop.create_task(begin())))
-            while not told[0].done() and self.now < end and not caught:
-                self._timeline.run(LOOK)
+        with io_guarded() as caught, closing_generators():
+            process.loop.enter(lambda: tasks.append(process.loop.create_task(run_story())))
+            while not tasks[0].done() and self.now < end and not caught:
+                self._timeline.run(POLL_INTERVAL)
         self._end(process)
-        broken = told[0].exception() if told[0].done() else None
+        broken = tasks[0].exception() if tasks[0].done() else None
         for error in (*caught, *(trouble for fake in self._fakes for trouble in fake.trouble)):
             raise error
         if broken is not None:
             raise broken
-        if not told[0].done():
-            raise Stuck(f"the story was not over after {within:g} s of virtual time", [])
-        return told[0].result()
+        if not tasks[0].done():
+            raise Stuck(f"the scenario has not ended after {within:g} s of virtual time", [])
+        return tasks[0].result()
 
-    def _end(self, process: Process) -> None:
-        """As SIGKILL, with the guards that it has left."""
+    def _end(self, process: SimulatedProcess) -> None:
+        """Kills the process, with its remaining guards."""
         for each in (process, *process.children):
             each.die(-9)
 
 
 @contextmanager
-def _beside_the_story() -> Iterator[None]:
-    """What is done meanwhile is done by nobody on the desk: no loop runs that could be taken for its own."""
+def _outside_story() -> Iterator[None]:
+    """Leaves the running loop, so that code within does not use it."""
     # asyncio has no public way to leave a loop for a moment; `run_until_complete` of another loop would be
-    # refused by the same mark. Both functions are there for those who write event loops, as we do.
+    # refused. Both functions are provided for implementers of event loops.
     running = asyncio._get_running_loop()
     asyncio._set_running_loop(None)
     try:

@@ -16,13 +16,15 @@ from typing import TYPE_CHECKING, Protocol, TypeVar
 
 import pytest
 
-from lfield.errors import AddressError, GreetingError, LfieldError, OverBudget, WireError
-from lfield.wire.codec import CONTROL, GREETING_LIMITS, HELLO, TRANSFER, encode, encode_transfer
-from lfield.wire.coordinators import Ended, Transfer
+from lfield.errors import AddressError, CpuBudgetExceeded, HandshakeError, LfieldError, WireError
+from lfield.wire.codec import CONTROL, HANDSHAKE_LIMITS, HELLO, TRANSFER, encode, encode_transfer
+from lfield.wire.coordinator_messages import Terminated, Transfer
+from lfield.wire.events import Event, LineLogged
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import frame_header
-from lfield.wire.messages import Hello, Message, Ping, Pong, Refuse, Role, Room
-from lfield.wire.observing import EmergencyStop, Status, Told
+from lfield.wire.messages import Backpressure, HandshakeRefused, Hello, Message, Ping, Pong, Role
+from lfield.wire.observer_messages import EmergencyStop
+from lfield.wire.subscription_messages import EventBatch
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Coroutine
@@ -31,67 +33,67 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-#: The block limit that a bench sets on its transports, in bytes.
+#: The block limit of a bench's transports, in bytes.
 MAX_BLOCK = 1 << 20
 
 
 class TransportBench(Protocol):
-    """A transport under test and a way to let it work."""
+    """A transport under test, and a way to run it."""
 
-    #: Made with a `max_block` of MAX_BLOCK.
+    #: Created with a `max_block` of MAX_BLOCK.
     transport: Transport
     #: An address to listen at, with port 0.
     address: str
 
     def wait(self, work: Coroutine[object, object, T]) -> T:
-        """Run a coroutine of the transport to its end."""
+        """Runs a coroutine of the transport to its end."""
 
     def until(self, done: Callable[[], bool]) -> None:
-        """Let the network work until `done()`; fail if it never is."""
+        """Runs the network until `done()`; fails if it never is."""
 
     def write(self, link: Link, data: bytes) -> None:
-        """Send bytes that are no message."""
+        """Sends bytes that are not a message."""
 
 
 class Recorder:
-    """A handler that remembers what it was told."""
+    """A handler that records its calls."""
 
     def __init__(self, refuse: str = "") -> None:
         self.link: Link | None = None
-        self.heard: list[Message | tuple[Transfer, bytes]] = []
+        self.messages: list[Message | tuple[Transfer, bytes]] = []
         self.oversize: list[tuple[Transfer, int]] = []
-        self.excesses: list[OverBudget] = []
+        self.excesses: list[CpuBudgetExceeded] = []
         self.ends: list[LfieldError | None] = []
         self._refuse = refuse
 
     def on_message(self, link: Link, message: Message) -> None:
-        """Keep it; refuse the peer if so made."""
-        self.heard.append(message)
+        """Records it; refuses the peer if configured."""
+        self.messages.append(message)
         if self._refuse:
-            link.send(Refuse(self._refuse))
-            raise GreetingError(self._refuse)
+            link.send(HandshakeRefused(self._refuse))
+            raise HandshakeError(self._refuse)
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """Keep header and block."""
-        self.heard.append((header, bytes(block)))
+        """Records header and block."""
+        self.messages.append((header, bytes(block)))
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """Keep header and size."""
+        """Records header and size."""
         self.oversize.append((header, size))
 
-    def on_excess(self, link: Link, error: OverBudget) -> None:
-        """Keep what was reported."""
+    def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
+        """Records the error."""
         self.excesses.append(error)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """Keep the reason."""
+        """Records the reason."""
         self.ends.append(error)
 
 
 class Pair:
     """A listener and links to it; `near` and `far` are the two ends of the first.
 
-    Both have greeted as `role`; with none, nobody has greeted yet.
+    Both have completed the handshake as `role`; without one, neither has.
     """
 
     def __init__(self, bench: TransportBench, refuse: str = "", role: Role | None = "host") -> None:
@@ -103,19 +105,19 @@ class Pair:
         self.far = self.accepted[0]
 
     def connect(self) -> tuple[Link, Recorder]:
-        """Another link to the listener, once both ends exist."""
+        """Opens another link to the listener; returns once both ends exist."""
         near, number = Recorder(), len(self.accepted)
         link = self.bench.wait(self.bench.transport.connect(self.listener.address, near))
         self.bench.until(lambda: len(self.accepted) > number)
         if self._role:
-            link.greeted(self._role)
+            link.accept_role(self._role)
         return link, near
 
     def _on_link(self, link: Link) -> LinkHandler:
         handler = Recorder(self._refuse)
         handler.link = link
         if self._role:
-            link.greeted(self._role)
+            link.accept_role(self._role)
         self.accepted.append(handler)
         return handler
 
@@ -130,7 +132,7 @@ class TransportKit:
 
     @pytest.fixture
     def pair(self, bench: TransportBench) -> Pair:
-        """A fresh link."""
+        """A new link."""
         return Pair(bench)
 
     def test_messages_keep_their_order_both_ways(self, bench: TransportBench, pair: Pair) -> None:
@@ -138,9 +140,9 @@ class TransportKit:
         for token in range(1000):
             pair.link.send(Ping(token))
             pair.far.link.send(Pong(token))
-        bench.until(lambda: len(pair.far.heard) == 1000 == len(pair.near.heard))
-        assert pair.far.heard == [Ping(token) for token in range(1000)]
-        assert pair.near.heard == [Pong(token) for token in range(1000)]
+        bench.until(lambda: len(pair.far.messages) == 1000 == len(pair.near.messages))
+        assert pair.far.messages == [Ping(token) for token in range(1000)]
+        assert pair.near.messages == [Pong(token) for token in range(1000)]
 
     def test_blocks_and_messages_keep_their_order(self, bench: TransportBench, pair: Pair) -> None:
         blocks = [
@@ -148,18 +150,18 @@ class TransportKit:
         ]
         for number, block in enumerate(blocks):
             pair.link.send_transfer(transfer(len(block), number), block)
-            pair.link.send(Room(str(number)))
-        bench.until(lambda: len(pair.far.heard) == 2 * len(blocks))
+            pair.link.send(Backpressure(str(number)))
+        bench.until(lambda: len(pair.far.messages) == 2 * len(blocks))
         expected: list[Message | tuple[Transfer, bytes]] = []
         for number, block in enumerate(blocks):
-            expected += [(transfer(len(block), number), block), Room(str(number))]
-        assert pair.far.heard == expected
+            expected += [(transfer(len(block), number), block), Backpressure(str(number))]
+        assert pair.far.messages == expected
 
     def test_many_small_blocks(self, bench: TransportBench, pair: Pair) -> None:
         for number in range(2000):
             pair.link.send_transfer(transfer(64, number), memoryview(bytearray(64)))
-        bench.until(lambda: len(pair.far.heard) == 2000)
-        assert pair.far.heard[-1] == (transfer(64, 1999), bytes(64))
+        bench.until(lambda: len(pair.far.messages) == 2000)
+        assert pair.far.messages[-1] == (transfer(64, 1999), bytes(64))
 
     def test_a_close_is_seen_on_both_sides_after_what_was_sent(
         self, bench: TransportBench, pair: Pair
@@ -169,7 +171,7 @@ class TransportKit:
         pair.link.close()
         assert pair.near.ends == [], "no callback inside close"
         bench.until(lambda: bool(pair.near.ends and pair.far.ends))
-        assert (pair.far.heard, pair.near.ends, pair.far.ends) == ([Ping(1)], [None], [None])
+        assert (pair.far.messages, pair.near.ends, pair.far.ends) == ([Ping(1)], [None], [None])
 
     def test_the_side_that_was_called_may_close_too(self, bench: TransportBench, pair: Pair) -> None:
         assert pair.far.link is not None
@@ -191,10 +193,10 @@ class TransportKit:
     def test_connecting_where_nobody_listens_is_an_error(self, bench: TransportBench, pair: Pair) -> None:
         address = pair.listener.address
         pair.listener.close()
-        with pytest.raises(AddressError, match="nobody listens there"):
+        with pytest.raises(AddressError, match="no program listens there"):
             bench.wait(bench.transport.connect(address, Recorder()))
         pair.link.send(Ping(1))
-        bench.until(lambda: pair.far.heard == [Ping(1)])
+        bench.until(lambda: pair.far.messages == [Ping(1)])
 
     def test_a_port_in_use_is_an_error(self, bench: TransportBench, pair: Pair) -> None:
         with pytest.raises(AddressError, match="the port is in use") as caught:
@@ -211,8 +213,8 @@ class TransportKit:
     def test_an_oversize_block_is_skipped_and_reported(self, bench: TransportBench, pair: Pair) -> None:
         size = MAX_BLOCK + 2000
         pair.link.send_transfer(transfer(size), bytes(size))
-        pair.link.send(Room(""))
-        bench.until(lambda: pair.far.heard == [Room("")])
+        pair.link.send(Backpressure(""))
+        bench.until(lambda: pair.far.messages == [Backpressure("")])
         assert pair.far.oversize == [(transfer(size), size)]
         assert pair.far.ends == []
 
@@ -226,7 +228,7 @@ class TransportKit:
             b"\x00\x00\x00\x03" + bytes([CONTROL]) + b"\x92\x63",
             b"\x00\x00\x00\x03" + bytes([TRANSFER]) + b"\x00\x00",
             encode_transfer(transfer(5), b"four") + b"four",
-            encode(Ended("", 1, "done", "", "a")),
+            encode(Terminated("", 1, "done", "", "a")),
             encode(Ping(2))[:-1] + b"\x03",
             encode_transfer(transfer(4), b"four") + b"foar",
         ],
@@ -237,33 +239,33 @@ class TransportKit:
         other, _ = pair.connect()
         bench.write(pair.link, encode(Ping(1)) + data)
         bench.until(lambda: bool(pair.far.ends and pair.near.ends))
-        assert pair.far.heard == [Ping(1)]
+        assert pair.far.messages == [Ping(1)]
         assert isinstance(pair.far.ends[0], WireError)
         other.send(Ping(2))
-        bench.until(lambda: pair.accepted[1].heard == [Ping(2)])
+        bench.until(lambda: pair.accepted[1].messages == [Ping(2)])
 
     def test_a_message_cut_short_by_a_close_is_reported(self, bench: TransportBench, pair: Pair) -> None:
         bench.write(pair.link, encode_transfer(transfer(1000), bytes(1000)) + bytes(10))
         pair.link.close()
         bench.until(lambda: bool(pair.far.ends))
-        assert pair.far.heard == []
+        assert pair.far.messages == []
         assert isinstance(pair.far.ends[0], WireError)
         assert "in the middle of a message" in str(pair.far.ends[0])
 
     def test_a_message_may_come_a_byte_at_a_time(self, bench: TransportBench, pair: Pair) -> None:
         for byte in encode(Ping(1)) + encode_transfer(transfer(9), bytes(9)) + bytes(9) + encode(Ping(2)):
             bench.write(pair.link, bytes([byte]))
-        bench.until(lambda: len(pair.far.heard) == 3)
-        assert pair.far.heard == [Ping(1), (transfer(9), bytes(9)), Ping(2)]
+        bench.until(lambda: len(pair.far.messages) == 3)
+        assert pair.far.messages == [Ping(1), (transfer(9), bytes(9)), Ping(2)]
 
     def test_a_handler_that_refuses_closes_after_its_last_word(self, bench: TransportBench) -> None:
         pair = Pair(bench, refuse="wrong program")
         pair.link.send(Ping(1))
         pair.link.send(Ping(2))
         bench.until(lambda: bool(pair.near.ends and pair.far.ends))
-        assert pair.near.heard == [Refuse("wrong program")]
-        assert pair.far.heard == [Ping(1)]
-        assert isinstance(pair.far.ends[0], GreetingError)
+        assert pair.near.messages == [HandshakeRefused("wrong program")]
+        assert pair.far.messages == [Ping(1)]
+        assert isinstance(pair.far.ends[0], HandshakeError)
 
     @pytest.mark.parametrize(
         "data",
@@ -271,7 +273,7 @@ class TransportKit:
             encode(Ping(1)),
             encode_transfer(transfer(4), b"four") + b"four",
             encode_transfer(transfer(2 * MAX_BLOCK), b"")[:5],
-            frame_header(HELLO, GREETING_LIMITS[HELLO] + 1),
+            frame_header(HELLO, HANDSHAKE_LIMITS[HELLO] + 1),
         ],
     )
     def test_before_the_greeting_only_a_small_greeting_passes(
@@ -280,17 +282,15 @@ class TransportKit:
         pair = Pair(bench, role=None)
         bench.write(pair.link, encode(Hello("host", "a", 1)) + data)
         bench.until(lambda: bool(pair.far.ends and pair.near.ends))
-        assert pair.far.heard == [Hello("host", "a", 1)]
+        assert pair.far.messages == [Hello("host", "a", 1)]
         assert isinstance(pair.far.ends[0], WireError)
 
     def test_a_greeted_observer_may_send_what_is_small(self, bench: TransportBench) -> None:
         pair = Pair(bench, role="observer")
         longest = EmergencyStop(bytes(16), "\U0010ffff" * MAX_TEXT)
         pair.link.send(longest)
-        bench.until(lambda: pair.far.heard == [longest])
-        pair.link.send(
-            Status("a", "a:1" * 600, 0.0, b"", b"", [], [], [], [], [Told("a", "x" * 2000, {}, {})] * 9)
-        )
+        bench.until(lambda: pair.far.messages == [longest])
+        pair.link.send(EventBatch(1, 1, 0.0, 0.0, 0, 0, [Event(1, 0.0, 0.0, 0, LineLogged("x" * 2000))] * 9))
         bench.until(lambda: bool(pair.far.ends and pair.near.ends))
         assert isinstance(pair.far.ends[0], WireError)
 

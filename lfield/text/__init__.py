@@ -1,1 +1,1 @@
-"""What people write and what they are told: sources, findings, files, YAML with its places."""
+"""Text input and output: source files, findings, YAML with positions, log messages, terminal output."""

@@ -6,23 +6,23 @@ import math
 from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 
-from lfield.text.source import Diagnostic, Diagnostics, Span
-from lfield.text.yaml_source import Entry, Listing, Mapping, Node, Scalar, describe
+from lfield.text.source_text import Diagnostic, Diagnostics, Span
+from lfield.text.yaml_source import YamlEntry, YamlList, YamlMapping, YamlNode, YamlScalar, describe
 
 
-class Fields:
-    """The entries of a mapping, read one by one with their types; what nobody read is reported.
+class YamlFields:
+    """The entries of a mapping, read one by one with their types; unread keys are reported.
 
-    Findings go to `found`: Y110 a required key is missing, Y111 a key nobody knows, Y112 a value of
-    the wrong kind, Y113 a value out of range. A reader that found a problem gives its default.
+    Findings go to `found`: Y110 a required key is missing, Y111 an unknown key, Y112 a value of
+    the wrong type, Y113 a value out of range. A reader that found an error returns its default.
     """
 
-    def __init__(self, node: Node, found: Diagnostics, what: str) -> None:
+    def __init__(self, node: YamlNode, found: Diagnostics, what: str) -> None:
         self.span, self.what, self._found = node.span, what, found
         self._known: set[str] = set()
-        self._entries = node.entries if isinstance(node, Mapping) else {}
+        self._entries = node.entries if isinstance(node, YamlMapping) else {}
         # An empty section (`devices:` with nothing under it) reads as an empty mapping.
-        if not isinstance(node, Mapping) and not (isinstance(node, Scalar) and node.value is None):
+        if not isinstance(node, YamlMapping) and not (isinstance(node, YamlScalar) and node.value is None):
             self.report("Y112", f"{what} must be a mapping, not {describe(node)}", node.span)
 
     def report(self, code: str, message: str, span: Span, hint: str = "") -> None:
@@ -30,12 +30,12 @@ class Fields:
         self._found.add(Diagnostic(code, message, span, hint))
 
     def add(self, findings: Iterable[Diagnostic]) -> None:
-        """Add what was found in a file that is named here."""
+        """Add the findings of a file that is named here."""
         for finding in findings:
             self._found.add(finding)
 
-    def node(self, key: str, *, required: bool = False) -> Node | None:
-        """The value of a key, whatever it is."""
+    def node(self, key: str, *, required: bool = False) -> YamlNode | None:
+        """The value of a key, of any kind."""
         self._known.add(key)
         if key in self._entries:
             return self._entries[key].value
@@ -50,12 +50,12 @@ class Fields:
         node = self.node(key, required=required)
         if node is None:
             return default
-        if not isinstance(node, Scalar) or not isinstance(node.value, str):
-            self._wrong(key, "text", node)
+        if not isinstance(node, YamlScalar) or not isinstance(node.value, str):
+            self._report_type(key, "text", node)
             return default
         if choices and node.value not in choices:
             hint = _did_you_mean(node.value, choices)
-            self.report("Y113", f"'{key}' is one of {', '.join(choices)}", node.span, hint)
+            self.report("Y113", f"'{key}' must be one of {', '.join(choices)}", node.span, hint)
             return default
         return node.value
 
@@ -64,9 +64,9 @@ class Fields:
         node = self.node(key)
         if node is None:
             return default
-        if isinstance(node, Scalar) and isinstance(node.value, bool):
+        if isinstance(node, YamlScalar) and isinstance(node.value, bool):
             return node.value
-        self._wrong(key, "true or false", node)
+        self._report_type(key, "true or false", node)
         return default
 
     def number(
@@ -78,12 +78,12 @@ class Fields:
         minimum: float = -math.inf,
         maximum: float = math.inf,
     ) -> float:
-        """A number from `minimum` to `maximum`; whole numbers count."""
+        """A number from `minimum` to `maximum`; whole numbers are valid."""
         node = self.node(key, required=required)
         if node is None:
             return default
-        if not isinstance(node, Scalar) or isinstance(node.value, bool | str | None):
-            self._wrong(key, "a number", node)
+        if not isinstance(node, YamlScalar) or isinstance(node.value, bool | str | None):
+            self._report_type(key, "a number", node)
             return default
         if not minimum <= node.value <= maximum:
             self.report("Y113", f"'{key}' must be {_range(minimum, maximum)}, not {node.value}", node.span)
@@ -95,8 +95,12 @@ class Fields:
         node = self.node(key)
         if node is None:
             return default
-        if not isinstance(node, Scalar) or not isinstance(node.value, int) or isinstance(node.value, bool):
-            self._wrong(key, "a whole number", node)
+        if (
+            not isinstance(node, YamlScalar)
+            or not isinstance(node.value, int)
+            or isinstance(node.value, bool)
+        ):
+            self._report_type(key, "a whole number", node)
             return default
         if not minimum <= node.value <= maximum:
             self.report("Y113", f"'{key}' must be {_range(minimum, maximum)}, not {node.value}", node.span)
@@ -107,62 +111,66 @@ class Fields:
         """A list of texts."""
         values = []
         for node in self.items(key):
-            if isinstance(node, Scalar) and isinstance(node.value, str):
+            if isinstance(node, YamlScalar) and isinstance(node.value, str):
                 values.append(node.value)
             else:
-                self._wrong(key, "a list of texts", node)
+                self._report_type(key, "a list of texts", node)
         return tuple(values)
 
-    def reasoned(self, key: str) -> dict[str, str]:
+    def names_with_reasons(self, key: str) -> dict[str, str]:
         """Names, each with a reason or '': `[name]`, `{name: reason}`, or a list with both."""
         node, values = self.node(key), dict[str, str]()
-        for item in node.items if isinstance(node, Listing) else (node,) if node is not None else ():
-            if isinstance(item, Mapping):
-                section = Fields(item, self._found, f"'{key}'")
+        for item in node.items if isinstance(node, YamlList) else (node,) if node is not None else ():
+            if isinstance(item, YamlMapping):
+                section = YamlFields(item, self._found, f"'{key}'")
                 values |= {entry.key: section.text(entry.key) for entry in section.named()}
-            elif isinstance(item, Scalar) and isinstance(item.value, str) and item is not node:
+            elif isinstance(item, YamlScalar) and isinstance(item.value, str) and item is not node:
                 values[item.value] = ""
-            elif not (isinstance(item, Scalar) and item.value is None and item is node):
-                self._wrong(key, "names, or names with a reason each", item)
+            elif not (isinstance(item, YamlScalar) and item.value is None and item is node):
+                self._report_type(key, "names, or names with a reason each", item)
         return values
 
     def integers(self, key: str) -> tuple[int, ...]:
         """A list of whole numbers."""
         values = []
         for node in self.items(key):
-            if isinstance(node, Scalar) and isinstance(node.value, int) and not isinstance(node.value, bool):
+            if (
+                isinstance(node, YamlScalar)
+                and isinstance(node.value, int)
+                and not isinstance(node.value, bool)
+            ):
                 values.append(node.value)
             else:
-                self._wrong(key, "a list of whole numbers", node)
+                self._report_type(key, "a list of whole numbers", node)
         return tuple(values)
 
-    def items(self, key: str) -> tuple[Node, ...]:
+    def items(self, key: str) -> tuple[YamlNode, ...]:
         """The nodes of a list."""
         node = self.node(key)
-        if node is None or (isinstance(node, Scalar) and node.value is None):
+        if node is None or (isinstance(node, YamlScalar) and node.value is None):
             return ()
-        if isinstance(node, Listing):
+        if isinstance(node, YamlList):
             return node.items
-        self._wrong(key, "a list", node)
+        self._report_type(key, "a list", node)
         return ()
 
-    def section(self, key: str) -> Fields:
-        """The mapping under a key; an empty one when the key is absent."""
+    def section(self, key: str) -> YamlFields:
+        """The mapping under a key; an empty one when the key is missing."""
         node = self.node(key)
-        return Fields(node or Mapping({}, self.span), self._found, f"'{key}'")
+        return YamlFields(node or YamlMapping({}, self.span), self._found, f"'{key}'")
 
-    def entries(self) -> Iterator[tuple[Entry, Fields]]:
+    def entries(self) -> Iterator[tuple[YamlEntry, YamlFields]]:
         """Every entry with its value read as a mapping, for mappings whose keys are names."""
         for entry in self._entries.values():
             self._known.add(entry.key)
-            yield entry, Fields(entry.value, self._found, f"'{entry.key}'")
+            yield entry, YamlFields(entry.value, self._found, f"'{entry.key}'")
 
-    def named(self) -> Iterator[Entry]:
+    def named(self) -> Iterator[YamlEntry]:
         """Every entry, for mappings whose keys are names and whose values are read by key."""
         yield from self._entries.values()
 
     def __len__(self) -> int:
-        """How many keys the text has."""
+        """The number of keys."""
         return len(self._entries)
 
     def __contains__(self, key: str) -> bool:
@@ -170,27 +178,27 @@ class Fields:
         return key in self._entries
 
     def key_span(self, key: str) -> Span:
-        """Where a key stands; where the mapping stands when it is absent."""
+        """The position of a key; that of the mapping when the key is missing."""
         return self._entries[key].key_span if key in self._entries else self.span
 
     def value_span(self, key: str) -> Span:
-        """Where the value of a key stands; where the mapping stands when it is absent."""
+        """The position of the value of a key; that of the mapping when the key is missing."""
         return self._entries[key].value.span if key in self._entries else self.span
 
-    def done(self) -> None:
-        """Report every key that was not asked for."""
+    def report_unread(self) -> None:
+        """Report every key that was not read."""
         for entry in self._entries.values():
             if entry.key not in self._known:
                 hint = _did_you_mean(entry.key, sorted(self._known))
-                hint = hint or (f"known here: {', '.join(sorted(self._known))}" if self._known else "")
-                self.report("Y111", f"{self.what} takes no '{entry.key}'", entry.key_span, hint)
+                hint = hint or (f"known keys: {', '.join(sorted(self._known))}" if self._known else "")
+                self.report("Y111", f"{self.what} has no key '{entry.key}'", entry.key_span, hint)
 
-    def _wrong(self, key: str, expected: str, node: Node) -> None:
+    def _report_type(self, key: str, expected: str, node: YamlNode) -> None:
         self.report("Y112", f"'{key}' must be {expected}, not {describe(node)}", node.span)
 
 
-def _did_you_mean(word: str, known: list[str] | tuple[str, ...]) -> str:
-    close = get_close_matches(word, known, n=1)
+def _did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str:
+    close = get_close_matches(name, known, n=1)
     return f"did you mean '{close[0]}'?" if close else ""
 
 

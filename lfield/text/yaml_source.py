@@ -1,28 +1,43 @@
-"""YAML text to values that remember where they stand: manifests, bindings, registries.
+"""YAML text to values with source positions: manifests, bindings, registries.
 
 The only module that imports yaml. It reads a safe, small part of the language: mappings with text keys,
 lists, and plain scalars (null, true, false, whole and decimal numbers, text) by the rules of YAML 1.2,
 so that `no` is text and `010` is ten. Anchors, aliases, tags, duplicate keys, several documents and
-numbers that are not finite are refused, each with a diagnostic:
-
-    Y101 not YAML               Y104 a tag                  Y107 a number nobody can hold
-    Y102 too large or too deep  Y105 a key twice            Y108 several documents
-    Y103 an anchor or alias     Y106 a key that is not text Y109 not UTF-8
-
-yaml_fields.py reads the entries of a mapping with their types; its findings are Y110 to Y113.
+numbers that are not finite are rejected, each with a diagnostic. `YAML_CODES` has the codes of all YAML
+files.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import yaml
 
 from lfield.errors import InputFileError
-from lfield.text.source import Diagnostic, Diagnostics, Source, Span
+from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
+
+#: What each code of a finding in a YAML file means.
+YAML_CODES = {
+    "Y101": "the text is not YAML",
+    "Y102": "the file is too large or nested too deeply",
+    "Y103": "an anchor or an alias",
+    "Y104": "a tag",
+    "Y105": "a key occurs twice in a mapping",
+    "Y106": "a key is not text",
+    "Y107": "a number is not finite or does not fit into 64 bits",
+    "Y108": "the file holds several documents",
+    "Y109": "the file is not UTF-8 text",
+    "Y110": "a required key is missing",
+    "Y111": "an unknown key",
+    "Y112": "a value of the wrong type",
+    "Y113": "a value that is not allowed here",
+    "Y114": "no coordinator can be recovered after the loss of a host: too few members",
+    "Y115": "a device can outlive the lease of its coordinator, or the members are not valid",
+}
 
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 32
@@ -30,7 +45,11 @@ MAX_DEPTH = 32
 _INT = re.compile(r"[-+]?[0-9]{1,20}|0x[0-9a-fA-F]{1,16}")
 _REAL = re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)")
-_WORDS: dict[str, bool | None] = {
+_ALIGN = "indent the entries of one mapping equally, with spaces"
+_ALIGN_OR_QUOTE = f"put the value into double quotes, or {_ALIGN}"
+_ESCAPES = "write \\\\ for a backslash in double quotes; \\x needs 2 hexadecimal digits, \\u 4 and \\U 8"
+_LONG_ESCAPE = re.compile(r"\\U([0-9a-fA-F]{8})")
+_CONSTANTS: dict[str, bool | None] = {
     "": None,
     "~": None,
     "null": None,
@@ -40,7 +59,7 @@ _WORDS: dict[str, bool | None] = {
 
 
 @dataclass(frozen=True, slots=True)
-class Scalar:
+class YamlScalar:
     """One value: null, a boolean, a number or text."""
 
     value: bool | int | float | str | None
@@ -48,41 +67,41 @@ class Scalar:
 
 
 @dataclass(frozen=True, slots=True)
-class Listing:
+class YamlList:
     """A list of nodes."""
 
-    items: tuple[Node, ...]
+    items: tuple[YamlNode, ...]
     span: Span
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class YamlEntry:
     """One key of a mapping with its value."""
 
     key: str
     key_span: Span
-    value: Node
+    value: YamlNode
 
 
 @dataclass(frozen=True, slots=True)
-class Mapping:
+class YamlMapping:
     """Entries by key, in the order of the text."""
 
-    entries: dict[str, Entry]
+    entries: dict[str, YamlEntry]
     span: Span
 
 
-Node = Scalar | Listing | Mapping
+YamlNode = YamlScalar | YamlList | YamlMapping
 
 
-class _Refused(Exception):
+class _ParseError(Exception):
     """Ends a parse at its first finding: after it, positions would mislead."""
 
     def __init__(self, diagnostic: Diagnostic) -> None:
         self.diagnostic = diagnostic
 
 
-def read(path: str, found: Diagnostics) -> Node | None:
+def read(path: str, found: Diagnostics) -> YamlNode | None:
     """The document in a file, or None when `found` got an error. Raises InputFileError."""
     try:
         with open(path, "rb") as file:
@@ -92,7 +111,7 @@ def read(path: str, found: Diagnostics) -> Node | None:
     return decode(path, data, found)
 
 
-def decode(name: str, data: bytes, found: Diagnostics) -> Node | None:
+def decode(name: str, data: bytes, found: Diagnostics) -> YamlNode | None:
     """The document in some bytes, shown as `name` in diagnostics, or None when `found` got an error."""
     try:
         source = Source(name, data.decode("utf-8"))
@@ -104,7 +123,7 @@ def decode(name: str, data: bytes, found: Diagnostics) -> Node | None:
     return parse(source, found)
 
 
-def parse(source: Source, found: Diagnostics) -> Node | None:
+def parse(source: Source, found: Diagnostics) -> YamlNode | None:
     """The one document of a source, or None when `found` got an error; never raises on bad text."""
     if len(source.text.encode("utf-8", "replace")) > MAX_BYTES:
         found.add(Diagnostic("Y102", "the file is larger than 1 MiB", Span(source, 0, 1)))
@@ -113,43 +132,105 @@ def parse(source: Source, found: Diagnostics) -> Node | None:
     return node if node is not None else _parse(source, found)
 
 
-def _parse_fast(source: Source) -> Node | None:
+def _parse_fast(source: Source) -> YamlNode | None:
     """The document by the C library, where PyYAML was built with it: twenty times as fast.
 
-    None for whatever is wrong. The parser in Python then says what, so that findings are worded and placed
-    the same everywhere. Byte order marks are left to it too: libyaml does not count them in positions.
+    None for any error. The parser in Python then reports it, so that findings have the same text and position
+    everywhere. Byte order marks are left to it too: libyaml does not count them in positions.
     """
     if not yaml.__with_libyaml__ or "\ufeff" in source.text:
         return None
     try:
         return _Parser(source, yaml.CSafeLoader).document()
-    except (_Refused, yaml.YAMLError, ValueError):
+    except (_ParseError, yaml.YAMLError, ValueError):
         return None
 
 
-def _parse(source: Source, found: Diagnostics) -> Node | None:
+def _parse(source: Source, found: Diagnostics) -> YamlNode | None:
     try:
         return _Parser(source, yaml.SafeLoader).document()
-    except _Refused as refused:
+    except _ParseError as refused:
         found.add(refused.diagnostic)
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         start = min(mark.index, len(source.text)) if mark is not None else 0
-        found.add(Diagnostic("Y101", f"not YAML: {error.problem or error.context}", _at(source, start)))
+        found.add(_syntax_error(source, start, error))
     except yaml.reader.ReaderError as error:
-        found.add(Diagnostic("Y101", f"not YAML: {error.reason}", _at(source, error.position)))
-    except (ValueError, OverflowError) as error:
-        # An escape such as "\UFFFFFFFF" is passed to chr() unchecked by PyYAML.
-        found.add(Diagnostic("Y101", f"not YAML: {error}", _at(source, 0)))
+        sentence = f"the character U+{ord(source.text[error.position]):04X} is not allowed in YAML"
+        found.add(Diagnostic("Y101", sentence, _at(source, error.position), "remove this character"))
+    except (ValueError, OverflowError):
+        # PyYAML passes an escape such as "\UFFFFFFFF" to chr() unchecked.
+        escape = next((m for m in _LONG_ESCAPE.finditer(source.text) if int(m[1], 16) > sys.maxunicode), None)
+        span = _at(source, 0) if escape is None else Span(source, *escape.span())
+        found.add(Diagnostic("Y101", "this escape is not a character", span, _ESCAPES))
     return None
+
+
+#: Parts of PyYAML's messages, each with the sentence and hint that replace it.
+_PROBLEMS = (
+    ("found a tab", "a tab where YAML requires spaces", "indent with spaces"),
+    ("'\\t' that cannot start", "a tab where YAML requires spaces", "indent with spaces"),
+    (
+        "could not find expected ':'",
+        "a key without a ':'",
+        "write 'key: value', with a space behind the colon",
+    ),
+    ("mapping values are not allowed", "a second ':' in this value, or a wrong indentation", _ALIGN_OR_QUOTE),
+    ("expected <block end>", "the indentation does not match the lines above", _ALIGN),
+    (
+        "expected ',' or ']'",
+        "this [ ... ] list is not closed or lacks a comma",
+        "close it with ], or add the comma",
+    ),
+    (
+        "expected ',' or '}'",
+        "this { ... } mapping is not closed or lacks a comma",
+        "close it with }, or add the comma",
+    ),
+    ("unexpected end of stream", "a quoted text is not closed", "close it with the same quote"),
+    ("sequence entries are not allowed", "a '-' is not allowed here", "start a new line with it"),
+    ("expected the node content", "a value is missing, or a [ or { is not closed", "close it with ] or }"),
+    ("expected '<document start>'", "the indentation does not match the lines above", _ALIGN),
+    ("cannot start any token", "this character cannot start a value", "put the value into double quotes"),
+    ("unknown escape", "an escape that YAML does not have", _ESCAPES),
+    ("expected escape sequence", "an escape lacks hexadecimal digits", _ESCAPES),
+    (
+        "directive",
+        "a line that starts with % is a YAML directive, which is not allowed here",
+        "remove the line",
+    ),
+    ("block scalar", "a | or > must be the last character of its line", "write the text on the next lines"),
+    ("mapping keys are not allowed", "a '?' is not allowed here", "put the value into double quotes"),
+    ("document separator", "a quoted text is not closed", "close it with the same quote"),
+    ("scanning an a", "anchors and aliases are not allowed", "put the value into double quotes"),
+    (" tag", "tags are not allowed", "put the value into double quotes"),
+)
+
+
+def _syntax_error(source: Source, start: int, error: yaml.MarkedYAMLError) -> Diagnostic:
+    """The finding for an error of PyYAML, with a text of lfield where there is one."""
+    reported = f"{error.context or ''}; {error.problem or ''}"
+    line, _ = source.line_column(min(start, max(len(source.text) - 1, 0)))
+    text = source.line_text(line)
+    if "\t" in text[: len(text) - len(text.lstrip())]:
+        begin = source.line_ends(line)[0] + text.index("\t")
+        return Diagnostic(
+            "Y101", "a tab in the indentation of this line", _at(source, begin), "indent with spaces"
+        )
+    for part, sentence, hint in _PROBLEMS:
+        if part in reported:
+            return Diagnostic("Y101", sentence, _at(source, start), hint)
+    return Diagnostic(
+        "Y101", "this is not YAML", _at(source, start), "check indentation, quotes and brackets"
+    )
 
 
 def _at(source: Source, start: int) -> Span:
     return Span(source, start, start + 1)
 
 
-def _refusal(code: str, message: str, span: Span, hint: str = "") -> _Refused:
-    return _Refused(Diagnostic(code, message, span, hint))
+def _parse_error(code: str, message: str, span: Span, hint: str = "") -> _ParseError:
+    return _ParseError(Diagnostic(code, message, span, hint))
 
 
 class _Parser:
@@ -159,87 +240,89 @@ class _Parser:
         self._source = source
         self._events: Iterator[yaml.Event] = yaml.parse(source.text, Loader=loader)
 
-    def document(self) -> Node:
-        node: Node = Scalar(None, Span(self._source, 0, 0))
-        seen = False
+    def document(self) -> YamlNode:
+        node: YamlNode = YamlScalar(None, Span(self._source, 0, 0))
+        has_document = False
         for event in self._events:
             if isinstance(event, yaml.DocumentStartEvent):
-                if seen:
-                    raise _refusal("Y108", "one file holds one document", self._span(event))
-                seen = True
+                if has_document:
+                    raise _parse_error("Y108", "one file holds one document", self._span(event))
+                has_document = True
                 node = self._node(next(self._events), 1)
         return node
 
     def _span(self, event: yaml.Event) -> Span:
-        # PyYAML ends a block collection where the next thing starts: without this the caret runs over lines.
+        # PyYAML ends a block collection at the next token: without this the caret would span several lines.
         assert event.start_mark is not None
         assert event.end_mark is not None
         start, end = event.start_mark.index, event.end_mark.index
         return Span(self._source, start, max(end, start + 1))
 
-    def _node(self, event: yaml.Event, depth: int) -> Node:
+    def _node(self, event: yaml.Event, depth: int) -> YamlNode:
         span = self._span(event)
         if isinstance(event, yaml.AliasEvent) or getattr(event, "anchor", None) is not None:
-            raise _refusal("Y103", "anchors and aliases are not allowed", span, "write the value out")
+            raise _parse_error("Y103", "anchors and aliases are not allowed", span, "write out the value")
         tag = getattr(event, "tag", None)
         if tag is not None:
-            raise _refusal("Y104", f"tags are not allowed: '{tag}'", span)
+            raise _parse_error("Y104", f"tags are not allowed: '{tag}'", span)
         if isinstance(event, yaml.ScalarEvent):
             if not event.value.isascii() and any("\ud800" <= ch <= "\udfff" for ch in event.value):
-                raise _refusal("Y109", "half a character: no UTF-8 text has it", span)
+                raise _parse_error("Y109", "half of a surrogate pair: not a character of UTF-8", span)
             # A plain scalar has the style None in Python, '' in C.
-            return Scalar(event.value if event.style else _resolve(event.value, span), span)
+            return YamlScalar(event.value if event.style else _resolve(event.value, span), span)
         if depth > MAX_DEPTH:
-            raise _refusal("Y102", f"more than {MAX_DEPTH} levels deep", span)
+            raise _parse_error("Y102", f"more than {MAX_DEPTH} levels deep", span)
         if isinstance(event, yaml.SequenceStartEvent):
             return self._listing(span, depth)
         return self._mapping(span, depth)
 
-    def _listing(self, span: Span, depth: int) -> Listing:
-        items: list[Node] = []
+    def _listing(self, span: Span, depth: int) -> YamlList:
+        items: list[YamlNode] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
             items.append(self._node(event, depth + 1))
-        return Listing(tuple(items), span)
+        return YamlList(tuple(items), span)
 
-    def _mapping(self, span: Span, depth: int) -> Mapping:
-        entries: dict[str, Entry] = {}
+    def _mapping(self, span: Span, depth: int) -> YamlMapping:
+        entries: dict[str, YamlEntry] = {}
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             key_span = self._span(event)
             if not isinstance(event, yaml.ScalarEvent):
                 self._node(event, depth + 1)
-                raise _refusal("Y106", "a key must be plain text", key_span)
+                raise _parse_error("Y106", "a key must be plain text", key_span)
             self._node(event, depth + 1)
             if event.value in entries:
                 first = entries[event.value].key_span.line
-                raise _refusal("Y105", f"'{event.value}' is here twice; first in line {first}", key_span)
-            entries[event.value] = Entry(event.value, key_span, self._node(next(self._events), depth + 1))
-        return Mapping(entries, span)
+                raise _parse_error(
+                    "Y105", f"the key '{event.value}' occurs twice; first on line {first}", key_span
+                )
+            entries[event.value] = YamlEntry(event.value, key_span, self._node(next(self._events), depth + 1))
+        return YamlMapping(entries, span)
 
 
 def _resolve(text: str, span: Span) -> bool | int | float | str | None:
-    """What a plain scalar means."""
-    if text in _WORDS:
-        return _WORDS[text]
+    """The value of a plain scalar."""
+    if text in _CONSTANTS:
+        return _CONSTANTS[text]
     if _NOT_FINITE.fullmatch(text):
-        raise _refusal("Y107", f"'{text}' is not a finite number", span)
+        raise _parse_error("Y107", f"'{text}' is not a finite number", span)
     if _INT.fullmatch(text):
         number = int(text, 16) if text.startswith("0x") else int(text)
         if not -(1 << 63) <= number < 1 << 63:
-            raise _refusal("Y107", f"{text} does not fit into 64 bits", span)
+            raise _parse_error("Y107", f"{text} does not fit into 64 bits", span)
         return number
     if _REAL.fullmatch(text):
         real = float(text)
         if not math.isfinite(real):
-            raise _refusal("Y107", f"{text} is larger than any real number", span)
+            raise _parse_error("Y107", f"{text} is larger than any real number", span)
         return real
     return text
 
 
-def describe(node: Node) -> str:
-    """What a node is, in words for a diagnostic: 'a list', 'the text "x"', 'the number 3'."""
-    if isinstance(node, Mapping):
+def describe(node: YamlNode) -> str:
+    """The kind of a node, for a diagnostic: 'a list', 'the text "x"', 'the number 3'."""
+    if isinstance(node, YamlMapping):
         return "a mapping"
-    if isinstance(node, Listing):
+    if isinstance(node, YamlList):
         return "a list"
     if node.value is None:
         return "nothing"

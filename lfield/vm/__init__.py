@@ -1,1 +1,1 @@
-"""Runs programs: the block, the engine, threads. No sockets, files or drivers."""
+"""The virtual machine: blocks, engines, threads. No sockets, files or drivers."""

@@ -1,22 +1,23 @@
-"""One agent on this host: its block, and what the host keeps about it besides."""
+"""Agent record of a host: the agent's block and the host's data about it."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from lfield.vm.contract import Limits, Reading
+from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
-#: 'unknown' where a deployment was read without its program: such a team is only asked.
+#: 'unknown' where a deployment was read without its program, for queries only.
 AgentKind = Literal["resource", "coordinator", "unknown"]
 
 
 @dataclass(frozen=True, slots=True)
-class Member:
-    """An agent of the team as every host knows it: its number is its place in the deployment."""
+class TeamMember:
+    """An agent of the team as known to every host; its number is its position in the deployment."""
 
     number: int
     id: str
@@ -26,92 +27,238 @@ class Member:
     arguments: tuple[str, ...] = ()
 
 
-class Agent:
-    """An agent that is here. None of its execution state is outside `block`."""
+@dataclass(frozen=True, slots=True)
+class MachineTeam:
+    """The team as seen by one host.
 
-    #: How it ended, '' while it is here; of one that died `report` is why, with a line for each call, and
-    #: `broken` says whether a bug of lfield has ended it, not its program.
+    `members` are all agents of the deployment in order, `here` the number of the host, `incarnation` this run
+    of the host. Coordinators in `fenced` may be recovered elsewhere: their portal calls need the host's
+    permission.
+    """
+
+    members: Sequence[TeamMember]
+    here: int
+    incarnation: int
+    fenced: Collection[str] = ()
+
+
+class Agent:
+    """An agent on this host. All its execution state is in `block`."""
+
+    #: How it ended, '' while it is here; for one that died, `report` has the reason and a line per call, and
+    #: `broken` says whether a bug of lfield was the cause.
     ended = ""
     report = ""
     broken = False
-    #: How many portals of it have returned.
+    #: Number of its portals that have returned.
     served = 0
-    #: The block as the last thread that polls left it, empty when another thread has run since.
-    seen = b""
-    #: Whether the thread whose turn it was polls.
-    polled = False
-    #: Whether it may be recovered elsewhere: it begins no portal unless its host allows it.
-    fenced = False
-    #: Whether somebody has it, a resource: its host sets that, and is asked (`World.serves`) before each of
-    #: its portals begins.
+    #: The block after the last polling thread, empty when another thread has run since.
+    last_polled_image = b""
+    #: Whether the thread of this turn polls.
+    has_polled = False
+    #: Whether it, a resource, is reserved. Set by the host, which then decides (`HostInterface.may_serve`)
+    #: before each of its portals starts.
     reserved = False
-    #: What is added to the host's monotonic clock, in ns, for the clock of a coordinator, by which its time
-    #: limits run.
-    offset = 0
-    #: When these are looked at next, on the host's clock.
+    #: The next check of its time limits, on the host's clock.
     alarm = math.inf
-    #: Whether one is over that could not be thrown yet.
+    #: Whether an expired limit could not be thrown yet.
     overdue = False
-    #: What is thrown when the call comes back that a limit has cancelled, and when that was over (ns).
-    over, over_at = "", 0
-    #: Why a limit that is over could not be thrown in time; why one did not leave that would come too late.
-    late_since = too_far = ""
+    #: Thrown when the call returns that a limit has cancelled ...
+    expiry_message = ""
+    #: ... and when that limit expired, in ns of its own clock.
+    expired_at = 0
+    #: Resource of the last departure ...
+    called_resource = ""
+    #: ... and its portal, by index; -1 for none.
+    called_portal = -1
+    #: Why an expired limit was thrown late.
+    lateness_reason = ""
+    #: Why a departure that would arrive late was refused.
+    unreachable_reason = ""
 
-    # By hand, and with what seldom changes in the class: one is made at every hop.
+    # By hand, with rare fields in the class: an instance is made at every hop.
     def __init__(
         self,
-        member: Member,
+        member: TeamMember,
         block: Block,
-        limits: Limits,
+        limits: AgentLimits,
         readings: list[Reading | None],
         *,
-        opened: bool,
-        frozen: bool = False,
-        kept: bool = False,
+        is_fenced: bool = False,
+        is_restored: bool = False,
+        offset: int = 0,
     ) -> None:
         self.member, self.block, self.limits = member, block, limits
-        #: The telemetry that the host keeps for it, by device call; a coordinator has none.
+        #: Telemetry by device call, maintained by the host; empty for coordinators.
         self.readings = readings
-        #: False until a resource's init has come to its first pause: calls wait in `waiting` till then.
-        self.open = opened
-        #: Whether it stands still until its host says how it goes on: at a hop, or at a portal call.
-        self.frozen = frozen
-        #: Whether it stands at a portal call, a coordinator, and its block is on the disk as it is there.
-        self.kept = kept
-        #: The id of the deployment.
+        #: False until the init of a resource reaches its first pause: calls wait in `waiting`.
+        self.open = member.kind == "coordinator"
+        #: Whether it may be recovered elsewhere: its portal calls need the host's permission.
+        self.fenced = is_fenced
+        #: Whether it is suspended until its host decides, at a hop or a portal call.
+        self.frozen = is_restored
+        #: Whether it, a coordinator, stands at a portal call and its present block is on disk.
+        self.is_persisted = is_restored
+        #: Added to the host's monotonic clock, in ns, for the coordinator's clock of time limits.
+        self.offset = offset
+        #: Its id in the deployment.
         self.id = member.id
-        #: Those whose calls wait until it is open, each with the thread.
+        #: Callers that wait until it is open, each with the thread.
         self.waiting: list[tuple[Agent, int]] = []
         #: Threads that wait for its monitor.
         self.blocked: list[int] = []
-        #: What threads have written since their last newline.
+        #: Output of threads since their last newline.
         self.lines: dict[int, str] = {}
-        #: How often a thread has yielded in a row; such threads poll.
-        self.polls: dict[int, int] = {}
-        #: Those of them that looked beyond the block.
-        self.asked: set[int] = set()
-        #: Those of them that are parked.
+        #: Consecutive yields per thread; above a limit the thread polls.
+        self.poll_counts: dict[int, int] = {}
+        #: Polling threads that read state outside the block.
+        self.outward_pollers: set[int] = set()
+        #: Polling threads that are parked.
         self.pollers: set[int] = set()
-        #: By the id of each coordinator that a resource has served, the newest copy of it: its generation and
-        #: sequence.
-        self.callers: dict[str, tuple[int, int]] = {}
-        #: The threads of a resource whose calls are cancelled, each with the reason that is still to be
-        #: thrown in it, '' once it was.
-        self.cancels: dict[int, str] = {}
-        #: The calls of its `together` whose results it has taken here since its host last asked.
+        #: The newest copy of each coordinator that a resource has served: generation and sequence.
+        self.newest_callers: dict[str, tuple[int, int]] = {}
+        #: Threads of a resource whose calls are cancelled, each with the reason still to be thrown, '' after
+        #: that.
+        self.pending_cancels: dict[int, str] = {}
+        #: Calls of its `together` whose results it has fetched here since the host's last query.
         self.fetched: list[tuple[str, int, int]] = []
+
+    # --- start and end --------------------------------------------------------------------------------
+
+    def finish_init(self) -> list[tuple[Agent, int]]:
+        """Open it: its init has reached its first pause. Returns the calls that waited."""
+        self.open = True
+        return self.drain_waiting()
+
+    def drain_waiting(self) -> list[tuple[Agent, int]]:
+        """Remove and return the calls that wait until it is open."""
+        waiting, self.waiting = self.waiting, []
+        return waiting
+
+    def remove_waiting(self, caller: Agent, thread: int) -> bool:
+        """Remove a call that waits until it is open; false if it does not wait."""
+        if found := (caller, thread) in self.waiting:
+            self.waiting.remove((caller, thread))
+        return found
+
+    def end(self, outcome: str) -> None:
+        """End it: 'done' or 'dropped'. An agent ends once."""
+        self.ended = self.ended or outcome
+
+    def die(self, report: str, *, broken: bool) -> None:
+        """End it by an exception, with its report; `broken` if a bug of lfield was the cause."""
+        self.report, self.broken, self.ended = report, broken, "died"
+
+    # --- hops and portal calls ------------------------------------------------------------------------
+
+    def freeze(self) -> None:
+        """Suspend it until the host decides."""
+        self.frozen = True
+
+    def resume(self, *, is_persisted: bool = False) -> None:
+        """End its suspension. `is_persisted`: its present block is on disk or at its sender."""
+        self.frozen, self.unreachable_reason = False, ""
+        self.is_persisted = self.is_persisted or is_persisted
+
+    def depart_for(self, resource: str, portal: int) -> None:
+        """Suspend it until the host decides: it calls a portal (by index) elsewhere."""
+        self.frozen, self.called_resource, self.called_portal = True, resource, portal
+
+    def refuse_departure(self, reason: str) -> None:
+        """Let it wait until its time limit expires, because it would arrive too late."""
+        self.unreachable_reason = reason
+
+    def invalidate_image(self) -> None:
+        """Its block on disk is out of date: the next portal call with side effects needs a new one."""
+        self.is_persisted = False
+
+    def start_call_of(self, caller: Agent) -> None:
+        """A portal of it starts for a coordinator, whose older copies it then refuses."""
+        w = caller.block.w
+        self.newest_callers[caller.id] = w[layout.W_GENERATION], w[layout.W_SEQUENCE]
+        caller.is_persisted = False
+
+    def count_served(self) -> None:
+        """One of its portals has ended."""
+        self.served += 1
+
+    def mark_reserved(self, *, on: bool) -> None:
+        """Set whether a coordinator has reserved it."""
+        self.reserved = on
+
+    def drain_fetched(self) -> list[tuple[str, int, int]]:
+        """Remove and return the calls whose results it has fetched here."""
+        fetched, self.fetched = self.fetched, []
+        return fetched
+
+    # --- threads --------------------------------------------------------------------------------------
+
+    def drain_blocked(self) -> list[int]:
+        """Remove and return the threads that wait for its monitor."""
+        blocked, self.blocked = self.blocked, []
+        return blocked
+
+    def note_poll(self) -> None:
+        """The thread of this turn polls."""
+        self.has_polled = True
+
+    def end_turn(self) -> bool:
+        """Whether the thread of this turn has polled; the next turn starts without that mark."""
+        polled, self.has_polled = self.has_polled, False
+        return polled
+
+    def remember_poll(self, image: bytes) -> None:
+        """Store the block after the turn of a polling thread."""
+        self.last_polled_image = image
+
+    def drain_pollers(self) -> list[int]:
+        """Remove and return the parked threads in order: the block may have changed."""
+        pollers, self.pollers, self.last_polled_image = self.pollers, set(), b""
+        return sorted(pollers)
+
+    # --- time limits ----------------------------------------------------------------------------------
+
+    def set_age(self, age: int, now: int) -> None:
+        """Set its own clock to `age` at the host's time `now`, both in ns."""
+        self.offset = age - now
+
+    def set_alarm(self, at: float = math.inf) -> None:
+        """Set the next check of its time limits on the host's clock, in seconds; no argument: none."""
+        self.alarm = at
+
+    def mark_overdue(self, reason: str = "") -> None:
+        """A limit has expired that cannot be thrown yet, for the reason given."""
+        self.overdue, self.lateness_reason = True, reason or self.lateness_reason
+
+    def clear_overdue(self) -> None:
+        """No expired limit is left that could not be thrown."""
+        self.overdue = False
+
+    def explain_lateness(self, reason: str = "") -> str:
+        """Replace the reason for a late exception; returns the earlier one."""
+        earlier, self.lateness_reason = self.lateness_reason, reason
+        return earlier
+
+    def cancel_call(self, expired_at: int, message: str) -> None:
+        """A limit that expired at that time (ns) cancels its call; the message is thrown when the call
+        ends."""
+        self.expired_at, self.expiry_message = expired_at, message
+
+    def on_throw(self) -> None:
+        """An exception is thrown in it: its block changes, and no cancelled call is awaited any more."""
+        self.is_persisted, self.expiry_message = False, ""
 
     @property
     def hops(self) -> int:
-        """Migrations made so far."""
+        """Number of migrations."""
         return self.block.w[layout.W_HOPS]
 
     @property
     def generation(self) -> int:
-        """Which start of its home it is of, counted."""
+        """The generation of its start."""
         return self.block.w[layout.W_GENERATION]
 
     @property
     def sequence(self) -> int:
-        """Number of its last attempt to migrate."""
+        """Number of its last migration attempt."""
         return self.block.w[layout.W_SEQUENCE]

@@ -1,6 +1,6 @@
-"""The agents of one host and their threads: what an answer, an exception or an end does to them.
+"""Thread scheduler of one host's agents: completion, exceptions and termination.
 
-It stands below portals and outside, which use its verbs, and knows neither; the machine joins them.
+It is below portals and host calls, which use its methods; the machine connects them.
 """
 
 from __future__ import annotations
@@ -9,16 +9,16 @@ from collections.abc import Callable
 from itertools import count
 from typing import Literal, TypeVar
 
-from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.program import DEVICE, REFERENCES, MethodRecord, Program
+from lfield.bytecode.side_effects import effectful_methods
 from lfield.clock import Clock
 from lfield.vm.agent import Agent
-from lfield.vm.attached import Attached
-from lfield.vm.begun import Begun, Key
-from lfield.vm.contract import Engines, Trap
-from lfield.vm.inspect import traceback
+from lfield.vm.engine_interface import Engines, Trap
+from lfield.vm.hooks import VmHooks
+from lfield.vm.host_interface import HostInterface
+from lfield.vm.inspection import traceback
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import (
     ARRAY,
@@ -31,89 +31,89 @@ from lfield.vm.memory.layout import (
     W_THREADS,
     Layouts,
 )
-from lfield.vm.memory.parcels import parcel_made
+from lfield.vm.memory.serialised_results import serialise_built
 from lfield.vm.memory.threads import new_thread, place_of, thread_template, threads, unlink
-from lfield.vm.memory.values import new_exception
-from lfield.vm.turns import Turns
-from lfield.vm.world import World
+from lfield.vm.memory.word_codec import new_exception
+from lfield.vm.pending_call import CallKey, PendingCall
+from lfield.vm.run_queue import RunQueue
 
 T = TypeVar("T")
-#: A block that ends so many seconds after its time limit is told as late.
-LATE = 0.2
+#: Seconds after its time limit from which the end of a block is reported as late.
+LATE_THRESHOLD = 0.2
 
 
 class Scheduler:
-    """Agents by id, their turns, and the portal calls under way.
+    """Agents by id, their turns, and the portal calls in progress.
 
-    `life` is the number of this life of the host. `failed(self, served, thread, call, thrown)` is told when
-    the portal that a thread serves ends by an exception that nobody in it catches; `thrown` is where it is
-    in the block of `served`.
+    `incarnation` is that of the host. `failed(self, served, thread, call, thrown)` is called when a portal
+    ends by an uncaught exception; `thrown` is its place in the block of `served`.
     """
 
     def __init__(
         self,
         program: Program,
-        life: int,
-        world: World,
+        incarnation: int,
+        world: HostInterface,
         clock: Clock,
         failed: Callable[[Scheduler, Agent, int, int, int], None],
         engines: Engines,
+        hooks: VmHooks,
     ) -> None:
         self.program = program
-        self.life = life
+        self.incarnation = incarnation
         self.world = world
         self.clock = clock
         self.engine = engines(program, clock.monotonic)
         self.layouts = self.engine.layouts
         self.agents: dict[str, Agent] = {}
-        #: Those of them whose `init` has not come to its first pause.
+        #: Resources whose `init` has not reached its first pause.
         self.opening: dict[str, Agent] = {}
-        #: The portals whose callers are kept first: they may change something.
-        self.acting = acting_methods(program)
-        #: The portal calls under way: for each number, who waits for it, or the record of a call that was
-        #: begun and is fetched later.
-        self.calls: dict[int, tuple[Agent, int] | Begun] = {}
-        #: The portals that the host itself has asked, by the number of the call: each is told the word that
-        #: is given, or the place of what is thrown.
-        self.questions: dict[int, Callable[[int, int], None]] = {}
-        #: The calls that a `together` has begun here, until they are fetched.
-        self.begun: dict[Key, Begun] = {}
-        #: The number of the last portal call that began.
-        self.last_call = 0
-        self.turns = Turns(clock)
-        self.attached = Attached()
-        self._failed = failed
+        #: Portals with side effects, whose callers are stored first.
+        self.effectful_methods = effectful_methods(program)
+        #: Portal calls in progress: by number, the waiting caller, or the record of a pending call that is
+        #: fetched later.
+        self.calls: dict[int, tuple[Agent, int] | PendingCall] = {}
+        #: Queries of the host, by call number: each is called with the result word, or the place of the
+        #: exception.
+        self.resource_queries: dict[int, Callable[[int, int], None]] = {}
+        #: Calls of a `together` begun here, until they are fetched.
+        self.pending_calls: dict[CallKey, PendingCall] = {}
+        #: Numbers for portal calls.
+        self.call_numbers = count(1)
+        self.run_queue = RunQueue(clock)
+        self.hooks = hooks
+        self._on_failed = failed
         #: By method, which arguments are references (1: the first after the object itself).
         self.reference_arguments = [_references(program, method) for method in program.core.methods]
-        #: By method, what a thread that runs it looks like at first.
+        #: By method, the template of a thread that runs it.
         self.templates = _Templates(program, self.layouts)
 
     # --- time -----------------------------------------------------------------------------------------
 
     def clock_of(self, agent: Agent) -> int:
-        """The time of a coordinator's own clock, in ns: for how long it has lived, on all its hosts."""
+        """The time of a coordinator's own clock, in ns: its lifetime on all hosts."""
         return round(self.clock.monotonic() * 1e9) + agent.offset
 
     def set_clock(self, agent: Agent, now: int) -> None:
-        """Let a coordinator's own clock be this."""
-        agent.offset = now - round(self.clock.monotonic() * 1e9)
+        """Set a coordinator's own clock."""
+        agent.set_age(now, round(self.clock.monotonic() * 1e9))
 
-    # --- where threads are ----------------------------------------------------------------------------
+    # --- positions of threads -------------------------------------------------------------------------
 
-    def standing(self, agent: Agent, thread: int) -> int:
-        """The instruction a thread stands at."""
+    def instruction_of(self, agent: Agent, thread: int) -> int:
+        """The instruction at a thread's position."""
         return agent.block.w[place_of(agent.block, thread) + THREAD_PC]
 
     def set_state(self, agent: Agent, thread: int, state: int) -> None:
-        """Note in the block what the thread waits for."""
+        """Record in the block what the thread waits for."""
         agent.block.w[place_of(agent.block, thread) + THREAD_STATE] = state
 
-    # --- beginning ------------------------------------------------------------------------------------
+    # --- start ----------------------------------------------------------------------------------------
 
-    def born(self, agent: Agent, record: int) -> None:
-        """The object of a new agent, of a class by its index, and the thread of its init; raises Full.
+    def create_agent_object(self, agent: Agent, record: int) -> None:
+        """The object of a new agent, of a class by index, and the thread of its init. Raises HeapFull.
 
-        One that something stands in for has no such thread.
+        A stub has no such thread.
         """
         block, core = agent.block, self.program.core
         w = block.w
@@ -123,7 +123,7 @@ class Scheduler:
             if field.type == DEVICE:
                 w[i] = next(numbers)
         w[layout.W_ID] = block.new_string(agent.id)
-        if agent.id in self.attached.stand_ins:
+        if agent.id in self.hooks.stubs:
             self.open(agent)
             return
         texts = (agent.id, *agent.member.arguments)
@@ -132,144 +132,139 @@ class Scheduler:
         for i, text in enumerate(texts, array + 1):
             w[i] = block.new_string(text)
         identity = self.spawn(agent, init, [w[layout.W_SELF], array], 0)
-        self.turns.last(agent, identity)
+        self.run_queue.push_back(agent, identity)
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
-        """A thread of an agent, not yet in the queue; raises Full."""
+        """A thread of an agent, not yet queued. Raises HeapFull."""
         return new_thread(agent.block, self.templates[method], words, call)
 
     def open(self, agent: Agent) -> None:
-        """A resource came to its first pause: calls that waited for it begin."""
+        """A resource reached its first pause: start the waiting calls."""
         if agent.open:
             return
-        agent.open = True
         self.opening.pop(agent.id, None)
-        waiting, agent.waiting = agent.waiting, []
-        for caller, thread in waiting:
-            self.turns.last(caller, thread)
+        for caller, thread in agent.finish_init():
+            self.run_queue.push_back(caller, thread)
 
-    # --- going on -------------------------------------------------------------------------------------
+    # --- continuation ---------------------------------------------------------------------------------
 
-    def go_on(self, agent: Agent, thread: int, word: int = 0) -> None:
-        """Give a thread the word of a head that took no time: it keeps its turn."""
+    def complete_at_once(self, agent: Agent, thread: int, word: int = 0) -> None:
+        """Pass the result of an immediate instruction to a thread, which keeps its turn."""
         self.engine.complete(agent.block, place_of(agent.block, thread), word)
-        self.turns.next(agent, thread)
+        self.run_queue.push_front(agent, thread)
 
     def complete(self, agent: Agent, thread: int, word: Callable[[], int]) -> None:
-        """Give a waiting thread the word its head asked for, and its turn."""
+        """Pass the result of its instruction to a waiting thread, and queue it."""
         try:
-            result = self.with_room(agent, word)
+            result = self.run_with_collection(agent, word)
         except Trap as trap:
-            self.refuse(agent, thread, trap.kind, trap.message)
+            self.throw_builtin(agent, thread, trap.kind, trap.message)
             return
         self.engine.complete(agent.block, place_of(agent.block, thread), result)
-        self.turns.last(agent, thread)
+        self.run_queue.push_back(agent, thread)
 
-    def refuse(self, agent: Agent, thread: int, kind: str, message: str, source: str = "") -> None:
-        """Throw a built-in exception where a waiting thread stands."""
+    def throw_builtin(self, agent: Agent, thread: int, kind: str, message: str, source: str = "") -> None:
+        """Throw a built-in exception at the position of a waiting thread."""
         if agent.ended:
             return
         try:
-            thrown = self.with_room(
+            thrown = self.run_with_collection(
                 agent, lambda: new_exception(agent.block, self.layouts, kind, message, source)
             )
         except Trap:
-            self.die(agent, f"{kind}: {message} (and no room left to throw it)")
+            self.die(agent, f"{kind}: {message} (and the heap is too full to throw it)")
             return
         self.throw(agent, thread, thrown)
 
-    def refuse_over(self, caller: Agent, thread: int, source: str) -> None:
-        """A call that a time limit has cancelled has ended: its caller hears of it, and how late it is."""
-        late = (self.clock_of(caller) - caller.over_at) / 1e9
-        said = f", {late:.1f} s late since it took so long to end" if late >= LATE else ""
-        self.refuse(caller, thread, "TimeLimitException", f"{caller.over}{said}", source)
+    def throw_expired(self, caller: Agent, thread: int, source: str) -> None:
+        """A call that a time limit has cancelled has ended: throw in its caller, with the delay."""
+        late = (self.clock_of(caller) - caller.expired_at) / 1e9
+        lateness = f", {late:.1f} s late: it took that long to end" if late >= LATE_THRESHOLD else ""
+        self.throw_builtin(caller, thread, "TimeLimitException", f"{caller.expiry_message}{lateness}", source)
 
     def throw(self, agent: Agent, thread: int, thrown: int) -> None:
-        """Throw the object at `thrown` where a thread stands."""
-        agent.kept = False
-        agent.over = ""
+        """Throw the object at `thrown` at a thread's position."""
+        agent.on_throw()
         if self.engine.throw(agent.block, place_of(agent.block, thread), thrown):
             if agent.blocked:
                 self.unblock(agent)
-            self.turns.next(agent, thread)
+            self.run_queue.push_front(agent, thread)
         else:
             self.uncaught(agent, thread, thrown)
 
     def freeze(self, agent: Agent, thread: int) -> None:
-        """Hold a coordinator, which has no other thread, at its portal call."""
+        """Suspend a coordinator, which has a single thread, at its portal call."""
         w = agent.block.w
         w[w[W_THREADS] + THREAD_STATE] = CALLING
-        agent.frozen = True
+        agent.freeze()
 
-    def stir(self, agent: Agent) -> None:
-        """The block may have changed: what its parked pollers wait for may be so now."""
-        agent.seen = b""
-        waiting, agent.pollers = agent.pollers, set()
-        for thread in sorted(waiting):
-            self.turns.last(agent, thread)
+    def recheck_pollers(self, agent: Agent) -> None:
+        """The block may have changed: let parked pollers check again."""
+        for thread in agent.drain_pollers():
+            self.run_queue.push_back(agent, thread)
 
     def unblock(self, agent: Agent) -> None:
-        """Those who wait for the agent's monitor try again, if it is free."""
+        """Let threads that wait for the agent's monitor try again, if it is free."""
         if agent.block.w[layout.W_OWNER]:
             return
-        waiting, agent.blocked = agent.blocked, []
-        for thread in waiting:
-            self.turns.last(agent, thread)
+        for thread in agent.drain_blocked():
+            self.run_queue.push_back(agent, thread)
 
-    def give_back(self, agent: Agent, thread: int) -> None:
-        """Free the monitor that a thread held when it ended by an exception."""
+    def release_monitor(self, agent: Agent, thread: int) -> None:
+        """Release the monitor of a thread that ended by an exception."""
         w = agent.block.w
         if w[layout.W_OWNER] == thread:
             w[layout.W_OWNER] = w[layout.W_ENTRIES] = 0
             self.unblock(agent)
 
-    def with_room(self, agent: Agent, work: Callable[[], T]) -> T:
-        """Do work that may raise Full, from its beginning after a collection; raises Trap at the limit.
+    def run_with_collection(self, agent: Agent, work: Callable[[], T]) -> T:
+        """Execute `work`, which may raise HeapFull, again after each collection. Raises Trap at the limit.
 
-        A collection leaves at least twice the room that the work is known to need, so of work that does not
-        say it all at once, few are needed: it comes twice as far each time.
+        Each collection leaves at least twice the words known to be needed, so work of unknown size needs few.
         """
         while True:
             start = agent.block.top
             try:
                 return work()
-            except Full as full:
-                words = agent.block.lacking(start, full)
+            except HeapFull as full:
+                words = agent.block.missing_words(start, full)
             collect(agent.block, self.layouts, words)
             if agent.block.top + words > agent.block.limit:
                 raise Trap(
                     "LimitException", f"the heap of {agent.id} is over its limit of {agent.limits.heap} bytes"
                 )
 
-    def make_room(self, agent: Agent, thread: int, words: int) -> None:
-        """A thread's instruction lacks so many words: it runs again when there are, else it throws."""
+    def collect_and_retry(self, agent: Agent, thread: int, words: int) -> None:
+        """Collect for an instruction that lacks that many words, and repeat it; else throw."""
         block = agent.block
         collect(block, self.layouts, words)
         if block.top + words <= block.limit:
-            self.turns.next(agent, thread)
+            self.run_queue.push_front(agent, thread)
             return
         message = f"the heap is over its limit of {agent.limits.heap} bytes"
         try:
             thrown = new_exception(block, self.layouts, "LimitException", message, agent.id)
-        except Full:
+        except HeapFull:
             self.die(agent, f"LimitException: {message}", thread)
             return
         self.throw(agent, thread, thrown)
 
-    # --- ending ---------------------------------------------------------------------------------------
+    # --- end ------------------------------------------------------------------------------------------
 
     def uncaught(self, agent: Agent, thread: int, thrown: int) -> None:
-        """Nobody in the thread catches what was thrown: its portal fails, or else the agent dies."""
+        """An uncaught exception: the portal fails, or the agent dies."""
         call = agent.block.w[place_of(agent.block, thread) + THREAD_CALL]
         if call:
             self.flush(agent, thread)
-            self._failed(self, agent, thread, call, thrown)
+            self._on_failed(self, agent, thread, call, thrown)
             return
         name, message, trace = traceback.describe(agent.block, self.program, thrown)
         self.die(agent, f"{name}: {message}" if message else name, thread, trace)
 
-    def die(self, agent: Agent, reason: str, thread: int = 0, trace: str = "") -> None:
-        """End an agent: its report says what it died of and where it stood."""
+    def die(
+        self, agent: Agent, reason: str, thread: int = 0, trace: str = "", *, broken: bool = False
+    ) -> None:
+        """End an agent; its report has the reason and the stack. `broken`: by a bug of lfield."""
         lines = [reason]
         if trace:
             lines += trace.splitlines()
@@ -277,72 +272,70 @@ class Scheduler:
         if place:
             lines += [f"    {line}" for line in traceback.lines(agent.block, self.program, place, trace)]
             agent.block.w[place + THREAD_STATE] = DEAD
-        agent.report = "\n".join(lines)
-        agent.ended = "died"
+        agent.die("\n".join(lines), broken=broken)
         self.opening.pop(agent.id, None)
-        if self.attached.watch is not None:
-            self.attached.watch.died(agent, reason)
-        self._tell_of_death(agent, f"{agent.id} has died: {reason}")
+        if self.hooks.observer is not None:
+            self.hooks.observer.on_resource_died(agent, reason)
+        self._fail_waiters(agent, f"{agent.id} has died: {reason}")
         if agent.member.kind == "coordinator":
             self.release(agent)
         self.world.ended(agent)
 
-    def _tell_of_death(self, resource: Agent, message: str) -> None:
-        """Everybody who waits for a resource that has just died hears of it."""
-        waiting, resource.waiting = resource.waiting, []
-        calls: list[tuple[Agent, int] | Begun] = [*waiting]
+    def _fail_waiters(self, resource: Agent, message: str) -> None:
+        """Throw in all callers of a resource that has died."""
+        calls: list[tuple[Agent, int] | PendingCall] = [*resource.drain_waiting()]
         if resource.member.kind == "resource" and resource.block.w[layout.W_THREADS]:
             numbers = [resource.block.w[place + THREAD_CALL] for place in threads(resource.block)]
             calls += [self.calls.pop(number) for number in numbers if number in self.calls]
             for number in numbers:
-                self.questions.pop(number, None)
+                self.resource_queries.pop(number, None)
         for call in calls:
-            if isinstance(call, Begun):
-                self.fail_begun(call, "UnreachableResourceException", message, resource.id)
+            if isinstance(call, PendingCall):
+                self.fail_pending(call, "UnreachableResourceException", message, resource.id)
             else:
-                self.refuse(*call, "UnreachableResourceException", message, resource.id)
+                self.throw_builtin(*call, "UnreachableResourceException", message, resource.id)
 
-    def come_back(self, begun: Begun, state: Literal["done", "thrown"], parcel: bytes) -> None:
-        """A call that was begun here has its end: the host keeps it, whoever waits here looks again."""
-        if begun.state != "running":
+    def complete_pending(self, pending: PendingCall, state: Literal["done", "thrown"], result: bytes) -> None:
+        """A pending call has ended: the host stores it, and a waiter checks again."""
+        if pending.state != "running":
             return
-        begun.state, begun.parcel = state, parcel
-        if not begun.dropped:
-            self.world.came_back(begun)
-        waiter, begun.waiter = begun.waiter, None
+        pending.state, pending.result = state, result
+        if not pending.dropped:
+            self.world.on_call_completed(pending)
+        waiter, pending.waiter = pending.waiter, None
         if waiter is not None:
-            self.turns.next(*waiter)
+            self.run_queue.push_front(*waiter)
 
-    def fail_begun(self, begun: Begun, kind: str, message: str, source: str) -> None:
-        """A call that was begun here ends by a built-in exception."""
+    def fail_pending(self, pending: PendingCall, kind: str, message: str, source: str) -> None:
+        """End a pending call by a built-in exception."""
 
         def make(block: Block) -> int:
             return new_exception(block, self.layouts, kind, message, source)
 
-        self.come_back(begun, "thrown", parcel_made(self.program.digest, make))
+        self.complete_pending(pending, "thrown", serialise_built(self.program.digest, make))
 
     def release(self, agent: Agent) -> None:
-        """Forget a coordinator that has left or has ended."""
+        """Remove a coordinator that has left or ended."""
         if self.agents.get(agent.id) is agent:
             del self.agents[agent.id]
-        self.turns.quiet(agent)
+        self.run_queue.cancel_alarms(agent)
 
     def forget(self, agent: Agent, thread: int) -> None:
-        """A thread of an agent that goes on has come to its end."""
+        """Remove an ended thread of a live agent."""
         unlink(agent.block, thread)
-        if agent.polls or agent.asked or agent.cancels:
-            agent.polls.pop(thread, None)
-            agent.asked.discard(thread)
-            agent.cancels.pop(thread, None)
+        if agent.poll_counts or agent.outward_pollers or agent.pending_cancels:
+            agent.poll_counts.pop(thread, None)
+            agent.outward_pollers.discard(thread)
+            agent.pending_cancels.pop(thread, None)
 
     def flush(self, agent: Agent, thread: int) -> None:
-        """Write what a thread has left of a line."""
+        """Write the remainder of a thread's line."""
         if rest := agent.lines.pop(thread, ""):
             self.world.write(agent, rest)
 
 
 class _Templates(dict[int, "memoryview[int]"]):
-    """Made when they are first wanted."""
+    """Templates, created on first use."""
 
     def __init__(self, program: Program, layouts: Layouts) -> None:
         self._program, self._layouts = program, layouts

@@ -1,1 +1,1 @@
-"""Messages between hosts, as bytes. No sockets."""
+"""Messages between hosts and their encoding. No sockets."""

@@ -1,4 +1,4 @@
-"""Messages to frames and back.
+"""Encodes messages as frames, and decodes them.
 
 | kind         | payload                                                                          |
 |--------------|----------------------------------------------------------------------------------|
@@ -8,19 +8,18 @@
 | TRANSFER (7) | checksum, that of the block, header length (2 bytes), msgpack of `Transfer`, block |
 | PART (8)     | the next bytes of one long CONTROL or TRANSFER frame, its own header included    |
 
-Numbers are big-endian. A checksum is the CRC-32 of what follows it, begun with the length of the payload
-instead of zero. That of a transfer ends before the block, which has its own, so that a header can be believed
-whose block was never read. The block has an Adler-32, which costs a fifth of it and finds every single
-flipped bit as well. A frame that does not fit its checksum is a WireError: the link is closed, and whatever
-was on its way is asked for again. The kinds differ by two bits at least: one bit that flips makes none of
-them another.
+Numbers are big-endian. A checksum is the CRC-32 of the bytes after it, initialised with the length of the
+payload instead of zero. The one of a transfer covers the header only; the block has its own, so that a header
+can be verified without reading its block. The block has an Adler-32, which takes a fifth of the time and also
+detects every single flipped bit. A frame with a wrong checksum is a WireError: the link is closed, and lost
+messages are requested again. Any two kinds differ in at least two bits, so that one flipped bit never turns
+one into another.
 
-A long frame may be sent as parts, so that an order to stop passes between two of them. Parts of one frame
-follow one another, and no part has bytes of two frames.
+A long frame may be sent in parts, so that a stop order can be sent between two of them. The parts of a frame
+are consecutive, and no part has bytes of two frames.
 
-HELLO's first six bytes and the whole of REFUSE stay as they are in every version to come, so that two
-hosts of different versions can tell each other what is wrong. A REFUSE needs no checksum: whatever its
-sentence says, it ends the link.
+The first six bytes of HELLO and the whole of REFUSE stay unchanged in all future versions, so that hosts of
+different versions can report the mismatch. A REFUSE needs no checksum: it ends the link, whatever its text.
 """
 
 from __future__ import annotations
@@ -33,10 +32,10 @@ import msgspec
 from msgspec.structs import replace
 
 from lfield.errors import WireError
-from lfield.wire.coordinators import Transfer
+from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.fields import MAX_TEXT
-from lfield.wire.framing import HEADER_SIZE, Buffer, FrameDecoder, frame, frame_header
-from lfield.wire.messages import PROTOCOL, Control, ForeignHello, Hello, Message, Refuse, Role
+from lfield.wire.framing import FRAME_HEADER, HEADER_SIZE, Buffer, FrameDecoder, frame
+from lfield.wire.messages import PROTOCOL, Control, HandshakeRefused, Hello, IncompatibleHello, Message, Role
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -47,21 +46,24 @@ HELLO, REFUSE, CONTROL, TRANSFER, PART = 1, 2, 4, 7, 8
 
 MAGIC = b"lfld"
 
-#: The most bytes a Transfer's header takes: a name of 128 characters of 4 bytes, a hash, and numbers.
+#: The maximum size of a Transfer's header in bytes: a name of 128 characters of 4 bytes, a hash, and numbers.
 MAX_TRANSFER_HEADER = 1024
 
 _HELLO_START = struct.Struct(">4sH")
 _CHECKSUM = struct.Struct(">I")
-#: The header's checksum, the block's, the size of `Transfer`; and what of that the first one is of.
+#: The header's checksum, the block's, the size of `Transfer`; and the offset that the first one covers from.
 _TRANSFER_START, _TRANSFER_CHECKED = struct.Struct(">IIH"), struct.Struct(">IH")
 
-#: What may come before the greeting, in bytes: anybody may send that, and hold so much memory.
-GREETING_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
-_OBSERVER_LIMITS = GREETING_LIMITS | {CONTROL: 8 * MAX_TEXT}
-_HOST_LIMITS = GREETING_LIMITS | {CONTROL: 1 << 20}
+#: The maximum size of a message before the handshake, in bytes: strangers may send it and occupy memory.
+HANDSHAKE_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
+_OBSERVER_LIMITS = HANDSHAKE_LIMITS | {CONTROL: 8 * MAX_TEXT}
+_HOST_LIMITS = HANDSHAKE_LIMITS | {CONTROL: 1 << 20}
 #: The longest payload of a part, in bytes.
 MAX_PART = 1 << 17
 _PARTS = {PART: MAX_PART}
+
+#: The exceptions of the decoders for malformed bytes.
+UNREADABLE = (msgspec.MsgspecError, UnicodeDecodeError, RecursionError)
 
 _encode = msgspec.msgpack.Encoder().encode
 _hello: msgspec.msgpack.Decoder[Hello] = msgspec.msgpack.Decoder(Hello)
@@ -70,9 +72,9 @@ _control: msgspec.msgpack.Decoder[Control] = msgspec.msgpack.Decoder(Control)
 
 
 def frame_decoder(on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
-    """A decoder for one link, which lets only greetings pass until its limits are widened.
+    """A decoder for one link, which accepts only handshakes until its limits are widened.
 
-    The block of a larger transfer is thrown away as it arrives, then `on_oversize` is called with its
+    The block of an oversized transfer is discarded as it arrives, then `on_oversize` is called with its
     header and its size in bytes. It may raise WireError, as `FrameDecoder.feed` then does.
     """
 
@@ -80,23 +82,23 @@ def frame_decoder(on_oversize: Callable[[Transfer, int], None]) -> FrameDecoder:
         header, start, _ = _split_transfer(head, length)
         on_oversize(header, length - start)
 
-    return FrameDecoder(GREETING_LIMITS, skippable={TRANSFER: MAX_TRANSFER_HEADER}, on_skipped=skipped)
+    return FrameDecoder(HANDSHAKE_LIMITS, skippable={TRANSFER: MAX_TRANSFER_HEADER}, on_skipped=skipped)
 
 
 def limits(role: Role, max_block: int) -> Mapping[int, int]:
-    """What may come from a peer that has greeted; `max_block` is the largest block to take, in bytes."""
+    """The limits for a peer after its handshake; `max_block` is the largest accepted block, in bytes."""
     return part_limits(role, max_block) | _PARTS
 
 
 def part_limits(role: Role, max_block: int) -> dict[int, int]:
-    """What may come of it in parts."""
+    """The limits for frames in parts."""
     if role == "observer":
         return _OBSERVER_LIMITS
     return _HOST_LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
 
 
-def may_be_parted(frame: Buffer) -> bool:
-    """Whether a frame may be sent in parts: greetings and refusals are read before that is known."""
+def may_be_fragmented(frame: Buffer) -> bool:
+    """Whether a frame may be sent in parts: handshake messages may not, as the peer's support is unknown."""
     return frame[HEADER_SIZE - 1] in (CONTROL, TRANSFER)
 
 
@@ -104,9 +106,9 @@ def encode(message: Message) -> bytes:
     """The whole frame of a message."""
     if isinstance(message, Hello):
         return _encode_hello(message)
-    if isinstance(message, Refuse):
+    if isinstance(message, HandshakeRefused):
         return frame(REFUSE, message.reason[:MAX_TEXT].encode())
-    return frame(CONTROL, _checked(message, 0))
+    return frame(CONTROL, _with_checksum(message, 0))
 
 
 def encode_transfer(header: Transfer, block: Buffer) -> bytes:
@@ -114,17 +116,17 @@ def encode_transfer(header: Transfer, block: Buffer) -> bytes:
     body = _encode(header)
     start = _TRANSFER_CHECKED.pack(zlib.adler32(block), len(body)) + body
     length = _CHECKSUM.size + len(start) + len(block)
-    return frame_header(TRANSFER, length) + _CHECKSUM.pack(zlib.crc32(start, length)) + start
+    return FRAME_HEADER.pack(length + 1, TRANSFER) + _CHECKSUM.pack(zlib.crc32(start, length)) + start
 
 
 def decode(kind: int, payload: Buffer) -> Message:
     """The message of a frame that is not a TRANSFER. Raises WireError."""
     if kind == CONTROL:
-        return _strict(_control, _check(payload, 0))
+        return _strict(_control, _verify_checksum(payload, 0))
     if kind == HELLO:
         return _decode_hello(payload)
     if kind == REFUSE:
-        return Refuse(bytes(payload).decode(errors="replace"))
+        return HandshakeRefused(bytes(payload).decode(errors="replace"))
     raise WireError(f"a frame of kind {kind} is not a message")
 
 
@@ -140,28 +142,28 @@ def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
 
 
 def _encode_hello(hello: Hello) -> bytes:
-    payload = _HELLO_START.pack(MAGIC, PROTOCOL) + _checked(hello, _HELLO_START.size)
-    if len(payload) > GREETING_LIMITS[HELLO] and any(known.detail for known in hello.coordinators):
-        # Why hundreds have ended is told by each Ended too; that they have ended must be told here.
+    payload = _HELLO_START.pack(MAGIC, PROTOCOL) + _with_checksum(hello, _HELLO_START.size)
+    if len(payload) > HANDSHAKE_LIMITS[HELLO] and any(known.detail for known in hello.coordinators):
+        # The reasons are repeated by each Terminated; here only the terminations themselves are needed.
         return _encode_hello(replace(hello, coordinators=[replace(k, detail="") for k in hello.coordinators]))
     return frame(HELLO, payload)
 
 
-def _decode_hello(payload: Buffer) -> Hello | ForeignHello:
+def _decode_hello(payload: Buffer) -> Hello | IncompatibleHello:
     if len(payload) < _HELLO_START.size:
         raise WireError("a greeting is too short; the peer is not an lfield host")
     magic, protocol = _HELLO_START.unpack_from(payload)
     if magic != MAGIC:
         raise WireError("a greeting does not begin with 'lfld'; the peer is not an lfield host")
     if protocol != PROTOCOL:
-        return ForeignHello(protocol)
-    return _strict(_hello, _check(payload, _HELLO_START.size))
+        return IncompatibleHello(protocol)
+    return _strict(_hello, _verify_checksum(payload, _HELLO_START.size))
 
 
 def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
-    """The transfer header, where the block begins, and the block's checksum.
+    """The transfer header, the offset of the block, and the block's checksum.
 
-    `length` is that of the whole payload, of which the beginning is enough.
+    `length` is that of the whole payload; the beginning of it is sufficient.
     """
     if len(payload) < _TRANSFER_START.size:
         raise WireError("a transfer is too short to have a header")
@@ -172,17 +174,20 @@ def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
     head = memoryview(payload)[:start]
     if zlib.crc32(head[_CHECKSUM.size :], length) != expected:
         raise WireError("the header of a transfer was damaged on the way: its checksum does not fit")
-    return _strict(_transfer, head[_TRANSFER_START.size :]), start, check
+    try:
+        return _transfer.decode(head[_TRANSFER_START.size :]), start, check
+    except UNREADABLE as error:
+        raise WireError(f"a message cannot be read: {error}") from None
 
 
-def _checked(message: Message, before: int) -> bytes:
-    """A message behind its checksum; `before` are the bytes of the payload that go before the two."""
+def _with_checksum(message: Message, before: int) -> bytes:
+    """A message after its checksum; `before` are the bytes of the payload that precede the two."""
     body = _encode(message)
     return _CHECKSUM.pack(zlib.crc32(body, before + _CHECKSUM.size + len(body))) + body
 
 
-def _check(payload: Buffer, before: int) -> memoryview:
-    """What stands behind the checksum, which is at `before`. Raises WireError."""
+def _verify_checksum(payload: Buffer, before: int) -> memoryview:
+    """The bytes after the checksum at `before`. Raises WireError."""
     if len(payload) < before + _CHECKSUM.size:
         raise WireError("a message is too short to have a checksum")
     body = memoryview(payload)[before + _CHECKSUM.size :]
@@ -194,5 +199,5 @@ def _check(payload: Buffer, before: int) -> memoryview:
 def _strict(decoder: msgspec.msgpack.Decoder[T], payload: Buffer) -> T:
     try:
         return decoder.decode(payload)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except UNREADABLE as error:
         raise WireError(f"a message cannot be read: {error}") from None

@@ -1,8 +1,7 @@
-"""What happened on one host, numbered: the stream that watchers follow (`lfield events`, `logs`, `watch`).
+"""The numbered events of one host, which subscribers follow (`lfield events`, `logs`, `watch`).
 
-What an event tells is one of the structs below. In msgpack each is an array that begins with its kind, a
-short word; `as_fields` gives it by name, as `lfield events --json` shows it. `lfield/docs/events.md` says
-when each is told, and what is bounded. The messages that carry events are in `watching`.
+An event carries one of the structs below: in msgpack an array that begins with its kind, a short name.
+`lfield/docs/events.md` describes when each is emitted, and the bounds.
 """
 
 from __future__ import annotations
@@ -11,21 +10,35 @@ from typing import Annotated, Any, Literal, get_args
 
 from msgspec import Meta, Struct, to_builtins
 
-from lfield.wire.coordinators import Outcome
-from lfield.wire.fields import Age, Count, Label, MaybeName, Moment, Name, Ordinal, Share, Telemetry, Text
+from lfield.hybrid_clock import timestamp_of
+from lfield.wire.coordinator_messages import Outcome
+from lfield.wire.fields import (
+    Count,
+    Duration,
+    Index,
+    Label,
+    Milliseconds,
+    Moment,
+    Name,
+    OptionalName,
+    Ordinal,
+    Share,
+    Telemetry,
+    Text,
+)
 
 # --- agents ---------------------------------------------------------------------------------------------
 
 
-class Started(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="started"):
-    """An agent runs here. `kept`: it goes on from what the journal of this host had of it."""
+class AgentStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="started"):
+    """An agent runs here. `kept`: it was resumed from the journal of this host."""
 
     agent: Name
     generation: Ordinal
     kept: bool = False
 
 
-class Finished(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="finished"):
+class AgentFinished(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="finished"):
     """An agent has ended here, a resource only by dying; `detail` is why, with the lines it came from."""
 
     agent: Name
@@ -34,24 +47,26 @@ class Finished(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     detail: Text = ""
 
 
-class Doubted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="doubted"):
-    """It is not known whether a coordinator that was sent `to` another host arrived there."""
+class MigrationInDoubt(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="doubted"):
+    """It is unknown whether a coordinator that was sent `to` another host arrived there."""
 
     agent: Name
     generation: Ordinal
-    to: MaybeName
+    to: OptionalName
     reason: Text
 
 
-class Recovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="recovered"):
-    """The host of a coordinator is gone: it goes on here, from the last copy, as start `generation`."""
+class CoordinatorRecovered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="recovered"):
+    """A coordinator was recovered here after the loss of its host, as start `generation`."""
 
     agent: Name
     generation: Ordinal
 
 
-class Superseded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="superseded"):
-    """A coordinator was stopped here, because another start of it goes on."""
+class CoordinatorSuperseded(
+    Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="superseded"
+):
+    """A coordinator was stopped here because another start of it is alive."""
 
     agent: Name
     generation: Ordinal
@@ -59,7 +74,7 @@ class Superseded(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
 
 class Printed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="printed"):
-    """What a program says, by `print` as a line of the `log`, by `write` as it is written `out`."""
+    """Output of a program: of `print` as a line of the `log`, of `write` as text (`out`)."""
 
     agent: Name
     text: Text
@@ -70,7 +85,7 @@ class Printed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 # (agent, generation, sequence) is the name of a hop in the streams of both hosts.
 
 
-class Left(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="left"):
+class MigrationStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="left"):
     """A coordinator was sent `to` another host, where it calls a `portal` of a `resource` ('' where it
     reserves it); its block has `size` bytes."""
 
@@ -78,12 +93,12 @@ class Left(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     generation: Ordinal
     sequence: Ordinal
     to: Name
-    resource: MaybeName
+    resource: OptionalName
     portal: Label
     size: Count
 
 
-class Came(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="came"):
+class MigrationArrived(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="came"):
     """It came from the host `of` and runs here; its block has `size` bytes."""
 
     agent: Name
@@ -93,24 +108,24 @@ class Came(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     size: Count
 
 
-class Hopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="hopped"):
-    """Whoever sent it has heard that it came, so many `seconds` after it had left, by what was first: a
-    confirmation, its coming back, or its end. None where it left in an earlier life of this host."""
+class MigrationConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="hopped"):
+    """The sender knows that it arrived, `seconds` after it had left, by the first of: a
+    confirmation, its return, or its end. None if it left in an earlier incarnation of this host."""
 
     agent: Name
     generation: Ordinal
     sequence: Ordinal
     to: Name
-    seconds: Age | None
+    seconds: Duration | None
 
 
-class Stayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stayed"):
-    """It did not come there, and goes on here by that `exception`, '' for none."""
+class MigrationFailed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stayed"):
+    """It did not arrive, and continues here with that `exception`, '' for none."""
 
     agent: Name
     generation: Ordinal
     sequence: Ordinal
-    to: MaybeName
+    to: OptionalName
     exception: Label
     reason: Text
 
@@ -118,8 +133,9 @@ class Stayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, t
 # --- portals, and instructions to devices ---------------------------------------------------------------
 
 
-class Began(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="began"):
-    """A portal of a resource of this host began for a coordinator; `call` counts in this life of the host."""
+class PortalCallStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="began"):
+    """A portal of a resource of this host began for a coordinator; `call` counts in this incarnation of the
+    host."""
 
     call: Ordinal
     agent: Name
@@ -127,21 +143,21 @@ class Began(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     portal: Label
 
 
-class Ended(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="ended"):
-    """A portal ended after so many `seconds`; 'lost': its resource died. `detail` is what it has thrown."""
+class PortalCallEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="ended"):
+    """A portal ended after so many `seconds`; 'lost': its resource died. `detail` is the exception."""
 
     call: Ordinal
     agent: Name
     resource: Name
     portal: Label
-    seconds: Age
+    seconds: Duration
     how: Literal["done", "thrown", "lost"]
     detail: Text = ""
 
 
-class Asked(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="asked"):
+class DeviceCallStarted(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="asked"):
     """An agent of this host gave a device an instruction; `device` is AGENT.FIELD, and `call` counts in this
-    life of the host, apart from those of portals."""
+    incarnation of the host, separately from portal calls."""
 
     call: Ordinal
     agent: Name
@@ -149,19 +165,19 @@ class Asked(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     instruction: Label
 
 
-class Answered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="answered"):
-    """The device has answered after so many `seconds`; `error` is '' when it has done as it was told."""
+class DeviceCallEnded(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="answered"):
+    """The device has answered after so many `seconds`; `error` is '' after success."""
 
     call: Ordinal
     agent: Name
     device: Label
     instruction: Label
-    seconds: Age
+    seconds: Duration
     error: Text = ""
 
 
-class Skipped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="skipped"):
-    """There were too many events of a kind to tell each: so many were left out since this was last said."""
+class EventsDropped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="skipped"):
+    """Rate limit: so many events of a kind were dropped since the last report."""
 
     skipped: Label
     count: Count
@@ -170,7 +186,7 @@ class Skipped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
 # --- devices --------------------------------------------------------------------------------------------
 
 
-class Latched(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="latched"):
+class DeviceLatched(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="latched"):
     """A device, AGENT.FIELD, goes into its safe state, for that reason."""
 
     device: Label
@@ -178,7 +194,7 @@ class Latched(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, 
     reason: Text
 
 
-class Confirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="confirmed"):
+class SafeStateConfirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="confirmed"):
     """It is in its safe state; `reason` as before."""
 
     device: Label
@@ -186,105 +202,107 @@ class Confirmed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
     reason: Text
 
 
-class Moving(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="moving"):
-    """What a latched device still does in its safe state, in words; '' once it is at rest."""
+class DeviceMoving(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="moving"):
+    """The movement of a latched device in its safe state, in words; '' at rest."""
 
     device: Label
     moving: Text
 
 
-class Released(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="released"):
+class DeviceReleased(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="released"):
     """A device is in use again."""
 
     device: Label
 
 
-# --- the team, and people -------------------------------------------------------------------------------
+# --- the team and operators ------------------------------------------------------------------------------
 
 
-class Offered(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="offered"):
+class OfferPublished(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="offered"):
     """An agent of the team can be called, as far as this host knows."""
 
     agent: Name
 
 
-class Withdrawn(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="withdrawn"):
-    """An agent of the team cannot be called any more, as far as this host knows, for that reason."""
+class OfferWithdrawn(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="withdrawn"):
+    """An agent of the team can no longer be called, as far as this host knows, for that reason."""
 
     agent: Name
     reason: Text
 
 
-class Linked(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="linked"):
-    """There is a link with another host; `restarted`: it is in another life than it was."""
+class LinkUp(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="linked"):
+    """There is a link with another host; `restarted`: it has another incarnation than before."""
 
     peer: Name
     restarted: bool = False
 
 
-class Unlinked(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="unlinked"):
-    """A link with another host is gone; `lost`: this one had a use for it."""
+class LinkDown(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="unlinked"):
+    """A link with another host is gone; `lost`: this host still needed it."""
 
     peer: Name
     lost: bool = True
 
 
-class Refused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="refused"):
+class LinkRefused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="refused"):
     """No link with another host can be made, for that reason; '' when that is over."""
 
     peer: Name
     reason: Text
 
 
-class Waits(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
+class StartDelayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
     """Coordinators of this host are not started yet: their start waits for those `hosts`, or is `held` for
-    that reason until an operator's command. Commas separate names; no `agents`: none waits any more."""
+    that reason until an operator's command. Commas separate names; no `agents`: none waits."""
 
     agents: Text
     hosts: Text
     held: Text = ""
 
 
-class Stopped(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
-    """Somebody has pressed the emergency stop, or has `lifted` it."""
+class EmergencyStopChanged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="stopped"):
+    """An operator has pressed the emergency stop, or has `lifted` it."""
 
     by: Text
     reason: Text
     lifted: bool = False
 
 
-class Paused(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
-    """Somebody has paused the mission here, or has `lifted` that."""
+class PauseChanged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
+    """An operator has paused the mission here, or has `lifted` the pause."""
 
     by: Text
     lifted: bool = False
 
 
-class Ending(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="ending"):
-    """The host makes its devices safe and ends: nothing runs here any more."""
+class HostStopping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="ending"):
+    """The host makes its devices safe and stops."""
 
     reason: Text = ""
 
 
-class Logged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="logged"):
-    """A line of the host's log that no program has printed."""
+class LineLogged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="logged"):
+    """A line of the host's log, except output of programs; `messages.md` lists the codes."""
 
     text: Text
+    code: Label = ""
+    level: Label = ""
 
 
 # --- telemetry ------------------------------------------------------------------------------------------
 
 
-class Measured(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="measured"):
-    """The last telemetry of a device by quantity, however old; it was not heard for so many seconds."""
+class DeviceTelemetry(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="measured"):
+    """The last telemetry of a device by quantity; `silent` is its age in seconds."""
 
     device: Label
     values: Annotated[dict[Label, Telemetry], Meta(max_length=1024)]
-    silent: Age
+    silent: Duration
 
 
-class Standing(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="standing"):
-    """What an agent does, in a word; the line of L at which it stands, 0 for none; and what it waits for:
+class AgentActivity(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="standing"):
+    """The state of an agent; its line in the program, 0 for none; and what it waits for:
     RESOURCE.PORTAL, AGENT.FIELD.INSTRUCTION, or ''."""
 
     agent: Name
@@ -294,80 +312,88 @@ class Standing(Struct, frozen=True, array_like=True, forbid_unknown_fields=True,
     waits: Label
 
 
-class Path(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="path"):
-    """What is measured of the link with another host: see `LinkStatus`."""
+class LinkTelemetry(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="path"):
+    """Measurements of the link with another host: see `LinkStatus`."""
 
     peer: Name
-    round_trip: Age | None
+    round_trip: Duration | None
     loss: Share | None
     sent: Count | None
     received: Count | None
 
 
-#: What changes once and is told once: no watcher that keeps up loses one.
-State = (
-    Started
-    | Finished
-    | Doubted
-    | Recovered
-    | Superseded
+#: Events of state changes: delivered completely to every subscriber that reads fast enough.
+StateEvent = (
+    AgentStarted
+    | AgentFinished
+    | MigrationInDoubt
+    | CoordinatorRecovered
+    | CoordinatorSuperseded
     | Printed
-    | Left
-    | Came
-    | Hopped
-    | Stayed
-    | Began
-    | Ended
-    | Asked
-    | Answered
-    | Skipped
-    | Latched
-    | Confirmed
-    | Moving
-    | Released
-    | Offered
-    | Withdrawn
-    | Linked
-    | Unlinked
-    | Refused
-    | Waits
-    | Stopped
-    | Paused
-    | Ending
-    | Logged
+    | MigrationStarted
+    | MigrationArrived
+    | MigrationConfirmed
+    | MigrationFailed
+    | PortalCallStarted
+    | PortalCallEnded
+    | DeviceCallStarted
+    | DeviceCallEnded
+    | EventsDropped
+    | DeviceLatched
+    | SafeStateConfirmed
+    | DeviceMoving
+    | DeviceReleased
+    | OfferPublished
+    | OfferWithdrawn
+    | LinkUp
+    | LinkDown
+    | LinkRefused
+    | StartDelayed
+    | EmergencyStopChanged
+    | PauseChanged
+    | HostStopping
+    | LineLogged
 )
-#: Of what is told again and again only the newest counts, for each device, agent and link.
-Thinned = Measured | Standing | Path
+#: Sampled events: only the newest counts, for each device, agent and link.
+TelemetryEvent = DeviceTelemetry | AgentActivity | LinkTelemetry
 
-#: The kinds of events, by the word that JSON has for each.
+#: The kinds of events by their name in JSON.
 KINDS: dict[str, type[Struct]] = {
-    str(kind.__struct_config__.tag): kind for kind in get_args(State) + get_args(Thinned)
+    str(kind.__struct_config__.tag): kind for kind in get_args(StateEvent) + get_args(TelemetryEvent)
 }
-TELEMETRY = frozenset(str(kind.__struct_config__.tag) for kind in get_args(Thinned))
+TELEMETRY = frozenset(str(kind.__struct_config__.tag) for kind in get_args(TelemetryEvent))
 
 
 class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What happened on a host: `at` Unix time by its own clock, `up` seconds by its monotonic clock.
+    """An event on a host: `at` Unix time by its own clock, `up` seconds by its monotonic clock.
 
-    `number` counts the states of this life of the host from 1, without a gap; of telemetry it is the number
-    of the last state before it. `cause` is the number of the earlier event of the same life that led to this
-    one, 0 where none is known. What led to a `Came` is the `Left` of the same hop, in another host's stream.
+    `number` counts the states of this incarnation of the host from 1, without a gap; of telemetry it is the
+    number of the last state before it. `cause` is the number of the earlier event of the same incarnation
+    that led to this one, 0 if unknown; that of a `MigrationArrived` is in another host's stream. `stamp`
+    orders the events of all hosts: `ahead` milliseconds more than `at`, with the counter `tick`.
     """
 
     number: Ordinal
     at: Moment
-    up: Age
+    up: Duration
     cause: Ordinal
-    what: State | Thinned
+    what: StateEvent | TelemetryEvent
+    ahead: Milliseconds = 0
+    tick: Index = 0
+
+    @property
+    def stamp(self) -> int:
+        """Its timestamp."""
+        return timestamp_of(max(0, int(self.at * 1000.0) + self.ahead), self.tick)
 
     @property
     def kind(self) -> str:
-        """Its word: 'left'."""
+        """The name of its kind: 'left'."""
         return str(self.what.__struct_config__.tag)
 
 
 def as_fields(event: Event) -> dict[str, Any]:
-    """An event by names: number, at, up, cause, kind, and the fields of its kind. JSON can have it all."""
+    """An event as named fields: number, at, up, cause, kind, and those of its kind; for JSON."""
     what = event.what
     told = {name: to_builtins(getattr(what, name)) for name in what.__struct_fields__}
     head = {"number": event.number, "at": event.at, "up": event.up, "cause": event.cause}

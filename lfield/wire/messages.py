@@ -1,10 +1,10 @@
-"""What hosts say to one another (DESIGN section 6).
+"""The messages between hosts.
 
-Every message is a frozen msgspec struct, written in msgpack as an array whose first item is a small
-number, the tag. Decoding is strict: wrong types, strings or lists over their bounds, items too many, and
-unknown tags are all refused. Three messages are not in the `Control` union because they have a frame kind
-of their own: `Hello` and `Refuse`, whose outer form never changes between versions, and `Transfer`, which
-is followed by the raw bytes of a block. `codec` writes and reads them all.
+Every message is a frozen msgspec struct, encoded in msgpack as an array whose first item is a small number,
+the tag. Decoding is strict: wrong types, strings or lists beyond their bounds, surplus items, and unknown
+tags are refused. Three messages are not in the `Control` union because they have their own frame kind:
+`Hello` and `HandshakeRefused`, whose frame format never changes between versions, and `Transfer`, which is
+followed by the raw bytes of a block. `codec` encodes and decodes all of them.
 """
 
 from __future__ import annotations
@@ -14,65 +14,72 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
-from lfield.wire.coordinators import Accepted, Ended, EndedAck, Inquire, Known, Refused
+from lfield.wire.coordinator_messages import (
+    CoordinatorState,
+    Locate,
+    Located,
+    Terminated,
+    TerminatedAck,
+    TransferAccepted,
+    TransferQuery,
+    TransferRefused,
+)
 from lfield.wire.fields import (
     MAX_LIST,
-    Age,
     Count,
+    Duration,
     FactValue,
     Hash,
     Index,
     Label,
-    MaybeName,
     Moment,
     Name,
+    OptionalName,
     Ordinal,
     Text,
-    ToldBy,
+    Timestamp,
+    ValueSource,
 )
-from lfield.wire.observing import (
+from lfield.wire.observer_messages import (
     EmergencyStop,
-    EmergencyStopped,
-    Forget,
-    Forgotten,
+    EmergencyStopResult,
+    ForgetRequest,
+    ForgetResponse,
     OrderChallenge,
     Pause,
-    Recover,
-    Recovered,
+    RecoverRequest,
+    RecoverResponse,
     StartRequest,
     StartResponse,
-    Status,
-    StatusRequest,
 )
-from lfield.wire.orders import Epochs, RelayedAnswer, RelayedOrder
-from lfield.wire.quorum import QuorumMessage
-from lfield.wire.reservations import ReservationMessage
-from lfield.wire.watching import WatchMessage
+from lfield.wire.order_messages import Epochs, RelayedAnswer, RelayedOrder
+from lfield.wire.quorum_messages import QuorumMessage
+from lfield.wire.reservation_messages import ReservationMessage
+from lfield.wire.subscription_messages import SubscriptionMessage
 
-#: The version of everything in this package. Hosts of different versions do not talk.
-PROTOCOL = 11
+#: The version of everything in this package. Hosts of different versions do not communicate.
+PROTOCOL = 13
 
-#: What a peer is: one of the team, or somebody who looks at it (`lfield ps`).
+#: The role of a peer: a member of the team, or an observer (`lfield ps`).
 Role = Literal["host", "observer"]
 
 
 class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The first message of both sides of a link.
 
-    `incarnation` is a random 63-bit number drawn at process start: the same host after a restart has
-    another. `memory` is the identity of its journal, which outlives restarts; 0 for a host that keeps none.
-    `program`, `deployment`, `registry` and `access` are 32-byte hashes of what all hosts of a team must have
-    alike; an observer (`lfield ps`) leaves them empty, a program that names no capability has no registry,
-    and a mission without an access file no rules.
-    `devices` says what those of its team are, '' where it has none.
-    `max_block` is the largest block this host takes, in bytes. `recovery` says in words who decides that a
-    coordinator is lost; '' where none is recovered. `origin` says in words where on the Earth its team counts
-    places from; '' where nowhere. `reservation` is how long one lasts unheard, in seconds. `time` is what it
-    is as far as the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number of
-    its revocation list; both 0 where nobody has keys. `bundle` is the digest of the bundle that it runs, of
-    which those hashes are a part; b"" where it runs what its own files say, and `built` is then the digest of
-    the bundle that it has made of those files: it is shown to people and not compared.
-    `epochs` are what orders to stop and to pause must name (`orders`).
+    `incarnation` is a random 63-bit number drawn at process start: a restarted host has another one.
+    `journal_id` is the id of its journal, which survives restarts; 0 for a host without one. `program`,
+    `deployment`, `registry` and `access` are 32-byte hashes of what must be equal on all hosts of a team; an
+    observer (`lfield ps`) leaves them empty, a program that names no capability has no registry, and a
+    mission without an access file no rules. `devices` is the kind of the team's devices, '' if it has none.
+    `max_block` is the largest block that this host accepts, in bytes. `recovery` describes who decides that a
+    coordinator is lost; '' where none is recovered. `origin` describes the origin of the team's map frame on
+    the Earth; '' for none. `reservation` is how long a reservation lasts without renewal, in seconds. `time`
+    is the time that the sender knows without the others, in seconds since 1970 UTC, and `revoked` the number
+    of its revocation list; both 0 without keys. `bundle` is the digest of the running bundle, of which those
+    hashes are a part; b"" for a mission from files. `built` is then the digest of the bundle made of those
+    files: it is shown to operators and not compared. `epochs` are the numbers that stop and pause orders must
+    name (`orders`). `stamp` is the timestamp of the sender.
     """
 
     role: Role
@@ -81,23 +88,24 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     program: Hash = b""
     deployment: Hash = b""
     max_block: Count = 0
-    coordinators: Annotated[list[Known], Meta(max_length=4096)] = []
+    coordinators: Annotated[list[CoordinatorState], Meta(max_length=4096)] = []
     registry: Hash = b""
     access: Hash = b""
     devices: Literal["", "fakes", "hardware"] = ""
-    memory: Count = 0
+    journal_id: Count = 0
     recovery: Text = ""
     origin: Text = ""
-    reservation: Age = 0.0
+    reservation: Duration = 0.0
     time: Moment = 0.0
     revoked: Count = 0
     bundle: Hash = b""
     built: Hash = b""
     epochs: Epochs = Epochs()
+    stamp: Timestamp = 0
 
     @property
-    def brief(self) -> Hello:
-        """What whoever is no host hears of it: nothing of the mission, for that takes the right to ask."""
+    def summary(self) -> Hello:
+        """The part for observers: nothing of the mission, which requires a right."""
         return Hello(
             self.role,
             self.host,
@@ -108,36 +116,38 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
         )
 
     @property
-    def remembers(self) -> int:
-        """The identity of what this host answers from: a question for another one has no answer here."""
-        return self.memory or self.incarnation
+    def state_id(self) -> int:
+        """The id of the state from which this host answers; a query for another id has no answer here."""
+        return self.journal_id or self.incarnation
 
     @property
-    def mission(self) -> bytes:
-        """The hash of what blocks are of: a program, and the agents in whose order proxies are numbers."""
+    def mission_hash(self) -> bytes:
+        """The hash of the mission of blocks: a program, and the agents in the order of which proxies are
+        numbers."""
         return hashlib.sha256(self.program + self.deployment).digest()
 
 
-class ForeignHello(Struct, frozen=True):
-    """A greeting of another protocol version; nothing but the version can be read."""
+class IncompatibleHello(Struct, frozen=True):
+    """A Hello of another protocol version; only the version can be read."""
 
     protocol: int
 
 
-class Refuse(Struct, frozen=True):
-    """Sent instead of going on when a greeting does not fit; then the link is closed."""
+class HandshakeRefused(Struct, frozen=True):
+    """Sent instead of a Hello that is not acceptable; then the link is closed."""
 
     reason: str
 
 
-#: The token of a Ping whose answer the core of a host waits for; others are for links alone.
+#: The token of a Ping whose answer the core of a host awaits; others are only for link health.
 QUESTION = 1 << 31
 
 
 class Ping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=8):
-    """Answered by a Pong with the same token: the peer's process is alive."""
+    """Answered by a Pong with the same token: the peer's process is alive. Heartbeats carry a timestamp."""
 
     token: Count
+    stamp: Timestamp = 0
 
 
 class Pong(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=9):
@@ -146,121 +156,132 @@ class Pong(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     token: Count
 
 
-class FactReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+class AttributeUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """The value of an attribute, `age` seconds old when it was sent.
 
-    `attribute` is its place among the attributes of the registry, by name. `kept`: the sender keeps it up to
-    date, so it ages only while nothing is heard from the sender. What was not measured does not age.
+    `attribute` is the index among the attributes of the registry, by name. `kept`: the sender updates it, so
+    it ages only while the sender is unreachable. A value that was not measured does not age.
     """
 
     attribute: Index
     value: FactValue
-    age: Age
+    age: Duration
     kept: bool
-    of: ToldBy = "measured"
+    of: ValueSource = "measured"
 
 
-class AgentReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """What has changed about one agent; `agent` is its place in the deployment.
+class AgentUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The changes of one agent; `agent` is its index in the deployment.
 
-    `trouble` is why it cannot be called, '' when it can, and `lasting` for how many seconds already, where
-    that is told. `unknown` are live attributes that have no value, each with the reason. `holder` is the
-    coordinator that has reserved it, '' for none, and `held` for how many seconds already.
+    `trouble` is why it cannot be called, '' if it can, and `lasting` for how many seconds already, if known.
+    `unknown` are live attributes without a value, each with the reason. `holder` is the coordinator that has
+    reserved it, '' for none, and `held` for how many seconds already.
     """
 
     agent: Index
     trouble: Label
-    lasting: Age | None
-    facts: Annotated[list[FactReport], Meta(max_length=1024)]
+    lasting: Duration | None
+    facts: Annotated[list[AttributeUpdate], Meta(max_length=1024)]
     unknown: Annotated[list[tuple[Index, Label]], Meta(max_length=1024)]
-    holder: MaybeName = ""
-    held: Age = 0.0
+    holder: OptionalName = ""
+    held: Duration = 0.0
 
 
-class Report(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=12):
-    """How the agents of a host are: what has changed since its report number `since`, 0 for everything.
+class DirectoryUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=12):
+    """The agents of a host: changes since its report number `since`, 0 for everything.
 
-    `life` is the sender's incarnation. Every report of a life has a higher `sequence` than those before.
+    `incarnation` is the sender's incarnation. The `sequence` of reports increases within an incarnation.
     """
 
-    life: Count
+    incarnation: Count
     since: Ordinal
     sequence: Ordinal
-    agents: Annotated[list[AgentReport], Meta(max_length=4096)]
+    agents: Annotated[list[AgentUpdate], Meta(max_length=4096)]
 
 
-class SignOfLife(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """How often a host has told that it lives; `host` is its place in the deployment."""
+class LivenessCounter(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The heartbeat counter of a host; `host` is its index in the deployment."""
 
     host: Index
     incarnation: Count
     count: Ordinal
 
 
-class Heard(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=13):
-    """News of hosts that somebody misses: their last signs of life, and those that are `asked` for."""
+class GossipUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=13):
+    """Gossip about suspected hosts: their last heartbeats, and the `probes` for them."""
 
-    signs: Annotated[list[SignOfLife], Meta(max_length=4096)]
-    asked: Annotated[list[SignOfLife], Meta(max_length=4096)]
+    counters: Annotated[list[LivenessCounter], Meta(max_length=4096)]
+    probes: Annotated[list[LivenessCounter], Meta(max_length=4096)]
 
 
-class Relayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=22):
-    """A question about a transfer, or its answer, for a host that its sender has no link with.
+class RelayedMessage(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=22):
+    """A query about a transfer, or its answer, for a host without a link to the sender.
 
-    Every host passes it on once to all its links. `origin` numbers what its sender has relayed in one life,
-    and `receiver` is the place of a host in the deployment.
+    Every host forwards it once to all its links. `origin` numbers the messages that its sender has relayed in
+    one incarnation, and `receiver` is the index of a host in the deployment.
     """
 
-    origin: SignOfLife
+    origin: LivenessCounter
     receiver: Index
-    message: Accepted | Refused | Inquire
+    message: TransferAccepted | TransferRefused | TransferQuery
 
 
-class Room(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
-    """Whether the sender can keep coordinators that come to it: '' if so, else why it can not."""
+class Backpressure(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=14):
+    """Whether the sender can store arriving coordinators: '' if so, else why not."""
 
-    trouble: Text
+    reason: Text
 
 
-class Revocations(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=36):
-    """Whose certificates count no more: a list that the authority has signed, in DER. Who has an older one
-    takes it."""
+class GroundQuery(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=49):
+    """Query whether the vehicles of a host are on the ground; answered by `GroundReport`."""
+
+
+class GroundReport(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=50):
+    """For each vehicle of the sender, by device name, whether it is on the ground; None if unknown."""
+
+    vehicles: Annotated[dict[Text, bool | None], Meta(max_length=4096)]
+
+
+class RevocationUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=36):
+    """A certificate revocation list signed by the CA, in DER. A receiver with an older one adopts it."""
 
     list: Annotated[bytes, Meta(max_length=MAX_LIST)]
 
 
 #: Messages that share the control frame.
 Control = (
-    Accepted
-    | Refused
-    | Inquire
-    | Ended
-    | EndedAck
-    | StatusRequest
-    | Status
+    TransferAccepted
+    | TransferRefused
+    | TransferQuery
+    | Terminated
+    | TerminatedAck
+    | Locate
+    | Located
     | Ping
     | Pong
     | EmergencyStop
-    | EmergencyStopped
-    | Forget
-    | Forgotten
+    | EmergencyStopResult
+    | ForgetRequest
+    | ForgetResponse
     | Pause
-    | Recover
-    | Recovered
+    | RecoverRequest
+    | RecoverResponse
     | StartRequest
     | StartResponse
     | OrderChallenge
     | RelayedOrder
     | RelayedAnswer
-    | Report
-    | Heard
-    | Relayed
-    | Room
-    | Revocations
+    | DirectoryUpdate
+    | GossipUpdate
+    | RelayedMessage
+    | Backpressure
+    | GroundQuery
+    | GroundReport
+    | RevocationUpdate
     | QuorumMessage
     | ReservationMessage
-    | WatchMessage
+    | SubscriptionMessage
 )
 
 #: Every message without a block.
-Message = Hello | ForeignHello | Refuse | Control
+Message = Hello | IncompatibleHello | HandshakeRefused | Control

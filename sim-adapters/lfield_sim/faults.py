@@ -1,8 +1,7 @@
-"""Faults of a fake by name: what there is, what is set, for which device, changed while it runs.
+"""Faults of a fake by name: definitions and present values, for all or one device, changed at runtime.
 
-loss=0.1           a share, for every device of the fake
-dead@3=true        of device 3 only
-silent@alpha.fc=true   by the name that a mission's binding gives the device
+loss=0.1           a share, for every device of the fake dead@3=true        of device 3 only
+silent@alpha.fc=true   by the name of the device's binding in a mission.
 """
 
 from __future__ import annotations
@@ -18,9 +17,9 @@ FaultValue = bool | float | str
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One thing that can go wrong. The type of `default` is the type of its values; it means "healthy".
+    """One fault. The type of `default` is the type of its values; it means "healthy".
 
-    A fault of the `whole` concerns the link or bus: who names a device means the bus of that device.
+    A fault of the `whole` concerns the link or bus: a device then stands for its bus.
     """
 
     name: str
@@ -31,7 +30,7 @@ class Fault:
     whole: bool = False
 
     def parse(self, text: str) -> FaultValue:
-        """The value that a text means. Raises ValueError with a sentence."""
+        """The value of a text. Raises ValueError."""
         if isinstance(self.default, str):
             return text
         if isinstance(self.default, bool):
@@ -53,7 +52,7 @@ def share(name: str, meaning: str) -> Fault:
 
 
 class Faults:
-    """The faults of a fake. `devices` are the ids it can tell apart, with the names of their bindings."""
+    """The faults of a fake. `devices` are their ids, with the names of their bindings."""
 
     def __init__(self, known: Iterable[Fault], devices: Mapping[str, str] | Iterable[str] = ()) -> None:
         self._known = {fault.name: fault for fault in known}
@@ -62,16 +61,16 @@ class Faults:
         self._watchers: list[Callable[[], None]] = []
 
     def watch(self, changed: Callable[[], None]) -> None:
-        """Call `changed` after every change."""
+        """Calls `changed` after every change."""
         self._watchers.append(changed)
 
     def get(self, name: str, device: object = "") -> Any:
-        """What a fault is for a device (by its id), or for the whole fake."""
+        """The value of a fault for a device (by its id), or for the whole fake."""
         own = self._set.get((name, str(device)))
         return self._set.get((name, ""), self._known[name].default) if own is None else own
 
     def apply(self, texts: Iterable[str]) -> None:
-        """Set `NAME[@DEVICE]=VALUE`, all or none. Raises ValueError with a sentence."""
+        """Sets `NAME[@DEVICE]=VALUE`, all or none. Raises ValueError."""
         parsed = [self._parse(text) for text in texts]
         self._set.update(parsed)
         for changed in self._watchers:
@@ -81,7 +80,7 @@ class Faults:
         target, equals, value = text.partition("=")
         name, at, device = target.partition("@")
         if not equals:
-            raise ValueError(f"'{text}' is no fault; write NAME=VALUE or NAME@DEVICE=VALUE")
+            raise ValueError(f"'{text}' is not a fault; write NAME=VALUE or NAME@DEVICE=VALUE")
         if name not in self._known:
             raise ValueError(f"there is no fault '{name}'; there are: {', '.join(sorted(self._known))}")
         fault, target = self._known[name], self._device(device) if at else ""
@@ -99,7 +98,7 @@ class Faults:
         raise ValueError(f"there is no device '{name}'; there are: {known or 'none to tell apart'}")
 
     def described(self) -> dict[str, str]:
-        """Every fault with what it is now and what it means, for people."""
+        """Every fault with its present value and meaning."""
         lines = {}
         for fault in self._known.values():
             values = [f"{_text(self.get(fault.name))}"]
@@ -109,7 +108,7 @@ class Faults:
 
 
 def add_fault_option(parser: argparse.ArgumentParser) -> None:
-    """`--fault NAME=VALUE`, as often as wanted: what is wrong from the start."""
+    """Adds `--fault NAME=VALUE`, repeatable: faults from the start."""
     parser.add_argument(
         "--fault", action="append", default=[], metavar="NAME[@DEVICE]=VALUE", help="fault from the start"
     )

@@ -1,6 +1,6 @@
-"""A pseudo-terminal, as behind a USB adapter; on a simulated computer a serial port of that.
+"""A pseudo-terminal, as behind a USB adapter; on a simulated computer its serial port.
 
-The client finds it at a symbolic link, which stays the same when the adapter is pulled out and put back.
+The client finds it at a symbolic link, which stays the same when the adapter is unplugged and plugged in.
 """
 
 from __future__ import annotations
@@ -15,34 +15,34 @@ from collections.abc import Callable
 from pathlib import Path
 
 from lfield.errors import AddressError
-from lfield.loop import SerialEnd, Simulated
+from lfield.event_loop import SerialLineEnd, SimulatedLoop
 
-#: Linux' struct termios2, which knows speeds that have no name: flags, line, characters, speeds.
+#: Linux' struct termios2, which supports any baud rate: flags, line, characters, speeds.
 _TCGETS2, _TERMIOS2 = 0x802C542A, struct.Struct("4I20s2I")
 
-#: Takes what a client has sent, with the baud rate that it has set; None where the system does not say.
+#: Receives a client's data, with its baud rate; None if the system does not report it.
 Received = Callable[[bytes, int | None], None]
 
 
 class Terminal:
-    """A serial port at `path`; it is there from `plug` to `unplug`."""
+    """A serial port at `path`; available from `plug` to `unplug`."""
 
     def __init__(self, path: Path, received: Received) -> None:
         self._path, self._received = path, received
         self._loop = asyncio.get_running_loop()
         self._ends: tuple[int, int] | None = None
-        self._simulated: SerialEnd | None = None
+        self._simulated: SerialLineEnd | None = None
 
     @property
     def plugged(self) -> bool:
-        """Whether it is there."""
+        """Whether it is plugged in."""
         return self._ends is not None or self._simulated is not None
 
     def plug(self) -> None:
-        """Be there. Raises AddressError."""
+        """Plugs it in. Raises AddressError."""
         if self.plugged:
             return
-        if isinstance(self._loop, Simulated):
+        if isinstance(self._loop, SimulatedLoop):
             try:
                 self._simulated = self._loop.plug_serial(str(self._path), self._received)
             except OSError as error:
@@ -50,7 +50,7 @@ class Terminal:
             return
         if self._path.exists() and not self._path.is_symlink():
             raise AddressError(str(self._path), "there is a file or a device of that name")
-        # The slave's end stays open, or the master reads an error whenever no client is there.
+        # The slave stays open, otherwise the master reads an error whenever no client is there.
         master, slave = self._ends = os.openpty()
         tty.setraw(master)
         tty.setraw(slave)
@@ -66,7 +66,7 @@ class Terminal:
         self._loop.add_reader(master, self._read)
 
     def unplug(self) -> None:
-        """Be gone: clients get an input/output error."""
+        """Unplugs it: clients get an input/output error."""
         if self._simulated is not None:
             self._simulated.close()
             self._simulated = None
@@ -80,7 +80,7 @@ class Terminal:
         os.close(slave)
 
     def write(self, data: bytes) -> None:
-        """Send bytes. A client that reads nothing loses some, as it does at a serial port."""
+        """Sends bytes. A client that does not read loses some, as at a serial port."""
         if self._simulated is not None:
             self._simulated.write(data)
         if self._ends is None:
@@ -101,7 +101,7 @@ class Terminal:
 
 
 def _speed(terminal: int) -> int | None:
-    """Bits per second that the client has set; None where the system does not say."""
+    """The client's bits per second; None if the system does not report it."""
     try:
         answer = fcntl.ioctl(terminal, _TCGETS2, bytes(_TERMIOS2.size))
     except OSError:

@@ -11,17 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.authority.identity import (
-    ALL,
-    NONE,
-    STRANGER,
+    ALL_RIGHTS,
+    ANONYMOUS,
+    NO_RIGHTS,
     Identity,
     Right,
     from_uris,
     identity_of,
-    in_order,
     seconds_of,
+    sorted_rights,
     uri_of,
-    with_brought,
+    with_implied,
 )
 
 FINGERPRINT = "ab" * 32
@@ -43,7 +43,7 @@ def peer(*uris: str, **changed: Any) -> dict[str, Any]:
 def test_a_host_and_a_person() -> None:
     begins, ends = 1795464000.0, 1825272000.0
     assert identity_of(peer("lfield://host/alpha")) == Identity(
-        "host", "alpha", NONE, "a1b", begins, ends, FINGERPRINT
+        "host", "alpha", NO_RIGHTS, "a1b", begins, ends, FINGERPRINT
     )
     assert identity_of(peer("lfield://person/anna?may=observe,stop")) == Identity(
         "person", "anna", frozenset({Right.OBSERVE, Right.STOP}), "a1b", begins, ends, FINGERPRINT
@@ -77,8 +77,8 @@ def test_names_of_others_beside_ours_do_no_harm() -> None:
     ],
 )
 def test_what_is_not_written_as_ours_proves_nothing(uris: tuple[str, ...]) -> None:
-    assert identity_of(peer(*uris)) is STRANGER
-    assert from_uris(uris, serial=1, begins=0.0, ends=1.0, authority=FINGERPRINT) is STRANGER
+    assert identity_of(peer(*uris)) is ANONYMOUS
+    assert from_uris(uris, serial=1, valid_from=0.0, valid_until=1.0, authority=FINGERPRINT) is ANONYMOUS
 
 
 @pytest.mark.parametrize(
@@ -92,8 +92,8 @@ def test_what_is_not_written_as_ours_proves_nothing(uris: tuple[str, ...]) -> No
     ],
 )
 def test_a_certificate_that_no_authority_of_ours_writes_proves_nothing(changed: dict[str, Any]) -> None:
-    assert identity_of(peer("lfield://host/alpha", **changed)) is STRANGER
-    assert identity_of({}) is STRANGER
+    assert identity_of(peer("lfield://host/alpha", **changed)) is ANONYMOUS
+    assert identity_of({}) is ANONYMOUS
 
 
 def test_a_right_of_a_newer_lfield_is_left_out() -> None:
@@ -102,18 +102,18 @@ def test_a_right_of_a_newer_lfield_is_left_out() -> None:
 
 
 def test_rights_bring_others_along() -> None:
-    assert with_brought([Right.OPERATE]) == {Right.OPERATE, Right.STOP, Right.OBSERVE}
-    assert with_brought([Right.STOP]) == {Right.STOP, Right.OBSERVE}
-    assert with_brought([Right.COMMAND]) == {Right.COMMAND}
-    assert in_order(ALL) == "observe,stop,operate,command"
+    assert with_implied([Right.OPERATE]) == {Right.OPERATE, Right.STOP, Right.OBSERVE}
+    assert with_implied([Right.STOP]) == {Right.STOP, Right.OBSERVE}
+    assert with_implied([Right.COMMAND]) == {Right.COMMAND}
+    assert sorted_rights(ALL_RIGHTS) == "observe,stop,operate,command"
 
 
 def test_how_sentences_name_them() -> None:
-    assert str(Identity("host", "alpha", NONE)) == "host alpha"
-    assert str(Identity("person", "anna", NONE)) == "anna"
-    assert str(Identity("local", "root", ALL)) == "user root of this computer"
-    assert str(STRANGER) == "a stranger"
-    assert Identity("local", "root", ALL).ends == math.inf
+    assert str(Identity("host", "alpha", NO_RIGHTS)) == "host alpha"
+    assert str(Identity("person", "anna", NO_RIGHTS)) == "anna"
+    assert str(Identity("local", "root", ALL_RIGHTS)) == "user root of this computer"
+    assert str(ANONYMOUS) == "a stranger"
+    assert Identity("local", "root", ALL_RIGHTS).valid_until == math.inf
 
 
 NAMES = st.text(min_size=1, max_size=30).filter(str.isprintable)
@@ -124,7 +124,7 @@ def test_any_name_and_rights_are_read_as_they_were_written(name: str, may: froze
     person = identity_of(peer(uri_of("person", name, may)))
     assert (person.kind, person.name, person.may) == ("person", name, may)
     host = identity_of(peer(uri_of("host", name)))
-    assert (host.kind, host.name, host.may) == ("host", name, NONE)
+    assert (host.kind, host.name, host.may) == ("host", name, NO_RIGHTS)
 
 
 @given(st.text() | st.integers() | st.none())

@@ -7,30 +7,30 @@ from dataclasses import replace
 
 import pytest
 
-from lfield.authority.identity import ALL, NONE, STRANGER, Identity, Kind, Right
-from lfield.authority.judge import (
+from lfield.authority.identity import ALL_RIGHTS, ANONYMOUS, NO_RIGHTS, Identity, Kind, Right
+from lfield.authority.peer_verification import (
     NO_CHECK_TIME,
-    Known,
-    Revoked,
-    Verdict,
-    judged,
-    judged_signer,
-    when,
+    AdmissionDecision,
+    PeerStage,
+    RevocationList,
+    format_time,
+    verify_peer,
+    verify_signer,
 )
 
 OURS, THEIRS = "a" * 64, "b" * 64
-BRAVO = Identity("host", "bravo", NONE, "b1", 1000.0, 2000.0, OURS)
-ANNA = Identity("person", "anna", ALL, "a1", 1000.0, 2000.0, OURS)
-LISTED = Revoked(3, frozenset({"b1", "a1"}), 1500.0)
+BRAVO = Identity("host", "bravo", NO_RIGHTS, "b1", 1000.0, 2000.0, OURS)
+ANNA = Identity("person", "anna", ALL_RIGHTS, "a1", 1000.0, 2000.0, OURS)
+LISTED = RevocationList(3, frozenset({"b1", "a1"}), 1500.0)
 
 
 def extent(who: Identity, at: float = 1500.0, **options) -> str:
-    return judged(who, at=at, authority=OURS, **options).extent
+    return verify_peer(who, at=at, authority=OURS, **options).extent
 
 
 @pytest.mark.parametrize("who", [BRAVO, ANNA], ids=str)
 def test_all_is_well(who: Identity) -> None:
-    assert judged(who, at=1500.0, authority=OURS) == Verdict("all")
+    assert verify_peer(who, at=1500.0, authority=OURS) == AdmissionDecision("all")
     assert extent(who, 1000.0) == "all"
     assert extent(who, math.nextafter(2000.0, 0.0)) == "all"
 
@@ -48,13 +48,13 @@ def test_all_is_well(who: Identity) -> None:
     ],
 )
 def test_one_that_has_ended_may_finish_if_it_is_known_and_flies(
-    who: Identity, known: Known, flies: bool, left: str
+    who: Identity, known: PeerStage, flies: bool, left: str
 ) -> None:
-    found = judged(who, at=2000.0, authority=OURS, known=known, flies=flies)
+    found = verify_peer(who, at=2000.0, authority=OURS, known=known, is_mission_active=flies)
     assert found.extent == left
     assert found.why == (
-        f"the certificate of {who} ended 1970-01-01 00:33 UTC: renew it with 'lfield keys renew "
-        f"{who.kind} {who.name}'"
+        f"the certificate of {who} ended 1970-01-01 00:33 UTC, and the clock here says 1970-01-01: "
+        f"set the clock if it is wrong, else renew it with 'lfield keys renew {who.kind} {who.name}'"
     )
 
 
@@ -62,32 +62,34 @@ def test_one_that_has_ended_may_finish_if_it_is_known_and_flies(
 @pytest.mark.parametrize("known", ["new", "greeted", "linked"])
 @pytest.mark.parametrize("flies", [False, True])
 def test_one_that_is_revoked_keeps_no_link_but_that_of_a_host_that_flies(
-    kind: Kind, known: Known, flies: bool
+    kind: Kind, known: PeerStage, flies: bool
 ) -> None:
     who = BRAVO if kind == "host" else ANNA
-    found = judged(who, at=1500.0, authority=OURS, revoked=LISTED, known=known, flies=flies)
+    found = verify_peer(who, at=1500.0, authority=OURS, revoked=LISTED, known=known, is_mission_active=flies)
     assert found.extent == ("finish" if (kind, known, flies) == ("host", "linked", True) else "nothing")
     assert f"the keys of {who} are revoked (list 3)" in found.why
     assert extent(replace(who, serial="c1"), revoked=LISTED) == "all"
 
 
 def test_one_that_has_not_begun_says_to_set_the_clock() -> None:
-    found = judged(BRAVO, at=999.0, authority=OURS, known="linked", flies=True)
+    found = verify_peer(BRAVO, at=999.0, authority=OURS, known="linked", is_mission_active=True)
     assert found.extent == "nothing"
     assert "set the clock" in found.why
 
 
 def test_strangers_and_those_of_another_authority_get_nothing() -> None:
-    assert extent(STRANGER, known="linked", flies=True) == "nothing"
-    found = judged(replace(BRAVO, authority=THEIRS), at=1500.0, authority=OURS, known="linked", flies=True)
+    assert extent(ANONYMOUS, known="linked", is_mission_active=True) == "nothing"
+    found = verify_peer(
+        replace(BRAVO, authority=THEIRS), at=1500.0, authority=OURS, known="linked", is_mission_active=True
+    )
     assert found.extent == "nothing"
     assert f"is of the authority {THEIRS[:12]}, and ours is {OURS[:12]}" in found.why
 
 
 def test_who_is_dialled_must_answer() -> None:
     assert extent(BRAVO, expected="bravo") == "all"
-    found = judged(BRAVO, at=1500.0, authority=OURS, expected="alpha")
-    assert found == Verdict(
+    found = verify_peer(BRAVO, at=1500.0, authority=OURS, expected="alpha")
+    assert found == AdmissionDecision(
         "nothing",
         "host bravo answers where host alpha should: correct the address, or the keys there",
     )
@@ -95,29 +97,29 @@ def test_who_is_dialled_must_answer() -> None:
 
 
 def test_the_kernel_vouches_for_users_of_this_computer() -> None:
-    assert extent(Identity("local", "root", ALL), at=1e12) == "all"
+    assert extent(Identity("local", "root", ALL_RIGHTS), at=1e12) == "all"
 
 
 def test_what_is_left_of_rights() -> None:
-    assert Verdict("all").left(ALL) == ALL
-    assert Verdict("finish").left(ALL) == {Right.OBSERVE, Right.STOP}
-    assert Verdict("finish").left(frozenset({Right.COMMAND})) == NONE
-    assert Verdict("nothing").left(ALL) == NONE
+    assert AdmissionDecision("all").remaining_rights(ALL_RIGHTS) == ALL_RIGHTS
+    assert AdmissionDecision("finish").remaining_rights(ALL_RIGHTS) == {Right.OBSERVE, Right.STOP}
+    assert AdmissionDecision("finish").remaining_rights(frozenset({Right.COMMAND})) == NO_RIGHTS
+    assert AdmissionDecision("nothing").remaining_rights(ALL_RIGHTS) == NO_RIGHTS
 
 
-def signer(who: Identity = ANNA, signed: float = 1200.0, at: float = 1500.0, **options) -> Verdict:
-    return judged_signer(who, signed, at=at, authority=OURS, **options)
+def signer(who: Identity = ANNA, signed: float = 1200.0, at: float = 1500.0, **options) -> AdmissionDecision:
+    return verify_signer(who, signed, at=at, authority=OURS, **options)
 
 
 def test_who_may_command_may_sign() -> None:
-    assert signer() == Verdict("all")
-    may_not = replace(ANNA, may=ALL - {Right.COMMAND})
-    assert signer(may_not) == Verdict(
+    assert signer() == AdmissionDecision("all")
+    may_not = replace(ANNA, may=ALL_RIGHTS - {Right.COMMAND})
+    assert signer(may_not) == AdmissionDecision(
         "nothing", "anna may not sign bundles: that takes keys that may 'command'"
     )
-    assert signer(replace(BRAVO, may=ALL)).extent == "nothing"
+    assert signer(replace(BRAVO, may=ALL_RIGHTS)).extent == "nothing"
     assert signer(replace(ANNA, authority=THEIRS)).extent == "nothing"
-    assert signer(STRANGER).extent == "nothing"
+    assert signer(ANONYMOUS).extent == "nothing"
 
 
 def test_a_signature_is_of_a_time_in_which_the_certificate_held() -> None:
@@ -135,8 +137,8 @@ def test_what_runs_already_goes_on_when_its_signer_ends() -> None:
 
 
 def test_times_for_people() -> None:
-    assert when(1795464000.0) == "2026-11-23 20:00 UTC"
-    assert when(math.inf) == when(math.nan) == when(1e300) == "at no time"
+    assert format_time(1795464000.0) == "2026-11-23 20:00 UTC"
+    assert format_time(math.inf) == format_time(math.nan) == format_time(1e300) == "at no time"
 
 
 def test_openssl_knows_the_flag_by_this_number() -> None:

@@ -12,20 +12,21 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lfield.authority import folder as folders
+from lfield.authority import keystore as folders
+from lfield.authority.certificate_reader import revoked_in, verify_keys
 from lfield.authority.identity import Identity, Right
-from lfield.authority.keys import Keys
-from lfield.authority.ledger import Ledger, begin, opened
-from lfield.authority.reading import checked, revoked_in
-from lfield.errors import KeysError, NoHome, OutputFileError
-from lfield.operator.keys_health import health
+from lfield.authority.key_material import Keys
+from lfield.authority.ledger import Ledger, create_ledger, open_ledger
+from lfield.errors import KeysError, NoHomeFolder, OutputFileError
+from lfield.operator.key_health import health
+from lfield.text.user_dirs import config_dir
 
 AT, DAY = 1795464000.0, 86400.0
 
 
 @pytest.fixture
 def ledger(tmp_path: Path) -> Ledger:
-    return begin(tmp_path / "authority", AT, AT + 3650 * DAY)
+    return create_ledger(tmp_path / "authority", AT, AT + 3650 * DAY)
 
 
 def mode(path: Path) -> int:
@@ -34,15 +35,17 @@ def mode(path: Path) -> int:
 
 def refused(folder: Path, words: str, holder="host") -> None:
     with pytest.raises(KeysError, match=words):
-        folders.read(folder, holder)
+        folders.read_keys(folder, holder)
 
 
-def test_who_has_no_home_has_no_keys_in_it(tmp_path: Path) -> None:
-    environment = {"HOME": ""}
-    assert folders.find("host", "alpha", None, environment, tmp_path) is None
-    assert folders.folders_here(environment, tmp_path) == []
-    with pytest.raises(NoHome, match="set HOME, or XDG_CONFIG_HOME"):
-        folders.own_settings(environment)
+def test_who_has_no_home_has_no_keys_in_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", "")
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.setattr(os, "getuid", lambda: 54321)
+    assert folders.find_keys("host", "alpha", None, {}, tmp_path) is None
+    assert folders.local_folders({}, tmp_path) == []
+    with pytest.raises(NoHomeFolder, match="set HOME, or XDG_CONFIG_HOME"):
+        config_dir()
 
 
 def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(ledger: Ledger) -> None:
@@ -51,8 +54,8 @@ def test_keys_are_read_as_they_were_written_and_the_private_one_is_the_owners(le
         made = ledger.make("host", "alpha", (), AT, AT + DAY)
     finally:
         os.umask(before)
-    keys = folders.read(made.folder, "host")
-    assert checked(keys) == made.who
+    keys = folders.read_keys(made.folder, "host")
+    assert verify_keys(keys) == made.who
     assert {path.name: mode(path) for path in made.folder.iterdir()} == {
         "authority.pem": 0o644,
         "host.pem": 0o644,
@@ -71,7 +74,7 @@ def test_a_private_key_that_others_may_read_is_refused(ledger: Ledger, bits: int
     key.chmod(bits)
     refused(made.folder, f"it is secret, and others may read it: run 'chmod 600 {key}'")
     key.chmod(0o400)
-    folders.read(made.folder, "host")
+    folders.read_keys(made.folder, "host")
 
 
 def test_what_others_may_write_to_is_not_believed(ledger: Ledger) -> None:
@@ -92,9 +95,9 @@ def test_files_that_are_not_there_are_links_or_too_large(ledger: Ledger, tmp_pat
     refused(made.folder, "it is a link; copy the file itself")
     key.unlink()
     os.mkfifo(key, 0o600)
-    refused(made.folder, "no plain file")
+    refused(made.folder, "not a plain file")
     key.unlink()
-    folders.write(made.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
+    folders.write_keys(made.folder, Keys("host", b"a", b"c", b"k" * (17 << 10)))
     refused(made.folder, "too large")
 
 
@@ -102,7 +105,7 @@ def test_a_link_to_a_folder_is_followed_and_what_counts_is_the_folder(ledger: Le
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     link = tmp_path / "link"
     link.symlink_to(made.folder)
-    assert folders.read(link, "host") == folders.read(made.folder, "host")
+    assert folders.read_keys(link, "host") == folders.read_keys(made.folder, "host")
     made.folder.chmod(0o770)
     refused(link, "others may write to the folder")
 
@@ -112,8 +115,8 @@ def test_a_host_without_a_list_was_copied_by_halves(ledger: Ledger) -> None:
         ledger.make(kind, "alpha", (), AT, AT + DAY).folder
         for kind in ("host", "person")  # type: ignore[arg-type]
     )
-    assert revoked_in(folders.read_list(host), ledger.authority.certificate).serials == set()
-    assert folders.read(person, "person").revoked == b""
+    assert revoked_in(folders.read_crl(host), ledger.authority.certificate).serials == set()
+    assert folders.read_keys(person, "person").revoked == b""
     (host / "revoked.crl").unlink()
     refused(host, r"revoked.crl is not there: copy the folder again")
 
@@ -127,7 +130,7 @@ def test_a_copy_that_was_cut_short_anywhere_is_refused_or_is_the_whole(ledger: L
     length = data.draw(st.one_of(st.just(0), st.integers(0, len(whole) - 1)))
     path.write_bytes(whole[:length])
     try:
-        found = checked(folders.read(folder, who.kind))
+        found = verify_keys(folders.read_keys(folder, who.kind))
     except KeysError:
         found = None
     (told,) = health(folder, AT)
@@ -152,7 +155,7 @@ def test_a_list_of_no_bytes_was_cut_short(ledger: Ledger, holder) -> None:
     (folder / "revoked.crl").write_bytes(b"")
     refused(folder, r"revoked.crl is empty: it was cut short when it was copied", holder)
     (ledger.folder / "revoked.crl").write_bytes(b"")
-    with pytest.raises(KeysError, match="is empty"), opened(ledger.folder):
+    with pytest.raises(KeysError, match="is empty"), open_ledger(ledger.folder):
         pass
 
 
@@ -163,7 +166,7 @@ def test_a_file_of_an_authority_that_was_cut_short_is_named(ledger: Ledger, part
         named = path if part == 0 or path.stem != "authority" else ledger.folder
         whole = path.read_bytes()
         path.write_bytes(whole[: int(part * len(whole))])
-        with pytest.raises(KeysError, match=re.escape(f"{named}")), opened(ledger.folder) as again:
+        with pytest.raises(KeysError, match=re.escape(f"{named}")), open_ledger(ledger.folder) as again:
             again.rows(AT)
         path.write_bytes(whole)
 
@@ -172,23 +175,23 @@ def test_an_authority_that_has_lost_its_list_begins_none_anew(ledger: Ledger) ->
     ledger.make("host", "alpha", (), AT, AT + DAY)
     gone = ledger.revoke("host", "alpha", AT)
     kept = (ledger.folder / "revoked.crl").rename(ledger.folder / "kept")
-    with pytest.raises(KeysError, match="put a copy of it there"), opened(ledger.folder):
+    with pytest.raises(KeysError, match="put a copy of it there"), open_ledger(ledger.folder):
         pass
     kept.rename(ledger.folder / "revoked.crl")
-    with opened(ledger.folder) as again:
+    with open_ledger(ledger.folder) as again:
         assert again.revoked.serials == {who.serial for who in gone}
 
 
-def test_where_keys_are_found(ledger: Ledger, tmp_path: Path) -> None:
+def test_where_keys_are_found(ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
     anna = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY).folder
     home, system = tmp_path / "home", tmp_path / "system"
-    environment = {"XDG_CONFIG_HOME": str(home)}
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(home))
 
     def found(holder, name, named=None, **more) -> Path | None:
-        return folders.find(holder, name, named, {**environment, **more}, system)
+        return folders.find_keys(holder, name, named, more, system)
 
-    assert found("host", "alpha") is found("person", folders.ME) is None
+    assert found("host", "alpha") is found("person", folders.OWN) is None
     own = home / "lfield" / "keys"
     own.mkdir(parents=True)
     (own / "alpha").symlink_to(alpha)
@@ -199,7 +202,7 @@ def test_where_keys_are_found(ledger: Ledger, tmp_path: Path) -> None:
     system.mkdir()
     (system / "alpha").symlink_to(alpha)
     assert found("host", "alpha") == system / "alpha"
-    assert folders.folders_here(environment, system) == [system / "alpha", own / "alpha", own / "me"]
+    assert folders.local_folders({}, system) == [system / "alpha", own / "alpha", own / "me"]
     assert found("host", "alpha", LFIELD_KEYS=str(alpha)) == alpha
     assert found("host", "alpha", LFIELD_KEYS=str(alpha.parent)) == alpha
     assert found("host", "alpha", alpha, LFIELD_KEYS="/nowhere") == alpha
@@ -210,11 +213,14 @@ def test_where_keys_are_found(ledger: Ledger, tmp_path: Path) -> None:
         found("person", "me", LFIELD_KEYS="/nowhere")
 
 
-def test_no_name_of_a_host_leads_out_of_the_folder(ledger: Ledger, tmp_path: Path) -> None:
+def test_no_name_of_a_host_leads_out_of_the_folder(
+    ledger: Ledger, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path))
     alpha = ledger.make("host", "alpha", (), AT, AT + DAY).folder
     below = alpha / "keys"
     below.mkdir()
-    assert folders.find("host", "..", None, {"XDG_CONFIG_HOME": str(tmp_path)}, below) is None
+    assert folders.find_keys("host", "..", None, {}, below) is None
 
 
 # --- the authority's own ----------------------------------------------------------------------------------
@@ -226,22 +232,22 @@ def states(ledger: Ledger, at: float = AT) -> list[tuple[str, str]]:
 
 def test_an_authority_is_begun_once(ledger: Ledger) -> None:
     with pytest.raises(KeysError, match="has an authority already"):
-        begin(ledger.folder, AT, AT + DAY)
-    with opened(ledger.folder) as again:
+        create_ledger(ledger.folder, AT, AT + DAY)
+    with open_ledger(ledger.folder) as again:
         assert again.authority.fingerprint == ledger.authority.fingerprint
     with (
         pytest.raises(KeysError, match="has no authority: 'lfield keys init' makes one"),
-        opened(ledger.folder / "x"),
+        open_ledger(ledger.folder / "x"),
     ):
         pass
 
 
 def test_an_authority_whose_key_others_may_read_is_refused(ledger: Ledger) -> None:
     (ledger.folder / "authority.key").chmod(0o644)
-    with pytest.raises(KeysError, match="it is secret"), opened(ledger.folder):
+    with pytest.raises(KeysError, match="it is secret"), open_ledger(ledger.folder):
         pass
     ledger.folder.chmod(0o777)
-    with pytest.raises(OutputFileError, match="others may write"), opened(ledger.folder):
+    with pytest.raises(OutputFileError, match="others may write"), open_ledger(ledger.folder):
         pass
 
 
@@ -256,23 +262,26 @@ def test_names_are_those_of_deployments_and_of_folders(ledger: Ledger, name: str
 
 def test_hosts_may_be_addresses(ledger: Ledger) -> None:
     for name in ("10.42.0.11", "[fd00::1]", "rover-7.local"):
-        assert checked(folders.read(ledger.make("host", name, (), AT, AT + DAY).folder, "host")).name == name
+        assert (
+            verify_keys(folders.read_keys(ledger.make("host", name, (), AT, AT + DAY).folder, "host")).name
+            == name
+        )
 
 
 def test_who_has_keys_renews_them(ledger: Ledger) -> None:
     old = ledger.make("person", "anna", [Right.STOP], AT, AT + DAY)
-    before = folders.read(old.folder, "person")
+    before = folders.read_keys(old.folder, "person")
     with pytest.raises(KeysError, match="'lfield keys renew person anna' makes them last longer"):
         ledger.make("person", "anna", [Right.STOP], AT, AT + DAY)
     new = ledger.renew("person", "anna", AT + 1, AT + 9 * DAY)
-    assert (new.who.may, new.who.ends) == ({Right.STOP, Right.OBSERVE}, AT + 9 * DAY)
-    assert folders.read(new.folder, "person").key == before.key
+    assert (new.who.may, new.who.valid_until) == ({Right.STOP, Right.OBSERVE}, AT + 9 * DAY)
+    assert folders.read_keys(new.folder, "person").key == before.key
     assert states(ledger) == [("anna", "good"), ("anna", "good")]
     assert states(ledger, AT + 2 * DAY) == [("anna", "ended"), ("anna", "good")]
     other = ledger.renew("person", "anna", AT + 2, AT + 9 * DAY, new_key=True)
-    keys = folders.read(other.folder, "person")
+    keys = folders.read_keys(other.folder, "person")
     assert keys.key != before.key
-    assert checked(keys) == other.who
+    assert verify_keys(keys) == other.who
 
 
 def test_renewing_does_without_a_private_key_that_was_taken_away(ledger: Ledger) -> None:
@@ -296,15 +305,15 @@ def test_revoking_takes_all_of_somebody_and_every_folder_has_the_list(ledger: Le
     assert len(gone) == 2
     assert states(ledger) == [("host alpha", "revoked"), ("host alpha", "revoked"), ("host bravo", "good")]
     for folder in (ledger.folder, alpha.folder, bravo.folder):
-        found = revoked_in(folders.read_list(folder), ledger.authority.certificate)
+        found = revoked_in(folders.read_crl(folder), ledger.authority.certificate)
         assert (found.number, found.serials) == (int(AT) + 2, {who.serial for who in gone})
     with pytest.raises(KeysError, match="no keys of this authority that are not revoked"):
         ledger.revoke("host", "alpha", AT + 2)
     with pytest.raises(KeysError, match="no keys that are not revoked: 'lfield keys host alpha' makes some"):
         ledger.renew("host", "alpha", AT + 3, AT + DAY)
     anew = ledger.make("host", "alpha", (), AT + 3, AT + DAY)
-    assert folders.read(anew.folder, "host").revoked == folders.read_list(ledger.folder)
-    with opened(ledger.folder) as again:
+    assert folders.read_keys(anew.folder, "host").revoked == folders.read_crl(ledger.folder)
+    with open_ledger(ledger.folder) as again:
         again.revoke("host", "bravo", AT + 4)
         assert (again.revoked.number, len(again.revoked.serials)) == (int(AT) + 4, 3)
 
@@ -330,7 +339,7 @@ def test_numbers_grow_also_where_a_copy_of_the_authority_is_put_back(ledger: Led
     ledger.revoke("person", "anna", AT + 2)
     ledger.revoke_serial(bob.serial, AT + 2)
     assert ledger.revoked.number == int(AT) + 3, "two of one second"
-    with opened(copy) as back:
+    with open_ledger(copy) as back:
         back.revoke("person", "bob", AT + 60)
         assert back.revoked.number > ledger.revoked.number
         # What it does not know any more is revoked by its whole number, of which the hosts tell.
@@ -351,8 +360,8 @@ def test_a_certificate_that_a_copy_does_not_know_is_revoked_by_its_whole_number(
 def test_an_authority_is_renewed_and_all_that_it_made_stays_good(ledger: Ledger) -> None:
     made = ledger.make("host", "alpha", (), AT, AT + DAY)
     ledger.renew_authority(AT + 1, AT + 9999 * DAY)
-    assert checked(folders.read(made.folder, "host")) == made.who
-    assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).who.ends == AT + 9000 * DAY
+    assert verify_keys(folders.read_keys(made.folder, "host")) == made.who
+    assert ledger.make("host", "bravo", (), AT + 2, AT + 9000 * DAY).who.valid_until == AT + 9000 * DAY
 
 
 def test_a_clock_that_went_back_makes_nothing(ledger: Ledger) -> None:

@@ -11,77 +11,85 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.authority.identity import ALL, STRANGER, Identity, Right, identity_of
-from lfield.authority.judge import NO_CHECK_TIME, Revoked
-from lfield.authority.keys import MAX_LIST, Keys
-from lfield.authority.making import Authority, new_authority, read_authority
-from lfield.authority.minted import Minted
-from lfield.authority.reading import (
-    checked,
+from lfield.authority.certificate_authority import CertificateAuthority, new_authority, read_authority
+from lfield.authority.certificate_reader import (
     der_of,
     fingerprint_in,
     identity_in,
     identity_in_der,
     revoked_in,
+    verify_keys,
 )
+from lfield.authority.ephemeral_ca import EphemeralCa
+from lfield.authority.identity import ALL_RIGHTS, ANONYMOUS, Identity, Right, identity_of
+from lfield.authority.key_material import MAX_LIST, Keys
+from lfield.authority.peer_verification import NO_CHECK_TIME, RevocationList
 from lfield.errors import KeysError
 
 AT, DAY = 1795464000.0, 86400.0
 
 
 @pytest.fixture(scope="module")
-def authority() -> Authority:
+def authority() -> CertificateAuthority:
     return new_authority(AT, AT + 3650 * DAY)
 
 
 @pytest.fixture(scope="module")
-def stranger() -> Authority:
+def stranger() -> CertificateAuthority:
     return new_authority(AT, AT + 3650 * DAY)
 
 
-def keys_of(authority: Authority, name: str = "alpha", holder="host", ends: float = AT + DAY, may=()) -> Keys:
+def keys_of(
+    authority: CertificateAuthority, name: str = "alpha", holder="host", ends: float = AT + DAY, may=()
+) -> Keys:
     issued = authority.issue(holder, name, may=may, at=AT, ends=ends)
     return Keys(holder, authority.certificate, issued.certificate, issued.key)
 
 
-def test_what_is_made_names_whom_it_is_for(authority: Authority) -> None:
-    who = checked(keys_of(authority, "alpha"))
+def test_what_is_made_names_whom_it_is_for(authority: CertificateAuthority) -> None:
+    who = verify_keys(keys_of(authority, "alpha"))
     assert (who.kind, who.name, who.may) == ("host", "alpha", frozenset())
-    assert (who.begins, who.ends, who.authority) == (AT, AT + DAY, authority.fingerprint)
-    anna = checked(keys_of(authority, "anna", "person", may=[Right.STOP, Right.OBSERVE]))
+    assert (who.valid_from, who.valid_until, who.authority) == (AT, AT + DAY, authority.fingerprint)
+    anna = verify_keys(keys_of(authority, "anna", "person", may=[Right.STOP, Right.OBSERVE]))
     assert (anna.kind, anna.name, anna.may) == ("person", "anna", {Right.STOP, Right.OBSERVE})
     assert fingerprint_in(authority.certificate) == authority.fingerprint
 
 
-def test_nothing_lasts_longer_than_its_authority_nor_ends_before_it_begins(authority: Authority) -> None:
-    assert checked(keys_of(authority, ends=AT + 1e12)).ends == authority.ends
+def test_nothing_lasts_longer_than_its_authority_nor_ends_before_it_begins(
+    authority: CertificateAuthority,
+) -> None:
+    assert verify_keys(keys_of(authority, ends=AT + 1e12)).valid_until == authority.valid_until
     with pytest.raises(KeysError, match="would end before it begins"):
         keys_of(authority, ends=AT)
     with pytest.raises(KeysError, match="is no name"):
         keys_of(authority, "al\npha")
 
 
-def test_renewing_keeps_the_key_or_takes_a_new_one(authority: Authority) -> None:
+def test_renewing_keeps_the_key_or_takes_a_new_one(authority: CertificateAuthority) -> None:
     old = keys_of(authority)
     renewed = authority.issue("host", "alpha", at=AT + 1, ends=AT + 9 * DAY, renews=old.certificate)
     assert renewed.key == b""
     both = Keys("host", authority.certificate, renewed.certificate, old.key)
-    assert checked(both).ends == AT + 9 * DAY
-    assert checked(both).serial != checked(old).serial
+    assert verify_keys(both).valid_until == AT + 9 * DAY
+    assert verify_keys(both).serial != verify_keys(old).serial
 
 
-def test_an_authority_is_read_and_renewed_with_the_same_key(authority: Authority, stranger) -> None:
+def test_an_authority_is_read_and_renewed_with_the_same_key(
+    authority: CertificateAuthority, stranger
+) -> None:
     old = keys_of(authority)
     again = read_authority(authority.certificate, authority.key)
     later = again.renewed(AT + DAY, AT + 9999 * DAY)
     assert later.fingerprint == authority.fingerprint
-    assert identity_in(old.certificate, later.certificate) == checked(old)
-    assert checked(keys_of(later, ends=AT + 9000 * DAY)).ends == AT + 9000 * DAY
+    assert identity_in(old.certificate, later.certificate) == verify_keys(old)
+    assert verify_keys(keys_of(later, ends=AT + 9000 * DAY)).valid_until == AT + 9000 * DAY
     with pytest.raises(KeysError, match=r"authority.key is not the key of authority.pem"):
         read_authority(authority.certificate, stranger.key)
 
 
-def test_keys_that_do_not_fit_one_another_are_refused(authority: Authority, stranger: Authority) -> None:
+def test_keys_that_do_not_fit_one_another_are_refused(
+    authority: CertificateAuthority, stranger: CertificateAuthority
+) -> None:
     alpha, bravo = keys_of(authority), keys_of(authority, "bravo")
     for wrong, words in (
         (
@@ -98,37 +106,37 @@ def test_keys_that_do_not_fit_one_another_are_refused(authority: Authority, stra
         (Keys("host", alpha.authority, alpha.certificate, alpha.key, b"x"), "revocation list cannot be read"),
     ):
         with pytest.raises(KeysError, match=words):
-            checked(wrong)
+            verify_keys(wrong)
 
 
-def test_keys_of_another_kind_are_refused(authority: Authority) -> None:
+def test_keys_of_another_kind_are_refused(authority: CertificateAuthority) -> None:
     curve = ec.generate_private_key(ec.SECP256R1())
     pem = curve.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
     with pytest.raises(KeysError, match="no Ed25519 key"):
         read_authority(authority.certificate, pem)
 
 
-def test_the_authority_itself_is_nobody(authority: Authority) -> None:
+def test_the_authority_itself_is_nobody(authority: CertificateAuthority) -> None:
     with pytest.raises(KeysError, match="cannot be read"):
         identity_in(authority.certificate, authority.certificate)
 
 
-def test_a_private_key_is_not_printed(authority: Authority) -> None:
+def test_a_private_key_is_not_printed(authority: CertificateAuthority) -> None:
     assert "PRIVATE" not in repr(keys_of(authority))
 
 
 # --- lists ------------------------------------------------------------------------------------------------
 
 
-def test_a_list_is_read_as_it_was_made(authority: Authority) -> None:
-    revoked = Revoked(7, frozenset({"1", "a1b", "f" * 39}), AT + 5)
+def test_a_list_is_read_as_it_was_made(authority: CertificateAuthority) -> None:
+    revoked = RevocationList(7, frozenset({"1", "a1b", "f" * 39}), AT + 5)
     assert revoked_in(authority.revocation_list(revoked), authority.certificate) == revoked
-    nobody = Revoked(1, frozenset(), AT)
+    nobody = RevocationList(1, frozenset(), AT)
     assert revoked_in(authority.revocation_list(nobody), authority.certificate) == nobody
 
 
 def test_a_list_of_another_authority_or_with_a_bit_changed_is_refused(authority, stranger) -> None:
-    data = authority.revocation_list(Revoked(7, frozenset({"a1b"}), AT))
+    data = authority.revocation_list(RevocationList(7, frozenset({"a1b"}), AT))
     with pytest.raises(KeysError, match="not signed by this authority"):
         revoked_in(data, stranger.certificate)
     for at in range(len(data)):
@@ -141,13 +149,13 @@ def test_a_list_of_another_authority_or_with_a_bit_changed_is_refused(authority,
             revoked_in(wrong, authority.certificate)
 
 
-def test_a_list_that_is_full_says_what_to_do(authority: Authority) -> None:
+def test_a_list_that_is_full_says_what_to_do(authority: CertificateAuthority) -> None:
     many = frozenset(f"{n:x}" for n in range(1 << 80, (1 << 80) + 3000))
     with pytest.raises(KeysError, match="begin a new authority"):
-        authority.revocation_list(Revoked(9, many, AT))
+        authority.revocation_list(RevocationList(9, many, AT))
 
 
-def test_a_certificate_with_any_byte_changed_is_refused(authority: Authority) -> None:
+def test_a_certificate_with_any_byte_changed_is_refused(authority: CertificateAuthority) -> None:
     der = der_of(keys_of(authority).certificate)
     for at in range(len(der)):
         for bit in (1, 128):
@@ -157,7 +165,9 @@ def test_a_certificate_with_any_byte_changed_is_refused(authority: Authority) ->
 
 
 @given(st.binary(max_size=300))
-def test_bytes_from_anywhere_are_no_certificate_and_no_list(authority: Authority, data: bytes) -> None:
+def test_bytes_from_anywhere_are_no_certificate_and_no_list(
+    authority: CertificateAuthority, data: bytes
+) -> None:
     for read in (identity_in_der, identity_in, revoked_in):
         with pytest.raises(KeysError):
             read(data, authority.certificate)
@@ -196,25 +206,27 @@ def shaken(caller: Keys, called: Keys) -> tuple[Identity, Identity]:
     return identity_of(client.getpeercert() or {}), identity_of(server.getpeercert() or {})
 
 
-def test_both_ends_of_a_link_see_the_same_identities_as_the_reader(authority: Authority) -> None:
+def test_both_ends_of_a_link_see_the_same_identities_as_the_reader(authority: CertificateAuthority) -> None:
     """Though the certificates ended long ago: that is the judge's."""
     alpha, bravo = (keys_of(authority, name, ends=AT + 1) for name in ("alpha", "bravo"))
-    assert shaken(alpha, bravo) == (checked(bravo), checked(alpha))
-    anna = keys_of(authority, "anna", "person", may=ALL)
-    assert shaken(anna, bravo)[1] == checked(anna)
+    assert shaken(alpha, bravo) == (verify_keys(bravo), verify_keys(alpha))
+    anna = keys_of(authority, "anna", "person", may=ALL_RIGHTS)
+    assert shaken(anna, bravo)[1] == verify_keys(anna)
 
 
-def test_tls_refuses_keys_of_another_authority(authority: Authority, stranger: Authority) -> None:
+def test_tls_refuses_keys_of_another_authority(
+    authority: CertificateAuthority, stranger: CertificateAuthority
+) -> None:
     with pytest.raises(ssl.SSLError, match="verify failed"):
         shaken(keys_of(authority), keys_of(stranger))
 
 
-def test_a_person_cannot_be_called(authority: Authority) -> None:
+def test_a_person_cannot_be_called(authority: CertificateAuthority) -> None:
     with pytest.raises(ssl.SSLError, match="unsuitable certificate purpose"):
-        shaken(keys_of(authority), keys_of(authority, "bravo", "person", may=ALL))
+        shaken(keys_of(authority), keys_of(authority, "bravo", "person", may=ALL_RIGHTS))
 
 
-def test_a_host_cannot_sign_for_another(authority: Authority) -> None:
+def test_a_host_cannot_sign_for_another(authority: CertificateAuthority) -> None:
     """A certificate that a host's key has signed is of no authority, whatever it says."""
     alpha = keys_of(authority)
     forged = read_authority(alpha.certificate, alpha.key).issue("host", "bravo", at=AT, ends=AT + DAY)
@@ -226,14 +238,14 @@ def test_a_host_cannot_sign_for_another(authority: Authority) -> None:
 
 
 def test_keys_of_a_run_are_of_one_authority_that_nobody_else_has() -> None:
-    minted = Minted.for_hosts(["alpha", "bravo"], AT, "anna")
-    assert [(name, checked(keys).name) for name, keys in minted.hosts.items()] == [
+    minted = EphemeralCa.for_hosts(["alpha", "bravo"], AT, "anna")
+    assert [(name, verify_keys(keys).name) for name, keys in minted.hosts.items()] == [
         ("alpha", "alpha"),
         ("bravo", "bravo"),
     ]
-    assert (checked(minted.operator).name, checked(minted.operator).may) == ("anna", ALL)
+    assert (verify_keys(minted.operator).name, verify_keys(minted.operator).may) == ("anna", ALL_RIGHTS)
     assert shaken(minted.operator, minted.hosts["alpha"])[0].name == "alpha"
-    other = Minted.for_hosts(["alpha"], AT)
+    other = EphemeralCa.for_hosts(["alpha"], AT)
     with pytest.raises(ssl.SSLError):
         shaken(minted.hosts["bravo"], other.hosts["alpha"])
-    assert STRANGER not in shaken(minted.hosts["bravo"], minted.hosts["alpha"])
+    assert ANONYMOUS not in shaken(minted.hosts["bravo"], minted.hosts["alpha"])

@@ -10,31 +10,31 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from lfield.authority.judge import NO_CHECK_TIME
-from lfield.authority.keys import Keys
-from lfield.authority.making import Issued, new_authority
-from lfield.authority.pages import browsers
-from lfield.authority.pages.browsers import Browsers, new_browsers, read_browsers
-from lfield.authority.pages.names import covers, private, spelled
-from lfield.authority.pages.page_keys import page_keys, read_page, write_page
-from lfield.errors import GreetingError, KeysError
-from lfield.net.tls import Tls, as_file
+from lfield.authority.certificate_authority import IssuedCertificate, new_authority
+from lfield.authority.key_material import Keys
+from lfield.authority.peer_verification import NO_CHECK_TIME
+from lfield.authority.web_ca import browser_ca
+from lfield.authority.web_ca.browser_ca import BrowserCa, new_browser_ca, read_browser_ca
+from lfield.authority.web_ca.web_keys import parse_web_keys, read_web_keys, write_web_keys
+from lfield.authority.web_ca.web_names import is_match, is_private_name, normalised
+from lfield.errors import HandshakeError, KeysError
+from lfield.net.tls import TlsIdentity, as_file
 
 AT, DAY = 1_795_464_000.0, 86400.0
 NAMES = ("192.168.1.20", "ground.local")
 
 
 @pytest.fixture(scope="module")
-def root() -> Browsers:
-    return new_browsers(AT, AT + 3650 * DAY)
+def root() -> BrowserCa:
+    return new_browser_ca(AT, AT + 3650 * DAY)
 
 
 @pytest.fixture(scope="module")
-def page(root: Browsers) -> Issued:
+def page(root: BrowserCa) -> IssuedCertificate:
     return root.issue(NAMES, at=AT, ends=AT + 365 * DAY)
 
 
-def opened(root: bytes, page: Issued, name: str) -> str:
+def opened(root: bytes, page: IssuedCertificate, name: str) -> str:
     """The version of TLS by which whoever believes a root opens a page of that name. Raises ssl.SSLError."""
     browser, server = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT), ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     # Times are these tests' own, and OpenSSL would look at those of the computer.
@@ -55,12 +55,14 @@ def opened(root: bytes, page: Issued, name: str) -> str:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_who_has_the_root_opens_a_page_by_each_of_its_names(root: Browsers, page: Issued, name: str) -> None:
+def test_who_has_the_root_opens_a_page_by_each_of_its_names(
+    root: BrowserCa, page: IssuedCertificate, name: str
+) -> None:
     assert opened(root.certificate, page, name) == "TLSv1.3"
 
 
-def test_who_has_it_not_and_another_name_are_refused(root: Browsers, page: Issued) -> None:
-    stranger = new_browsers(AT, AT + DAY)
+def test_who_has_it_not_and_another_name_are_refused(root: BrowserCa, page: IssuedCertificate) -> None:
+    stranger = new_browser_ca(AT, AT + DAY)
     with pytest.raises(ssl.SSLCertVerificationError, match=r"self.signed|unable to get local issuer"):
         opened(stranger.certificate, page, NAMES[0])
     with pytest.raises(ssl.SSLCertVerificationError, match="mismatch"):
@@ -69,60 +71,60 @@ def test_who_has_it_not_and_another_name_are_refused(root: Browsers, page: Issue
 
 @pytest.mark.parametrize("name", ["bank.example", "notlocal", "8.8.8.8", "2001:db8::1"])
 def test_a_root_that_was_stolen_can_pass_for_nothing_of_the_internet(
-    root: Browsers, name: str, monkeypatch: pytest.MonkeyPatch
+    root: BrowserCa, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with pytest.raises(KeysError, match="is in no private network"):
         root.issue([name], at=AT, ends=AT + DAY)
     # A thief has no such scruples, and browsers see what the root may.
-    monkeypatch.setattr(browsers, "private", lambda name: True)
+    monkeypatch.setattr(browser_ca, "is_private_name", lambda name: True)
     forged = root.issue([name], at=AT, ends=AT + DAY)
     with pytest.raises(ssl.SSLCertVerificationError, match="permitted subtree violation"):
         opened(root.certificate, forged, name)
 
 
-def test_nothing_lasts_longer_than_the_root(root: Browsers) -> None:
-    short = new_browsers(AT, AT + DAY)
+def test_nothing_lasts_longer_than_the_root(root: BrowserCa) -> None:
+    short = new_browser_ca(AT, AT + DAY)
     made = short.issue(NAMES, at=AT, ends=AT + 365 * DAY)
-    assert page_keys(made.certificate, made.key).ends == AT + DAY
+    assert parse_web_keys(made.certificate, made.key).valid_until == AT + DAY
     with pytest.raises(KeysError, match=r"ended 2026-.*: remove browsers.crt and browsers.key"):
         short.issue(NAMES, at=AT + DAY, ends=AT + 2 * DAY)
 
 
-def test_the_root_is_read_again(root: Browsers, page: Issued) -> None:
-    again = read_browsers(root.certificate, root.key)
+def test_the_root_is_read_again(root: BrowserCa, page: IssuedCertificate) -> None:
+    again = read_browser_ca(root.certificate, root.key)
     assert opened(root.certificate, again.issue(NAMES, at=AT, ends=AT + DAY), NAMES[0])
     for certificate, key in ((root.certificate, page.key), (page.certificate, root.key)):
         with pytest.raises(KeysError, match="of one copy"):
-            read_browsers(certificate, key)
+            read_browser_ca(certificate, key)
 
 
 # --- on links between hosts -------------------------------------------------------------------------------
 
 
-def shaken(near: Tls, far: Tls) -> None:
-    """A link between two, as far as it comes. Raises GreetingError."""
+def shaken(near: TlsIdentity, far: TlsIdentity) -> None:
+    """A link between two, as far as it comes. Raises HandshakeError."""
     calling, called = near.channel(calls=True), far.channel(calls=False)
     for _ in range(3):
-        list(called.feed(calling.take()))
-        list(calling.feed(called.take()))
+        list(called.receive(calling.data_to_send()))
+        list(calling.receive(called.data_to_send()))
 
 
-def links(root: Browsers, page: Issued) -> Iterator[tuple[Tls, Tls]]:
+def links(root: BrowserCa, page: IssuedCertificate) -> Iterator[tuple[TlsIdentity, TlsIdentity]]:
     """A host and a page's keys, each calling the other; the page believes whom it must to be let in."""
     team = new_authority(AT, AT + DAY)
     alpha = team.issue("host", "alpha", at=AT, ends=AT + DAY)
-    host = Tls(Keys("host", team.certificate, alpha.certificate, alpha.key))
+    host = TlsIdentity(Keys("host", team.certificate, alpha.certificate, alpha.key))
     shaken(host, host)
     for pem, key in ((page.certificate, page.key), (root.certificate, root.key)):
-        intruder = Tls(Keys("host", team.certificate, pem, key))
+        intruder = TlsIdentity(Keys("host", team.certificate, pem, key))
         yield intruder, host
         yield host, intruder
 
 
-def test_neither_a_page_nor_its_root_opens_a_link(root: Browsers, page: Issued) -> None:
+def test_neither_a_page_nor_its_root_opens_a_link(root: BrowserCa, page: IssuedCertificate) -> None:
     tried = 0
     for near, far in links(root, page):
-        with pytest.raises(GreetingError, match=r"not signed by the authority of this team|is not good"):
+        with pytest.raises(HandshakeError, match=r"peer certificate rejected"):
             shaken(near, far)
         tried += 1
     assert tried == 4
@@ -141,7 +143,7 @@ def test_neither_a_page_nor_its_root_opens_a_link(root: Browsers, page: Issued) 
     ],
 )
 def test_a_name_has_one_spelling(text: str, name: str) -> None:
-    assert spelled(text) == name
+    assert normalised(text) == name
 
 
 @pytest.mark.parametrize(
@@ -170,17 +172,17 @@ def test_a_name_has_one_spelling(text: str, name: str) -> None:
 )
 def test_what_no_browser_opens_is_no_name(text: str) -> None:
     with pytest.raises(KeysError, match=r"such as 192\.168\.1\.20"):
-        spelled(text)
+        normalised(text)
 
 
 @given(st.text(max_size=30))
 @example("1" * 5000)
 def test_any_text_has_a_spelling_that_stays_or_is_refused(text: str) -> None:
     try:
-        name = spelled(text)
+        name = normalised(text)
     except KeysError:
         return
-    assert spelled(name) == name
+    assert normalised(name) == name
 
 
 @pytest.mark.parametrize(
@@ -199,7 +201,7 @@ def test_any_text_has_a_spelling_that_stays_or_is_refused(text: str) -> None:
     ],
 )
 def test_what_a_private_network_is(name: str, is_private: bool) -> None:
-    assert private(name) is is_private
+    assert is_private_name(name) is is_private
 
 
 @pytest.mark.parametrize(
@@ -214,15 +216,17 @@ def test_what_a_private_network_is(name: str, is_private: bool) -> None:
     ],
 )
 def test_a_star_is_one_label(pattern: str, name: str, fits: bool) -> None:
-    assert covers(pattern, name) is fits
+    assert is_match(pattern, name) is fits
 
 
 # --- a folder ---------------------------------------------------------------------------------------------
 
 
-def test_a_folder_is_read_and_says_where_and_until_when_it_serves(page: Issued, tmp_path: Path) -> None:
-    write_page(tmp_path / "page", page.certificate, page.key)
-    keys = read_page(tmp_path / "page")
+def test_a_folder_is_read_and_says_where_and_until_when_it_serves(
+    page: IssuedCertificate, tmp_path: Path
+) -> None:
+    write_web_keys(tmp_path / "page", page.certificate, page.key)
+    keys = read_web_keys(tmp_path / "page")
     assert keys.names == NAMES
     assert "PRIVATE" not in repr(keys)
     assert [keys.refusal(name, AT) for name in NAMES] == ["", ""]
@@ -234,16 +238,16 @@ def test_a_folder_is_read_and_says_where_and_until_when_it_serves(page: Issued, 
     assert "set the clock" in keys.refusal(NAMES[0], 0.0)
 
 
-def test_a_key_that_others_may_read_is_refused(page: Issued, tmp_path: Path) -> None:
-    write_page(tmp_path / "page", page.certificate, page.key)
+def test_a_key_that_others_may_read_is_refused(page: IssuedCertificate, tmp_path: Path) -> None:
+    write_web_keys(tmp_path / "page", page.certificate, page.key)
     (tmp_path / "page" / "page.key").chmod(0o640)
     with pytest.raises(KeysError, match=r"run 'chmod 600 .*page\.key'"):
-        read_page(tmp_path / "page")
+        read_web_keys(tmp_path / "page")
 
 
-def test_what_is_no_page_is_told(root: Browsers, page: Issued, tmp_path: Path) -> None:
+def test_what_is_no_page_is_told(root: BrowserCa, page: IssuedCertificate, tmp_path: Path) -> None:
     with pytest.raises(KeysError, match="'lfield keys page ADDRESS' makes some"):
-        read_page(tmp_path)
+        read_web_keys(tmp_path)
     other = root.issue(NAMES, at=AT, ends=AT + DAY)
     host = new_authority(AT, AT + DAY).issue("host", "alpha", at=AT, ends=AT + DAY)
     for certificate, key, words in (
@@ -255,11 +259,11 @@ def test_what_is_no_page_is_told(root: Browsers, page: Issued, tmp_path: Path) -
         (root.certificate, root.key, "with names of servers"),
         (host.certificate, host.key, "browsers take keys of RSA"),
     ):
-        write_page(tmp_path / "page", certificate, key)
+        write_web_keys(tmp_path / "page", certificate, key)
         with pytest.raises(KeysError, match=words):
-            read_page(tmp_path / "page")
+            read_web_keys(tmp_path / "page")
 
 
-def test_of_a_chain_the_first_counts_and_all_is_kept(root: Browsers, page: Issued) -> None:
-    keys = page_keys(page.certificate + root.certificate, page.key)
+def test_of_a_chain_the_first_counts_and_all_is_kept(root: BrowserCa, page: IssuedCertificate) -> None:
+    keys = parse_web_keys(page.certificate + root.certificate, page.key)
     assert (keys.names, keys.certificate) == (NAMES, page.certificate + root.certificate)

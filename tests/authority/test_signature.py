@@ -8,12 +8,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lfield.authority.bundle_signature import sign_bundle, verify_bundle
+from lfield.authority.certificate_authority import new_authority
+from lfield.authority.certificate_reader import verify_keys
+from lfield.authority.ephemeral_ca import EphemeralCa
 from lfield.authority.identity import Right
-from lfield.authority.keys import Keys
-from lfield.authority.making import new_authority
-from lfield.authority.minted import Minted
-from lfield.authority.reading import checked
-from lfield.authority.signature import sign, signed
+from lfield.authority.key_material import Keys
 from lfield.errors import KeysError, SignatureError
 
 AT, DAY = 1795464000.0, 86400.0
@@ -21,62 +21,64 @@ DIGEST = hashlib.sha256(b"a bundle").digest()
 
 
 @pytest.fixture(scope="module")
-def minted() -> Minted:
-    return Minted.for_hosts(["alpha"], AT, "anna")
+def minted() -> EphemeralCa:
+    return EphemeralCa.for_hosts(["alpha"], AT, "anna")
 
 
 @pytest.fixture(scope="module")
-def signature(minted: Minted) -> bytes:
-    return sign(DIGEST, minted.operator, AT + 7.5)
+def signature(minted: EphemeralCa) -> bytes:
+    return sign_bundle(DIGEST, minted.operator, AT + 7.5)
 
 
-def test_who_signed_is_read_with_the_time(minted: Minted, signature: bytes) -> None:
-    assert signed(DIGEST, signature, minted.authority) == (checked(minted.operator), AT + 7.0)
+def test_who_signed_is_read_with_the_time(minted: EphemeralCa, signature: bytes) -> None:
+    assert verify_bundle(DIGEST, signature, minted.authority) == (verify_keys(minted.operator), AT + 7.0)
     assert len(signature) < 1000
 
 
-def test_who_may_not_command_does_not_sign(minted: Minted) -> None:
+def test_who_may_not_command_does_not_sign(minted: EphemeralCa) -> None:
     with pytest.raises(KeysError, match="host alpha may not sign bundles"):
-        sign(DIGEST, minted.hosts["alpha"], AT)
+        sign_bundle(DIGEST, minted.hosts["alpha"], AT)
     authority = new_authority(AT, AT + DAY)
     issued = authority.issue("person", "bob", may=set(Right) - {Right.COMMAND}, at=AT, ends=AT + DAY)
     with pytest.raises(KeysError, match="bob may not sign bundles"):
-        sign(DIGEST, Keys("person", authority.certificate, issued.certificate, issued.key), AT)
+        sign_bundle(DIGEST, Keys("person", authority.certificate, issued.certificate, issued.key), AT)
 
 
-def test_nobody_signs_outside_of_the_time_of_a_certificate(minted: Minted) -> None:
+def test_nobody_signs_outside_of_the_time_of_a_certificate(minted: EphemeralCa) -> None:
     for at in (AT - 1.0, AT + 1e9):
         with pytest.raises(KeysError, match="is not valid now"):
-            sign(DIGEST, minted.operator, at)
+            sign_bundle(DIGEST, minted.operator, at)
 
 
 def refused(digest: bytes, signature: bytes, authority: bytes, words: str = ".") -> None:
     with pytest.raises(SignatureError, match=words):
-        signed(digest, signature, authority)
+        verify_bundle(digest, signature, authority)
 
 
-def test_a_signature_of_another_bundle_or_authority_is_refused(minted: Minted, signature: bytes) -> None:
+def test_a_signature_of_another_bundle_or_authority_is_refused(minted: EphemeralCa, signature: bytes) -> None:
     other = hashlib.sha256(b"another").digest()
     refused(other, signature, minted.authority, "it is not what anna has signed")
-    refused(DIGEST, b"", minted.authority, "nobody has signed it: 'lfield sign' does")
+    refused(DIGEST, b"", minted.authority, "it is not signed: sign it with 'lfield sign'")
     refused(DIGEST, signature + b"\0", minted.authority, "cannot be read: sign it again")
-    foreign = Minted.for_hosts([], AT).authority
+    foreign = EphemeralCa.for_hosts([], AT).authority
     refused(DIGEST, signature, foreign, "does not count: the certificate is not of this authority")
 
 
-def test_no_bit_of_a_signature_can_be_changed(minted: Minted, signature: bytes) -> None:
+def test_no_bit_of_a_signature_can_be_changed(minted: EphemeralCa, signature: bytes) -> None:
     for at in range(len(signature)):
         wrong = signature[:at] + bytes([signature[at] ^ 1]) + signature[at + 1 :]
         refused(DIGEST, wrong, minted.authority)
 
 
 @given(st.data())
-def test_no_bytes_can_be_taken_away_or_put_in(minted: Minted, signature: bytes, data: st.DataObject) -> None:
+def test_no_bytes_can_be_taken_away_or_put_in(
+    minted: EphemeralCa, signature: bytes, data: st.DataObject
+) -> None:
     at = data.draw(st.integers(0, len(signature) - 1))
     refused(DIGEST, signature[:at], minted.authority)
     refused(DIGEST, signature[:at] + data.draw(st.binary(min_size=1)) + signature[at:], minted.authority)
 
 
 @given(st.binary(min_size=1, max_size=400))
-def test_bytes_from_anywhere_are_no_signature(minted: Minted, data: bytes) -> None:
+def test_bytes_from_anywhere_are_no_signature(minted: EphemeralCa, data: bytes) -> None:
     refused(DIGEST, data, minted.authority)

@@ -8,8 +8,8 @@ from pathlib import Path
 from harness.bench import main
 from harness.picture import Pictured
 
-# The emulated radio is a tool of the tests.
-sys.path.append(str(Path(__file__).parents[1] / "radio"))
+# The emulated radio, the network in memory and the world of stops in virtual time are tools of the tests.
+sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("radio", "net/memory", "host/orders")]
 
 FIGURES = {
     "hop": "hops.hop",
@@ -23,6 +23,7 @@ FIGURES = {
     "collector": "machine.collector",
     "heaps": "machine.heaps",
     "start": "machine.start",
+    "first": "machine.first_second",
     "memory": "machine.memory",
     "idle": "machine.idle",
     "compiler": "machine.compiler",

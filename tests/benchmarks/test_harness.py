@@ -14,10 +14,10 @@ import pytest
 from harness.bench import main
 from harness.checkout import Checkout, CheckoutError
 from harness.figure import Figure, Row, rows_between, rows_of
+from harness.number_text import BYTES, COUNT, TIMES, number_text
 from harness.paced import Paced, read_round
 from harness.processes import ChildError, Processes
 from harness.samples import in_turns, median, pair_ratios, percentile, timed
-from harness.words import BYTES, COUNT, TIMES, words
 from rich.console import Console
 from run import FIGURES
 
@@ -279,14 +279,13 @@ def test_a_checkout_without_an_environment(bench, tmp_path, capsys):
     ],
 )  # fmt: skip
 def test_numbers_in_words(number, unit, shown):
-    assert words(number, unit) == shown
+    assert number_text(number, unit) == shown
 
 
 @pytest.mark.process
 def test_a_process_that_measures_itself_stands_still_between_its_rounds():
-    loop = (
-        "import time\nfor n in range(9): print(f'a = {n}\\nb =\\na = 0.5\\nend', flush=True); time.sleep(0.1)"
-    )
+    printing = "print(f'a = {n}\\nb =\\na = 0.5\\nend', flush=True)"
+    loop = f"import time\nfor n in range(9999): {printing}; time.sleep(0.1)"
     with Processes() as processes:
         child = processes.start(sys.executable, "-c", loop)
         paced = Paced([child])

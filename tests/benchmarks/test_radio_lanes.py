@@ -65,7 +65,7 @@ def test_bytes_of_a_stop_are_those_of_the_desk_without_what_it_sends_at_rest(mon
     lane = StopLane(Air(0, 100, 400), Printing(), "stop")
     for line in lines:
         lane.child = Printing(line)
-        lane.look()
+        lane.read_output()
     # 100 bytes within 2 s at rest; 400 within the 4 s of the stop, half of which would have been sent anyway.
     assert (lane.idle, lane.sizes) == ([50.0], [200.0])
     assert lane.again == ["again: not reached"]

@@ -6,14 +6,14 @@ import pytest
 from hops.stages import ORDER, TAPS, travel
 from hops.taps import ENDS, Stages, Tap, tapping
 
-from lfield import loop
-from lfield.vm.wasm.choice import has_wasm
+from lfield import event_loop
+from lfield.vm.wasm.engine_selection import has_wasm
 
 
 @pytest.mark.parametrize("engine", ["reference", "wasm"] if has_wasm() else ["reference"])
 def test_every_stage_of_a_hop_is_measured(tmp_path, engine):
     methods = [getattr(tap.owner, tap.name) for tap in TAPS]
-    (hop, *_) = hops = loop.run(travel(tmp_path, 64, 20, engine))
+    (hop, *_) = hops = event_loop.run(travel(tmp_path, 64, 20, engine))
     assert len(hops) == 20
     assert set(ORDER) <= hop.keys()
     assert all(seconds >= 0.0 for seconds in hop.values())

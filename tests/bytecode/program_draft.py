@@ -1,4 +1,4 @@
-"""A sound program made by hand, in parts that a test can spoil one at a time.
+"""A valid hand-made program, in parts that a test can invalidate one at a time.
 
 Arm is a resource with a device, Guide a coordinator that calls its portal, Box a class that crosses it,
 Tool a resource specific class. Labels and handlers count from the start of their method.
@@ -22,7 +22,7 @@ from lfield.bytecode.program import (
     ClassRecord,
     Core,
     Debug,
-    DeviceCall,
+    DeviceCallRecord,
     DeviceField,
     FieldRecord,
     Handler,
@@ -34,7 +34,7 @@ from lfield.bytecode.program import (
     TypeRecord,
     encode_quads,
 )
-from lfield.bytecode.verify.records import BUILTIN_RECORDS, FIXED_TYPES
+from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS, FIXED_TYPES
 
 # Classes behind the built-in ones.
 BOX, ARM, GUIDE, TOOL = range(len(BUILTIN_RECORDS), len(BUILTIN_RECORDS) + 4)
@@ -145,7 +145,7 @@ _CODE: list[list[tuple[str, int, int, int]]] = [
 
 
 class Draft:
-    """The parts of the program; a test changes some and asks for the whole."""
+    """The parts of the program; a test changes some and builds the program."""
 
     def __init__(self) -> None:
         objects = (
@@ -175,7 +175,7 @@ class Draft:
         ]
         self.methods = _methods()
         self.code = [[*quads] for quads in _CODE]
-        self.device_calls = [DeviceCall(ARM, "hand", "Gripper", "grip", (REAL,), INT, "actuate")]
+        self.device_calls = [DeviceCallRecord(ARM, "hand", "Gripper", "grip", (REAL,), INT, "actuate")]
         self.sources = [SourceText("sample.L", "resource Arm {}\n")]
         self.debug = [MethodDebug(0, ((0, 1),), ((0, "this"),), f"{m.name}()") for m in self.methods]
 
@@ -198,7 +198,7 @@ class Draft:
         self.code[method][at] = (str(name), int(a), int(b), int(c))
 
     def core(self) -> Core:
-        """The core, with entries, labels and handlers moved to their places."""
+        """The core, with entries, labels and handlers relocated."""
         quads: list[Quad] = []
         methods = []
         for method, code in zip(self.methods, self.code, strict=True):
@@ -219,7 +219,7 @@ class Draft:
         )
 
     def program(self, core: Core | None = None) -> Program:
-        """The whole, unverified."""
+        """The program, unverified."""
         core = core or self.core()
         debug = [
             msgspec.structs.replace(info, lines=tuple((pc + method.entry, line) for pc, line in info.lines))

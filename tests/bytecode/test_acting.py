@@ -6,9 +6,9 @@ import re
 
 import pytest
 
-from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.program import Program
-from lfield.compiler.build import compile_program
+from lfield.bytecode.side_effects import effectful_methods
+from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
@@ -97,7 +97,7 @@ def portals(text: str) -> list[str]:
 
 
 def test_a_portal_acts_when_anything_that_it_may_call_changes_something(program: Program) -> None:
-    found = acting_methods(program)
+    found = effectful_methods(program)
     acts = {m.name: i in found for i, m in enumerate(program.core.methods) if m.kind == "portal"}
     assert acts == {**dict.fromkeys(portals(QUERIES), False), **dict.fromkeys(portals(ACTS), True)}
 
@@ -105,8 +105,8 @@ def test_a_portal_acts_when_anything_that_it_may_call_changes_something(program:
 def test_a_portal_call_acts_whatever_it_calls(program: Program) -> None:
     """No resource can make one today; whoever could begins something elsewhere."""
     init = next(i for i, m in enumerate(program.core.methods) if program.method_name(i) == "Boss.init")
-    assert init in acting_methods(program)
+    assert init in effectful_methods(program)
 
 
 def test_it_is_computed_once_for_a_program(program: Program) -> None:
-    assert acting_methods(program) is acting_methods(program)
+    assert effectful_methods(program) is effectful_methods(program)

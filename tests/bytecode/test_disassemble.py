@@ -1,12 +1,10 @@
-"""The listing, the reference page, and what they are derived from."""
+"""The listing of a program."""
 
 from __future__ import annotations
 
 from program_draft import ARM_LIFT, Draft
 
-from lfield.bytecode import reference
-from lfield.bytecode.disassemble import disassemble
-from lfield.bytecode.opcodes import TABLE
+from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.program import SourceText
 
 _LIFT = """\
@@ -82,14 +80,3 @@ def test_a_line_beyond_the_source_is_shown_without_text() -> None:
     draft = Draft()
     draft.debug[ARM_LIFT] = type(draft.debug[ARM_LIFT])(0, ((0, 999),), (), "lift()")
     assert "; sample.L:999\n" in disassemble(draft.program())
-
-
-def test_the_reference_page_is_that_of_the_table() -> None:
-    page = reference.PAGE.read_text(encoding="utf-8")
-    assert page == reference.page_with_table(page), "run: python -m lfield.bytecode.reference --write"
-
-
-def test_the_reference_has_every_instruction() -> None:
-    text = reference.reference()
-    for row in TABLE:
-        assert f"| {row.code} | `{row.name}` |" in text

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from lfield.bytecode.acting import fenced_classes
 from lfield.bytecode.encoding import decode, encode
-from lfield.mission.load import load_program
+from lfield.bytecode.side_effects import fenced_classes
+from lfield.mission.loader import load_program
 from lfield.testing.golden import compile_text
 
 PROGRAM = """

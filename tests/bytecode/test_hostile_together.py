@@ -14,13 +14,14 @@ import pytest
 
 from lfield.bytecode.opcodes import BY_CODE, TABLE
 from lfield.bytecode.program import Core, Handler, MethodRecord, Program, Quad, encode_quads
-from lfield.bytecode.verify import verify
+from lfield.bytecode.verifier import verify
 from lfield.clock import ManualClock
 from lfield.errors import ProgramFileError
-from lfield.testing.golden import Desk, compile_text, team_for
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
-from lfield.vm.memory.soundness import Soundness
+from lfield.vm.memory.block_verifier import BlockVerifier
 
 SOUND = compile_text(
     """
@@ -126,12 +127,12 @@ class Vandal:
 
 def run(program: Program) -> None:
     """Run it for some rounds, and look at every block after each."""
-    desk, clock = Desk(), ManualClock()
+    desk, clock = GoldenWorld(), ManualClock()
     team = team_for(program, TEAM)
-    machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
-    soundness = Soundness(program, machine.layouts, [member.type for member in team])
+    machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
+    soundness = BlockVerifier(program, machine.layouts, [member.type for member in team])
     for member in team:
-        machine.start(member, Limits(heap=1 << 16), generation=1)
+        machine.start(member, AgentLimits(heap=1 << 16), generation=1)
     for _ in range(ROUNDS):
         pause = machine.run()
         for agent in machine.agents.values():

@@ -43,7 +43,7 @@ from lfield.bytecode.program import (
     BUILTIN_CLASSES,
     BUILTIN_PARENTS,
     DEVICE,
-    HELD,
+    HELD_DEVICE,
     INT,
     NULL,
     OBJECT,
@@ -52,14 +52,14 @@ from lfield.bytecode.program import (
     STRING,
     VOID,
     Core,
-    DeviceCall,
+    DeviceCallRecord,
     DeviceField,
     FieldRecord,
     Handler,
     MethodDebug,
     TypeRecord,
 )
-from lfield.bytecode.verify import verify
+from lfield.bytecode.verifier import verify
 from lfield.errors import ProgramFileError
 from lfield.lang.types import BUILTIN_EXCEPTIONS
 
@@ -105,8 +105,8 @@ def test_a_program_without_debug_information_is_accepted() -> None:
         (lambda d: d.types.append(TypeRecord(ARRAY, T_ARM)), "earlier type"),
         (lambda d: d.types.append(TypeRecord(OBJECT, 99)), "of class 99"),
         (lambda d: d.types.append(TypeRecord(PROXY, -1)), "of class -1"),
-        (lambda d: d.types.append(TypeRecord(PROXY, BOX)), "no resource"),
-        (lambda d: d.types.append(TypeRecord(PROXY, GUIDE)), "no resource"),
+        (lambda d: d.types.append(TypeRecord(PROXY, BOX)), "not a resource"),
+        (lambda d: d.types.append(TypeRecord(PROXY, GUIDE)), "not a resource"),
         (lambda d: d.types.append(TypeRecord(17, 0)), "unknown kind 17"),
         (lambda d: d.types.append(TypeRecord(INT, 1)), "unknown kind"),
     ],
@@ -121,8 +121,8 @@ def test_types(change: Change, reason: str) -> None:
         (lambda d: d.change_class(0, name="Other"), "built-in exceptions"),
         (lambda d: d.change_class(3, fields=()), "built-in exceptions"),
         (lambda d: d.change_class(3, usage="resource"), "built-in exceptions"),
-        (lambda d: d.change_class(TOOL, name="Box"), "one name"),
-        (lambda d: d.change_class(BOX, name="x\x1b[2J"), "no source can give"),
+        (lambda d: d.change_class(TOOL, name="Box"), "same name"),
+        (lambda d: d.change_class(BOX, name="x\x1b[2J"), "not an identifier"),
         (lambda d: d.change_class(BOX, kind="interface"), "unknown kind"),
         (lambda d: d.change_class(BOX, usage="nobody"), "unknown kind"),
         (lambda d: d.change_class(TOOL, fields=(FieldRecord("a b", INT),)), "has the name"),
@@ -162,11 +162,11 @@ def test_classes(change: Change, reason: str) -> None:
         (lambda d: d.change_device_call(field="foot"), "does not have"),
         (lambda d: d.change_device_call(device="Wheel"), "does not have"),
         (lambda d: d.change_device_call(effect="explode"), "unknown effect"),
-        (lambda d: d.change_device_call(parameters=(T_BOX,)), "no driver knows"),
-        (lambda d: d.change_device_call(parameters=(VOID,)), "no driver knows"),
-        (lambda d: d.change_device_call(parameters=(99,)), "no driver knows"),
-        (lambda d: d.change_device_call(result=T_STRINGS), "no driver knows"),
-        (lambda d: d.change_device_call(result=-3), "no driver knows"),
+        (lambda d: d.change_device_call(parameters=(T_BOX,)), "drivers do not support"),
+        (lambda d: d.change_device_call(parameters=(VOID,)), "drivers do not support"),
+        (lambda d: d.change_device_call(parameters=(99,)), "drivers do not support"),
+        (lambda d: d.change_device_call(result=T_STRINGS), "drivers do not support"),
+        (lambda d: d.change_device_call(result=-3), "drivers do not support"),
     ],
 )
 def test_constants_and_device_calls(change: Change, reason: str) -> None:
@@ -178,7 +178,7 @@ def test_constants_and_device_calls(change: Change, reason: str) -> None:
     [
         (lambda d: d.change_method(BOX_NEW, owner=99), "no class of the program"),
         (lambda d: d.change_method(BOX_NEW, owner=3), "no class of the program"),
-        (lambda d: d.change_method(BOX_NEW, name="f\x07"), "no source can give"),
+        (lambda d: d.change_method(BOX_NEW, name="f\x07"), "not an identifier"),
         (lambda d: d.change_method(BOX_NEW, kind="portal"), "method of kind 'portal'"),
         (lambda d: d.change_method(BOX_NEW, kind="init"), "method of kind 'init'"),
         (lambda d: d.change_method(ARM_LIFT, kind="constructor"), "method of kind 'constructor'"),
@@ -267,14 +267,14 @@ def test_methods_cover_the_code(change: Change, reason: str) -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda d: d.debug.pop(), "not that of its methods"),
-        (lambda d: d.sources.pop(), "comes from no source"),
-        (lambda d: d.debug.__setitem__(0, MethodDebug(-1, (), (), "")), "comes from no source"),
+        (lambda d: d.debug.pop(), "does not match its methods"),
+        (lambda d: d.sources.pop(), "has no source file"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(-1, (), (), "")), "has no source file"),
         (lambda d: d.debug.__setitem__(0, MethodDebug(0, ((2, 1), (1, 1)), (), "")), "out of order"),
         (lambda d: d.debug.__setitem__(0, MethodDebug(0, ((99, 1),), (), "")), "out of order"),
         (lambda d: d.debug.__setitem__(1, MethodDebug(0, ((-1, 1),), (), "")), "out of order"),
         (lambda d: d.debug.__setitem__(0, MethodDebug(0, ((0, 0),), (), "")), "out of order"),
-        (lambda d: d.debug.__setitem__(0, MethodDebug(0, (), ((2, "x"),), "")), "slot that it has not"),
+        (lambda d: d.debug.__setitem__(0, MethodDebug(0, (), ((2, "x"),), "")), "slot that does not exist"),
     ],
 )
 def test_debug_information(change: Change, reason: str) -> None:
@@ -313,17 +313,17 @@ def test_debug_information(change: Change, reason: str) -> None:
         (put(BOX_SUM, 2, "move", 2, TRUE), "does not fit the slot"),
         (put(BOX_SUM, 2, "move", 5, 6), "does not fit the slot"),
         (put(BOX_SUM, 2, "move", 6, 4), "does not fit the slot"),
-        (put(BOX_SUM, 1, "newarray", 4, INT, ONE), "no array"),
-        (put(BOX_SUM, 1, "newarray", 4, T_STRINGS, ONE), "no array"),
-        (put(BOX_SUM, 1, "newarray", 4, 99, ONE), "leads nowhere"),
+        (put(BOX_SUM, 1, "newarray", 4, INT, ONE), "not an array"),
+        (put(BOX_SUM, 1, "newarray", 4, T_STRINGS, ONE), "not an array"),
+        (put(BOX_SUM, 1, "newarray", 4, 99, ONE), "does not exist"),
         (put(BOX_SUM, 1, "newarray", 4, T_INTS, HALF), "wrong type"),
-        (put(ARM_INIT, 1, "lds", 2, 0), "no string"),
-        (put(ARM_INIT, 1, "lds", 2, 5), "leads nowhere"),
+        (put(ARM_INIT, 1, "lds", 2, 0), "not a string"),
+        (put(ARM_INIT, 1, "lds", 2, 5), "does not exist"),
         (put(ARM_INIT, 1, "lds", 3, 4), "wrong type"),
         (put(ARM_INIT, 5, "new", 3, BOX), "cannot be created"),
         (put(ARM_INIT, 5, "new", 3, ARM), "cannot be created"),
-        (put(ARM_INIT, 5, "new", 3, -1), "leads nowhere"),
-        (put(ARM_INIT, 5, "new", 3, TOOL + 1), "leads nowhere"),
+        (put(ARM_INIT, 5, "new", 3, -1), "does not exist"),
+        (put(ARM_INIT, 5, "new", 3, TOOL + 1), "does not exist"),
         (put(BOX_SUM, 2, "new", 6, TOOL), "cannot be created"),
         (put(BOX_SUM, 12, "return", 3), "not the result"),
         (put(BOX_SUM, 12, "rtn"), "must return"),
@@ -348,16 +348,16 @@ def _append(method: int, *quad: str | int) -> Change:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (put(BOX_NEW, 0, "rtn"), "begin with its frame"),
-        (put(BOX_NEW, 0, "frame", BOX_SUM), "begin with its frame"),
+        (put(BOX_NEW, 0, "rtn"), "start with its frame"),
+        (put(BOX_NEW, 0, "frame", BOX_SUM), "start with its frame"),
         (put(BOX_NEW, 1, "frame", BOX_NEW), "frame is out of place"),
         (put(BOX_NEW, 1, "pop", 1), "pop is out of place"),
         (put(BOX_NEW, 2, "putf", 0, 0, 1), "run off its end"),
         (put(BOX_SUM, 14, "bz", 5, 3), "run off its end"),
         (_append(BOX_NEW, "yield"), "run off its end"),
-        (put(BOX_SUM, 4, "jmp", 0), "leads nowhere"),
-        (put(BOX_SUM, 4, "jmp", -1), "leads nowhere"),
-        (put(BOX_SUM, 4, "jmp", 15), "leads nowhere"),
+        (put(BOX_SUM, 4, "jmp", 0), "does not exist"),
+        (put(BOX_SUM, 4, "jmp", -1), "does not exist"),
+        (put(BOX_SUM, 4, "jmp", 15), "does not exist"),
         (put(ARM_INIT, 12, "jmp", 4), "into a group"),
         (put(ARM_INIT, 12, "jmp", 9), "into a group"),
         (put(GUIDE_INIT, 18, "jmp", 15), "into a group"),
@@ -382,39 +382,39 @@ def core_parts(core: Core) -> list[object]:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (put(ARM_INIT, 4, "yield"), "1 values are pushed where 0"),
-        (put(ARM_INIT, 4, "rtn"), "taken by no instruction"),
-        (put(ARM_INIT, 3, "yield"), "0 values are pushed where 1"),
-        (_append(BOX_NEW, "push", 1), "taken by no instruction"),
-        (put(ARM_INIT, 3, "push", 1), "not what is taken"),
+        (put(ARM_INIT, 4, "yield"), "1 values are pushed, 0 expected"),
+        (put(ARM_INIT, 4, "rtn"), "not used by an instruction"),
+        (put(ARM_INIT, 3, "yield"), "0 values are pushed, 1 expected"),
+        (_append(BOX_NEW, "push", 1), "not used by an instruction"),
+        (put(ARM_INIT, 3, "push", 1), "wrong type"),
         (put(ARM_INIT, 3, "push", WORD), "string constant"),
         (put(ARM_INIT, 3, "push", 99), "no slot 99"),
-        (put(ARM_INIT, 4, "str_len"), "popped exactly"),
-        (put(ARM_LIFT, 3, "yield"), "popped exactly"),
-        (put(ARM_INIT, 5, "pop", 2), "popped exactly"),
+        (put(ARM_INIT, 4, "str_len"), "result must be popped"),
+        (put(ARM_LIFT, 3, "yield"), "result must be popped"),
+        (put(ARM_INIT, 5, "pop", 2), "result must be popped"),
         (put(ARM_LIFT, 3, "pop", 2), "result does not fit"),
         (put(ARM_LIFT, 3, "pop", 0), "slot 0"),
         (put(ARM_INIT, 7, "call", ARM_LIFT), "only methods and constructors"),
         (put(ARM_INIT, 7, "call", GUIDE_INIT), "only methods and constructors"),
-        (put(ARM_INIT, 7, "call", 7), "leads nowhere"),
-        (put(ARM_INIT, 6, "push", 2), "not what is taken"),
-        (put(ARM_INIT, 9, "push", ONE), "not what is taken"),
+        (put(ARM_INIT, 7, "call", 7), "does not exist"),
+        (put(ARM_INIT, 6, "push", 2), "wrong type"),
+        (put(ARM_INIT, 9, "push", ONE), "wrong type"),
         (put(GUIDE_INIT, 10, "call", TOOL_NEW), "out of scope"),
         (put(GUIDE_INIT, 14, "pcall", BOX_SUM), "needs a portal"),
-        (put(GUIDE_INIT, 11, "push", 0), "not what is taken"),
-        (put(GUIDE_INIT, 13, "push", ONE), "not what is taken"),
+        (put(GUIDE_INIT, 11, "push", 0), "wrong type"),
+        (put(GUIDE_INIT, 13, "push", ONE), "wrong type"),
         (put(ARM_INIT, 7, "pcall", ARM_LIFT), "only coordinators call portals"),
         (put(BOX_SUM, 2, "pcall", ARM_LIFT), "only coordinators call portals"),
         (put(GUIDE_INIT, 3, "find", BOX), "only resources are found"),
-        (put(GUIDE_INIT, 3, "find", 99), "leads nowhere"),
-        (put(GUIDE_INIT, 2, "push", 4), "not what is taken"),
+        (put(GUIDE_INIT, 3, "find", 99), "does not exist"),
+        (put(GUIDE_INIT, 2, "push", 4), "wrong type"),
         (put(GUIDE_INIT, 4, "pop", 4), "result does not fit"),
         (put(GUIDE_INIT, 6, "pop", 2), "result does not fit"),
         (put(GUIDE_INIT, 5, "findall", BOX), "only resources are found"),
         (put(ARM_INIT, 4, "find", ARM), "only coordinators find"),
         (put(ARM_INIT, 11, "findall", ARM), "only coordinators find"),
         (put(BOX_SUM, 2, "findall", ARM), "only coordinators find"),
-        (put(GUIDE_INIT, 3, "agent"), "not what is taken"),
+        (put(GUIDE_INIT, 3, "agent"), "wrong type"),
         (put(ARM_INIT, 4, "agent"), "only coordinators have proxies"),
         (put(BOX_SUM, 2, "host"), "only coordinators have proxies"),
         (put(GUIDE_INIT, 3, "write_str"), "only resources write"),
@@ -423,10 +423,10 @@ def core_parts(core: Core) -> list[object]:
         (put(ARM_INIT, 11, "heartbeat_interval"), "only coordinators have a heartbeat"),
         (put(GUIDE_INIT, 3, "device"), "its own resource"),
         (put(TOOL_SHOW, 2, "device"), "its own resource"),
-        (put(ARM_LIFT, 2, "device", 1), "leads nowhere"),
-        (put(ARM_LIFT, 1, "push", ONE), "not what is taken"),
-        (put(ARM_INIT, 4, "exc_message"), "not what is taken"),
-        (put(ARM_INIT, 4, "array_len"), "not what is taken"),
+        (put(ARM_LIFT, 2, "device", 1), "does not exist"),
+        (put(ARM_LIFT, 1, "push", ONE), "wrong type"),
+        (put(ARM_INIT, 4, "exc_message"), "wrong type"),
+        (put(ARM_INIT, 4, "array_len"), "wrong type"),
     ],
 )
 def test_groups(change: Change, reason: str) -> None:
@@ -441,17 +441,17 @@ def _handler(start: int, end: int, target: int, catches: int, slot: int) -> Chan
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_handler(4, 4, 1, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(4, 1, 4, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(0, 4, 4, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(-9, 4, 4, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(2, 4, 4, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(1, 3, 4, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(1, 99, 4, EXCEPTION, 4), "no run of whole instructions"),
-        (_handler(1, 4, 2, EXCEPTION, 4), "leads nowhere"),
-        (_handler(1, 4, 1, EXCEPTION, 4), "into what it protects"),
-        (_handler(1, 4, 0, EXCEPTION, 4), "leads nowhere"),
-        (_handler(1, 4, 5, EXCEPTION, 4), "leads nowhere"),
+        (_handler(4, 4, 1, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(4, 1, 4, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(0, 4, 4, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(-9, 4, 4, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(2, 4, 4, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(1, 3, 4, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(1, 99, 4, EXCEPTION, 4), "not protect a range of whole instructions"),
+        (_handler(1, 4, 2, EXCEPTION, 4), "does not exist"),
+        (_handler(1, 4, 1, EXCEPTION, 4), "in its own range"),
+        (_handler(1, 4, 0, EXCEPTION, 4), "does not exist"),
+        (_handler(1, 4, 5, EXCEPTION, 4), "does not exist"),
         (_handler(1, 4, 4, 99, 4), "does not exist"),
         (_handler(1, 4, 4, -1, 4), "does not exist"),
         (_handler(1, 4, 4, EXCEPTION, 3), "does not fit its slot"),
@@ -477,7 +477,7 @@ def test_exception_takes_any_object_so_its_slot_must() -> None:
 
 
 def test_an_agent_is_not_caught() -> None:
-    refused(_handler(1, 4, 4, ARM, 4), "catches something that is no class")
+    refused(_handler(1, 4, 4, ARM, 4), "catches something that is not a class")
 
 
 def test_a_refusal_says_where() -> None:
@@ -510,7 +510,7 @@ def test_a_class_of_a_resource_may_have_a_device() -> None:
     verify(draft.program())
     draft.put(TOOL_SHOW, 3, "putf", 0, 0, 3)
     verify(draft.program())
-    draft.device_calls.append(DeviceCall(TOOL, HELD, "Gripper", "grip", (), VOID, "actuate"))
+    draft.device_calls.append(DeviceCallRecord(TOOL, HELD_DEVICE, "Gripper", "grip", (), VOID, "actuate"))
     draft.code[TOOL_SHOW][1:3] = [("push", 3, 0, 0), ("device", 1, 0, 0)]
     verify(draft.program())
 
@@ -526,10 +526,13 @@ def test_a_device_stays_with_its_resource() -> None:
             lambda d: d.change_method(GUIDE_INIT, slots=(*d.methods[GUIDE_INIT].slots, DEVICE)),
             "no variable can",
         ),
-        (lambda d: d.change_device_call(owner=BOX, field=HELD), "of a class that has no resource"),
-        (lambda d: d.change_device_call(owner=GUIDE, field=HELD), "of a class that has no resource"),
-        (lambda d: d.change_device_call(owner=99, field=HELD), "of a class that has no resource"),
-        (lambda d: d.change_device_call(owner=ARM, field=HELD), "1 values are pushed where 2 are taken"),
+        (lambda d: d.change_device_call(owner=BOX, field=HELD_DEVICE), "of a class without resource"),
+        (lambda d: d.change_device_call(owner=GUIDE, field=HELD_DEVICE), "of a class without resource"),
+        (lambda d: d.change_device_call(owner=99, field=HELD_DEVICE), "of a class without resource"),
+        (
+            lambda d: d.change_device_call(owner=ARM, field=HELD_DEVICE),
+            "1 values are pushed, 2 expected",
+        ),
         (put(ARM_INIT, 2, "putf", 0, 1, 4), "does not fit the field"),
         (put(ARM_INIT, 2, "move", 4, NOTHING), "does not fit the slot"),
         (put(ARM_INIT, 2, "eqnull", 4, 4), "wrong type"),
@@ -563,7 +566,7 @@ def test_the_table_is_consistent() -> None:
         assert len(row.operands) <= 3
         assert {operand.kind for operand in row.operands} <= kinds
         assert {operand.role for operand in row.operands} <= set("DSVLCTMFKI")
-        assert {*(row.takes or ()), row.gives} <= kinds
+        assert {*(row.argument_kinds or ()), row.result_kind} <= kinds
     assert BUILTIN_CLASSES[EXCEPTION] == "Exception"
 
 

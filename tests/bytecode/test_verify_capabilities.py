@@ -9,12 +9,12 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from lfield.bytecode.disassemble import disassemble
+from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import INT, Core, FieldRecord, Program, Quad, encode_quads
-from lfield.bytecode.verify import verify
-from lfield.capability.reading.reader import read_registry
+from lfield.bytecode.verifier import verify
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.errors import ProgramFileError
 from lfield.testing.golden import compile_text
 
@@ -86,20 +86,20 @@ def test_a_sound_program_is_the_same_after_writing_and_reading() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_class(LIFT, usage="global"), "is no coordinator specific class"),
-        (_class(LIFT, fields=()), "does not begin with what offers tell"),
-        (_class(LIFT, fields=(FieldRecord("fact", _FIELDS[0].type), *_FIELDS[1:])), "does not begin"),
-        (_class(LIFT, fields=(FieldRecord("facts", INT), *_FIELDS[1:])), "does not begin"),
-        (_class(LIFT, fields=(_FIELDS[1], _FIELDS[0])), "does not begin"),
-        (_class(OFFER, fields=_FACTS[:-1]), "does not begin"),
-        (_class(OFFER, fields=(*_FACTS[:3], FieldRecord("score", INT), *_FACTS[4:])), "does not begin"),
+        (_class(LIFT, usage="global"), "is not a coordinator specific class"),
+        (_class(LIFT, fields=()), "does not start with the fields of offers"),
+        (_class(LIFT, fields=(FieldRecord("fact", _FIELDS[0].type), *_FIELDS[1:])), "does not start"),
+        (_class(LIFT, fields=(FieldRecord("facts", INT), *_FIELDS[1:])), "does not start"),
+        (_class(LIFT, fields=(_FIELDS[1], _FIELDS[0])), "does not start"),
+        (_class(OFFER, fields=_FACTS[:-1]), "does not start"),
+        (_class(OFFER, fields=(*_FACTS[:3], FieldRecord("score", INT), *_FACTS[4:])), "does not start"),
         (_class(LIFT, capability=False), "only capabilities have offers"),
         (_Head("offers", operand=OFFER), "only capabilities have offers"),
         (_Head("explain", operand=CRANE), "only capabilities have offers"),
-        (_Head("explain", operand=99), "leads nowhere"),
-        (_Head("offers", pushed=1), "not what is taken"),
-        (_Head("explain", pushed=1), "not what is taken"),
-        (_in_resource, "only coordinators ask"),
+        (_Head("explain", operand=99), "does not exist"),
+        (_Head("offers", pushed=1), "wrong type"),
+        (_Head("explain", pushed=1), "wrong type"),
+        (_in_resource, "only coordinators query"),
     ],
 )
 def test_what_is_refused(change: Change, reason: str) -> None:

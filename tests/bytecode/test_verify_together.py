@@ -8,12 +8,11 @@ from collections.abc import Callable
 import msgspec
 import pytest
 
-from lfield.bytecode.disassemble import disassemble
+from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import (
     ARRAY,
-    BESIDE,
     BOOLEAN,
     BUILTIN_CLASSES,
     EXCEPTIONS,
@@ -24,6 +23,7 @@ from lfield.bytecode.program import (
     OLDEST_BUILTINS,
     REAL,
     RESERVED,
+    SUPPRESSED_FIELD,
     TICKET,
     Core,
     FieldRecord,
@@ -33,8 +33,8 @@ from lfield.bytecode.program import (
     TypeRecord,
     encode_quads,
 )
-from lfield.bytecode.verify import verify
-from lfield.bytecode.verify.records import BUILTIN_RECORDS
+from lfield.bytecode.verifier import verify
+from lfield.bytecode.verifier.record_checks import BUILTIN_RECORDS
 from lfield.errors import ProgramFileError
 from lfield.testing.golden import compile_text
 
@@ -139,24 +139,24 @@ NUMBER = _slot(INT)
     ("change", "reason"),
     [
         # begin of lift: sentinel, array, index, proxy, height
-        (_pushed("begin", 5, NUMBER), "not what is taken"),
-        (_pushed("begin", 4, _slot(INTS)), "not what is taken"),
-        (_pushed("begin", 4, NUMBER), "not what is taken"),
-        (_pushed("begin", 3, _slot(REALS)), "not what is taken"),
-        (_pushed("begin", 2, _slot(INTS)), "not what is taken"),
-        (_pushed("begin", 1, NUMBER), "not what is taken"),
+        (_pushed("begin", 5, NUMBER), "wrong type"),
+        (_pushed("begin", 4, _slot(INTS)), "wrong type"),
+        (_pushed("begin", 4, NUMBER), "wrong type"),
+        (_pushed("begin", 3, _slot(REALS)), "wrong type"),
+        (_pushed("begin", 2, _slot(INTS)), "wrong type"),
+        (_pushed("begin", 1, NUMBER), "wrong type"),
         # begin of stop: there is no result to put anywhere
-        (_pushed("begin", 3, _slot(REALS), 1), "not what is taken"),
+        (_pushed("begin", 3, _slot(REALS), 1), "wrong type"),
         (
             _quads(lambda q: q.__setitem__(_at(q, "begin"), Quad(BY_NAME["begin"].code, INIT, 0, 0))),
             "a portal",
         ),
-        (_pushed("start", 1, NUMBER), "not what is taken"),
-        (_pushed("fetch", 1, NUMBER), "not what is taken"),
-        (_pushed("leave", 2, NUMBER), "not what is taken"),
-        (_pushed("leave", 1, NUMBER), "not what is taken"),
-        (_pushed("limit", 1, NUMBER), "not what is taken"),
-        (_pushed("exc_others", 1, NUMBER), "not what is taken"),
+        (_pushed("start", 1, NUMBER), "wrong type"),
+        (_pushed("fetch", 1, NUMBER), "wrong type"),
+        (_pushed("leave", 2, NUMBER), "wrong type"),
+        (_pushed("leave", 1, NUMBER), "wrong type"),
+        (_pushed("limit", 1, NUMBER), "wrong type"),
+        (_pushed("exc_others", 1, NUMBER), "wrong type"),
         (
             _quads(
                 lambda q: q.__setitem__(_at(q, "gather") + 1, Quad(BY_NAME["pop"].code, _slot(INTS), 0, 0))
@@ -180,11 +180,11 @@ def test_instructions(change: Change, reason: str) -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_pushed("hold", 1, NUMBER), "not what is taken"),
-        (_pushed("hold", 1, _slot(INTS)), "not what is taken"),
-        (_pushed("hold", 1, NOTHING), "not what is taken"),
-        (_pushed("take", 1, _slot(REALS)), "not what is taken"),
-        (_pushed("drop", 1, NUMBER), "not what is taken"),
+        (_pushed("hold", 1, NUMBER), "wrong type"),
+        (_pushed("hold", 1, _slot(INTS)), "wrong type"),
+        (_pushed("hold", 1, NOTHING), "wrong type"),
+        (_pushed("take", 1, _slot(REALS)), "wrong type"),
+        (_pushed("drop", 1, NUMBER), "wrong type"),
         (
             _quads(lambda q: q.__setitem__(_at(q, "hold") + 1, Quad(BY_NAME["pop"].code, NUMBER, 0, 0))),
             "does not fit the slot",
@@ -230,12 +230,12 @@ def test_a_result_that_is_there_is_settled() -> None:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (_settled(NUMBER, _ARRAY, NUMBER, _REAL), "not what is taken"),
-        (_settled(_SENTINEL, _slot(INTS), NUMBER, _REAL), "not what is taken"),
-        (_settled(_SENTINEL, _ARRAY, _REAL, _REAL), "not what is taken"),
-        (_settled(_SENTINEL, _ARRAY, NUMBER, NUMBER), "not what is taken"),
+        (_settled(NUMBER, _ARRAY, NUMBER, _REAL), "wrong type"),
+        (_settled(_SENTINEL, _slot(INTS), NUMBER, _REAL), "wrong type"),
+        (_settled(_SENTINEL, _ARRAY, _REAL, _REAL), "wrong type"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, NUMBER), "wrong type"),
         (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=REAL), "an element of an array"),
-        (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=10_000), "leads nowhere"),
+        (_settled(_SENTINEL, _ARRAY, NUMBER, _REAL, kind=10_000), "does not exist"),
         (
             _quads(lambda q: q.__setitem__(_at(q, "yield"), Quad(BY_NAME["settle"].code, REALS, 0, 0))),
             "only coordinators work in parallel",
@@ -268,19 +268,27 @@ def _other_fields(index: int, *fields: FieldRecord) -> Core:
 
 def test_what_may_be_thrown_has_a_place_for_other_exceptions() -> None:
     verify(OWN)
-    assert [field.name for field in OWN.core.classes[_BOOM].fields] == ["n", "parts", BESIDE]
+    assert [field.name for field in OWN.core.classes[_BOOM].fields] == ["n", "parts", SUPPRESSED_FIELD]
     assert OWN.others == {**dict.fromkeys(range(len(BUILTIN_CLASSES)), 3), _BOOM: 2}
 
 
 @pytest.mark.parametrize(
     ("core", "reason"),
     [
-        (_other_fields(_PLAIN, FieldRecord("n", INT), FieldRecord(BESIDE, INT)), "no place for other"),
-        (_other_fields(_PLAIN, FieldRecord(BESIDE, INT)), "no place for other"),
-        (_other_fields(_R, FieldRecord(BESIDE, EXCEPTIONS)), "no place for other"),
-        (_other_fields(_PLAIN, FieldRecord(BESIDE, EXCEPTIONS), FieldRecord("n", INT)), "has the name ''"),
         (
-            _other_fields(_PLAIN, FieldRecord(BESIDE, EXCEPTIONS), FieldRecord(BESIDE, EXCEPTIONS)),
+            _other_fields(_PLAIN, FieldRecord("n", INT), FieldRecord(SUPPRESSED_FIELD, INT)),
+            "no field for suppressed",
+        ),
+        (_other_fields(_PLAIN, FieldRecord(SUPPRESSED_FIELD, INT)), "no field for suppressed"),
+        (_other_fields(_R, FieldRecord(SUPPRESSED_FIELD, EXCEPTIONS)), "no field for suppressed"),
+        (
+            _other_fields(_PLAIN, FieldRecord(SUPPRESSED_FIELD, EXCEPTIONS), FieldRecord("n", INT)),
+            "has the name ''",
+        ),
+        (
+            _other_fields(
+                _PLAIN, FieldRecord(SUPPRESSED_FIELD, EXCEPTIONS), FieldRecord(SUPPRESSED_FIELD, EXCEPTIONS)
+            ),
             "has the name ''",
         ),
         # Only the machine's own field may lead to what crosses no portal.
@@ -294,7 +302,7 @@ def test_that_place_is_where_the_machine_expects_it(core: Core, reason: str) -> 
 
 def test_a_program_of_before_has_no_such_place() -> None:
     old = _old("R")
-    record = msgspec.structs.replace(old.classes[-1], fields=(FieldRecord(BESIDE, BOOLEAN),))
+    record = msgspec.structs.replace(old.classes[-1], fields=(FieldRecord(SUPPRESSED_FIELD, BOOLEAN),))
     refused(lambda _: msgspec.structs.replace(old, classes=(*old.classes[:-1], record)), "has the name ''")
 
 
@@ -313,7 +321,7 @@ def _field(core: Core) -> Core:
         (_field, "a type no field can have"),
         (
             lambda core: msgspec.structs.replace(core, types=(*core.types, TypeRecord(ARRAY, TICKETS))),
-            "no earlier type of values",
+            "not an earlier type of values",
         ),
         (
             lambda core: msgspec.structs.replace(core, types=(*core.types, TypeRecord(TICKET, 1))),
@@ -330,24 +338,24 @@ def test_tickets_are_in_slots_of_coordinators_only(change: Change, reason: str) 
     [
         (_row(LIMIT, kind=9), "no handlers of kind 9"),
         (_row(LIMIT, kind=-1), "no handlers of kind -1"),
-        (_row(LIMIT, target=SOUND.core.methods[INIT].end - 1), "leads somewhere"),
-        (_row(LIMIT, catches=1), "leads somewhere"),
-        (_row(LIMIT, slot=_slot(TICKETS)), "is no int"),
+        (_row(LIMIT, target=SOUND.core.methods[INIT].end - 1), "has a target"),
+        (_row(LIMIT, catches=1), "has a target"),
+        (_row(LIMIT, slot=_slot(TICKETS)), "not an int"),
         (_row(LIMIT, slot=999), "no slot 999"),
         (_row(LIMIT, slot=0), "slot 0 cannot be written"),
-        (_row(LIMIT, end=SOUND.core.methods[INIT].end + 1), "no run of whole instructions"),
-        (_row(LANDING, slot=1), "leads somewhere"),
-        (_row(LANDING, target=1), "leads somewhere"),
+        (_row(LIMIT, end=SOUND.core.methods[INIT].end + 1), "not protect a range of whole instructions"),
+        (_row(LANDING, slot=1), "has a target"),
+        (_row(LANDING, target=1), "has a target"),
         (_row(FINALLY, catches=1), "names a class"),
-        (_row(FINALLY, target=0), "leads nowhere"),
+        (_row(FINALLY, target=0), "does not exist"),
         (_row(FINALLY, slot=NUMBER), "does not fit its slot"),
         (_row(LANDING, ARM_INIT, kind=LIMIT), "only coordinators have a time limit"),
         (_row(LANDING, ARM_INIT, kind=RESERVED), "only coordinators have a time limit, or reserve"),
-        (_row(RESERVED, slot=NUMBER), "keeps is no int"),
-        (_row(RESERVED, slot=_slot(REALS)), "keeps is no int"),
+        (_row(RESERVED, slot=NUMBER), "reserve are not an int"),
+        (_row(RESERVED, slot=_slot(REALS)), "reserve are not an int"),
         (_row(RESERVED, slot=0), "slot 0 cannot be written"),
-        (_row(RESERVED, target=SOUND.core.methods[INIT].end - 1), "leads somewhere"),
-        (_row(RESERVED, catches=1), "leads somewhere"),
+        (_row(RESERVED, target=SOUND.core.methods[INIT].end - 1), "has a target"),
+        (_row(RESERVED, catches=1), "has a target"),
     ],
 )
 def test_rows(change: Change, reason: str) -> None:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield import exits
+from lfield import exit_status
 from lfield.cli.main import main
 
 PROGRAM = """resource Pump { CanSignals pump; CanAxis hoist; init(string[] arg) { } }
@@ -40,8 +40,8 @@ def findings(deploy: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, lis
 
 def test_sound_files_are_taken(tmp_path, capsys):
     deploy = mission(tmp_path, DBC, EDS)
-    assert findings(deploy, capsys) == (exits.DONE, [])
-    assert main(["build", str(deploy), "-o", str(tmp_path / "m.lfm")]) == exits.DONE
+    assert findings(deploy, capsys) == (exit_status.DONE, [])
+    assert main(["build", str(deploy), "-o", str(tmp_path / "m.lfm")]) == exit_status.DONE
 
 
 def test_all_mistakes_have_their_places(tmp_path, capsys):
@@ -49,9 +49,9 @@ def test_all_mistakes_have_their_places(tmp_path, capsys):
     deploy = mission(tmp_path, wrong, "[FileInfo]\nFileName=hoist.eds\n")
     places = [("hoist.eds", 1, "EDS901"), ("pump.dbc", 5, "DBC102"), ("pump.dbc", 6, "DBC102")]
     status, found = findings(deploy, capsys)
-    assert status == exits.DATA
+    assert status == exit_status.DATA
     assert [(file, line) for file, line, _ in sorted(found)] == [(file, line) for file, line, _ in places]
-    assert main(["build", str(deploy), "-o", str(tmp_path / "m.lfm")]) == exits.DATA
+    assert main(["build", str(deploy), "-o", str(tmp_path / "m.lfm")]) == exit_status.DATA
     told = capsys.readouterr().err
     assert f"{tmp_path / 'pump.dbc'}:5:" in told
     assert not (tmp_path / "m.lfm").exists()
@@ -61,11 +61,11 @@ def test_a_file_that_is_no_such_file_is_named_at_its_binding(tmp_path, capsys):
     deploy = mission(tmp_path, DBC, EDS)
     (tmp_path / "pump.dbc").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(range(256)))
     status, found = findings(deploy, capsys)
-    assert status == exits.DATA
+    assert status == exit_status.DATA
     assert {file for file, _, _ in found} <= {"pump.dbc", "m.devices.yaml"}
     # One that is not there is another mistake.
     (tmp_path / "pump.dbc").unlink()
-    assert findings(deploy, capsys) == (exits.DATA, [("m.devices.yaml", 4, "Y113")])
+    assert findings(deploy, capsys) == (exit_status.DATA, [("m.devices.yaml", 4, "Y113")])
 
 
 def test_a_file_of_two_bindings_is_told_once(tmp_path, capsys):
@@ -74,4 +74,4 @@ def test_a_file_of_two_bindings_is_told_once(tmp_path, capsys):
     other = f"  q:\n    devices:{BINDINGS.replace('node: 5', 'node: 6')}"
     (tmp_path / "m.devices.yaml").write_text(DEVICES + other)
     status, found = findings(deploy, capsys)
-    assert (status, [(file, line) for file, line, _ in found]) == (exits.DATA, [("pump.dbc", 4)])
+    assert (status, [(file, line) for file, line, _ in found]) == (exit_status.DATA, [("pump.dbc", 4)])

@@ -6,7 +6,7 @@ import asyncio
 from functools import partial
 
 import pytest
-from can_stories import DRIVE, ODRIVE, vanish_and_return
+from can_scenarios import DRIVE, ODRIVE, vanish_and_return
 
 from lfield.driver import DeviceError
 from lfield.testing.desk import Desk
@@ -97,9 +97,9 @@ def test_a_bus_that_is_off_comes_back(drive):
         await axis.call("enable")
         await axis.call("setVelocity", 2.0)
         fake.fault("bus_off=true")
-        await axis.told("it is not heard any more")
+        await axis.until_note("no longer responding")
         fake.fault("bus_off=false")
-        await axis.told("heard again")
+        await axis.until_note("responding again")
         await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
 
     play(story, drive())

@@ -7,15 +7,20 @@ from contextlib import suppress
 from pathlib import Path
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import check_files
-from lfield.capability.reading.signatures import signatures_of
-from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes, check_questions, check_types
+from lfield.capability.program_types.live_units import convert_live_units
+from lfield.capability.program_types.program_check import (
+    check_against,
+    check_classes,
+    check_feed_portals,
+    check_types,
+)
+from lfield.capability.registry_reader.registry_files import check_files
+from lfield.capability.registry_reader.unit_signatures import signatures_of
 from lfield.errors import ProgramError
-from lfield.lang.parser import parse
+from lfield.lang.parser import parse_file
 from lfield.manifest import DeviceManifest, Quantity
-from lfield.mission.load import compile_file
-from lfield.text.source import Diagnostic, Diagnostics, Source
+from lfield.mission.loader import compile_file
+from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 GOLDEN = Path(__file__).parent / "reading" / "golden"
 BASE = GOLDEN / "base.yaml"
@@ -59,12 +64,12 @@ def _against(registry: Registry, program: Path, mission: Path | None) -> list[Di
     found = Diagnostics()
     check_classes(registry, found)
     if program.exists():
-        signatures = signatures_of([parse(Source(program.name, program.read_text()), found)])
+        signatures = signatures_of([parse_file(Source(program.name, program.read_text()), found)])
         check_against(registry, signatures, found)
         devices = {name: signature.devices for name, signature in signatures.items()}
-        settle_live(registry, devices, {"Rover": ROVER}, found)
+        convert_live_units(registry, devices, {"Rover": ROVER}, found)
         with suppress(ProgramError):
-            check_questions(registry, compile_file(program)[0], found)
+            check_feed_portals(registry, compile_file(program)[0], found)
         if mission is not None:
             library = {"hall/lorry.L": program.with_name("lorry.L")}
             check_types(registry, mission, signatures, library.get, found)

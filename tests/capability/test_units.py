@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.capability import units
-from lfield.capability.units import conversion, in_si, is_registry_unit, known, suggestion
+from lfield import units
+from lfield.units import conversion, in_si, is_registry_unit, is_unit, suggestion
 
 #: Every symbol of the tables, and some that are made of several.
 COMPOUND = [
@@ -100,7 +100,7 @@ def test_by_way_of_a_third(first: str, second: str, third: str) -> None:
 
 @given(st.text(max_size=60))
 def test_any_text_is_a_unit_or_none(text: str) -> None:
-    if not known(text):
+    if not is_unit(text):
         assert suggestion(text)
         assert conversion(text, "m") is None
 
@@ -109,7 +109,7 @@ def test_any_text_is_a_unit_or_none(text: str) -> None:
     "text", ["J/kg K", "m/", "/s", "//", "m//s", "2m", "m s/", "m2 2", "m-", "m" * 50, "m\0", "meter"]
 )
 def test_no_units(text: str) -> None:
-    assert not known(text)
+    assert not is_unit(text)
 
 
 @pytest.mark.parametrize(

@@ -26,13 +26,13 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from disks import Disk
-from hosts import HostProcess
-from links import Link
-from storm import Storm
-from verdict import Verdict
+from call_verdict import CallVerdict
+from fault_storm import FaultStorm
+from host_process import HostProcess
+from link_proxy import LinkProxy
+from small_disk import Disk
 
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 PROGRAM = Path(__file__).with_name("walkers.L")
 HOSTS, NUMBERS = 4, 150
@@ -49,8 +49,8 @@ class Round:
 
     def __init__(self, bundle: Path, folder: Path, seed: int) -> None:
         self._bundle, self._folder = folder / bundle.name, folder
-        self.verdict = Verdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
-        self._dice = random.Random(seed)
+        self.verdict = CallVerdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
+        self._rng = random.Random(seed)
         keyring = Keyring(folder / "keys")
         self._keys = str(keyring.give(*(f"h{number}" for number in range(HOSTS))))
         self._bundle.write_bytes(bundle.read_bytes())
@@ -66,14 +66,14 @@ class Round:
         """All of it; what is wrong is in `wrong`."""
         ports = free_ports(HOSTS)
         pairs = [(a, b) for a in range(HOSTS) for b in range(HOSTS) if a != b]
-        links = {pair: Link(ports[pair[1]]) for pair in pairs}
+        links = {pair: LinkProxy(ports[pair[1]]) for pair in pairs}
         calls = {pair: await link.open() for pair, link in links.items()}
         self.hosts = [self._host(number, ports[number], calls) for number in range(HOSTS)]
-        storm = Storm(self._dice, self.hosts, self.disks, links, self._holder)
+        storm = FaultStorm(self._rng, self.hosts, self.disks, links, self._holder)
         try:
             for host in self.hosts:
                 host.start()
-            await self._weather(storm)
+            await self._inject_faults(storm)
             self._judge([host.name for host in self.hosts if not await host.end()])
         finally:
             for host in self.hosts:
@@ -90,33 +90,33 @@ class Round:
         state = str(self.disks[number].folder)
         words = ("up", str(self._bundle), "--host", name, *maps, "--state", state, *IMPATIENT)
         words = (*words, "--keys", self._keys)
-        hear = partial(self._hear, name)
+        hear = partial(self._on_line, name)
         return HostProcess(name, words, self._folder / f"{name}.log", hear)
 
-    def _hear(self, host: str, line: str) -> None:
-        self.verdict.hear(line, host, time.monotonic())
+    def _on_line(self, host: str, line: str) -> None:
+        self.verdict.on_line(line, host, time.monotonic())
 
     def _holder(self) -> int:
         """The host of a walker that others may go on with, and that is not complete."""
         under_way = [who for who in FENCED if who not in self.verdict.walked and who in self.verdict.where]
         if not under_way:
             return -1
-        where = self.verdict.where[self._dice.choice(under_way)]
+        where = self.verdict.where[self._rng.choice(under_way)]
         return next(number for number, host in enumerate(self.hosts) if host.name == where)
 
-    async def _weather(self, storm: Storm) -> None:
-        await self._fulfilled(lambda: self.verdict.under_way, BOUND)
-        raging = asyncio.ensure_future(storm.rage())
-        await self._fulfilled(lambda: self.verdict.complete, STORM)
+    async def _inject_faults(self, storm: FaultStorm) -> None:
+        await self._wait_until(lambda: self.verdict.under_way, BOUND)
+        raging = asyncio.ensure_future(storm.run())
+        await self._wait_until(lambda: self.verdict.complete, STORM)
         raging.cancel()
         await asyncio.gather(raging, return_exceptions=True)
         began = time.monotonic()
         await storm.heal()
-        await self._fulfilled(lambda: self.verdict.complete, BOUND)
+        await self._wait_until(lambda: self.verdict.complete, BOUND)
         self.healed_after = time.monotonic() - began
         self.faults = storm.faults
 
-    async def _fulfilled(self, is_so: Callable[[], bool], bound: float) -> None:
+    async def _wait_until(self, is_so: Callable[[], bool], bound: float) -> None:
         """Wait until something is so, for so many seconds at most."""
         end = time.monotonic() + bound
         while not is_so() and time.monotonic() < end:

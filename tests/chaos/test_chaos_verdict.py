@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from verdict import Verdict
+from call_verdict import CallVerdict
 
-RECOVERED = "w0 was recovered on h1 from where it left for h2; this call may have begun"
+RECOVERED = "w0 was recovered on h1 from its departure for h2; this call may have begun"
 
 
-def verdict_of(*lines: str) -> Verdict:
-    verdict = Verdict({"w0": 3})
+def verdict_of(*lines: str) -> CallVerdict:
+    verdict = CallVerdict({"w0": 3})
     for now, line in enumerate(lines):
-        verdict.hear(line, "h0", float(now))
+        verdict.on_line(line, "h0", float(now))
     return verdict
 
 
-def wrong(verdict: Verdict) -> tuple[object, ...]:
+def wrong(verdict: CallVerdict) -> tuple[object, ...]:
     return verdict.twice, verdict.outdated, verdict.skipped
 
 
@@ -22,8 +22,8 @@ def test_a_call_that_may_have_been_made_is_no_breach():
     verdict = verdict_of(
         "stamped w0 0 0",
         "stamped w0 0 1",
-        "w0: perhaps 1 7 h0 was started again; this call may have begun",
-        "w0: perhaps 2 8 h0 was started again; this call may have begun",
+        "w0: perhaps 1 7 h0 restarted; this call may have begun",
+        "w0: perhaps 2 8 h0 restarted; this call may have begun",
         "w0: walked 3",
     )
     assert (verdict.complete, *wrong(verdict)) == (True, [], [], [])
@@ -32,13 +32,13 @@ def test_a_call_that_may_have_been_made_is_no_breach():
 def test_what_was_served_twice_and_what_nobody_served_is_told():
     verdict = verdict_of("stamped w0 0 0", "stamped w0 0 0", "stamped w0 0 2")
     assert (verdict.complete, *wrong(verdict)) == (False, [("w0", 0)], [], [("w0", 1)])
-    verdict.hear("w0: walked 3")
+    verdict.on_line("w0: walked 3")
     assert verdict.skipped == [("w0", 1)]
     assert verdict_of("w0: walked 3").skipped == [("w0", 0), ("w0", 1), ("w0", 2)]
 
 
 def test_a_restart_is_no_reason_to_make_a_call_again():
-    again = "w0: perhaps 0 7 h0 was started again; this call may have begun"
+    again = "w0: perhaps 0 7 h0 restarted; this call may have begun"
     assert verdict_of("stamped w0 0 0", "stamped w0 0 1", again, "stamped w0 7 1").twice == [("w0", 1)]
 
 

@@ -21,7 +21,7 @@ from pathlib import Path
 import pytest
 
 from lfield.cli.main import main
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 ROOT = Path(__file__).parents[2]
 #: Seconds for anything that is only a matter of time on a busy machine.
@@ -140,7 +140,8 @@ class Ports:
             except OSError:
                 self._claim.close()
                 continue
-            self._next = itertools.cycle(range(first, first + self.SIZE))
+            # Not the first: a host that listens there could not have the UDP port beside it.
+            self._next = itertools.cycle(range(first + 1, first + self.SIZE))
             return
         raise RuntimeError("all ports for tests are taken")
 

@@ -1,12 +1,12 @@
-"""The instructions of one method, as the listing shows them, numbered from its `frame`."""
+"""The instructions of one method, as in the listing, numbered from its `frame`."""
 
 from __future__ import annotations
 
 import re
 
-from lfield.bytecode.disassemble import disassemble
+from lfield.bytecode.disassembler import disassemble
 from lfield.bytecode.program import MethodRecord, Program
-from lfield.compiler.build import compile_program
+from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 
 #: What every test may use besides its own lines.
@@ -19,7 +19,7 @@ class Pair {
 
 
 def compiled(text: str, name: str = "test.L") -> Program:
-    """A program from L text; ProgramError when it is none."""
+    """A program from L text; raises ProgramError."""
     return compile_program(check_text(text, name).or_raise())
 
 
@@ -35,7 +35,7 @@ def method(program: Program, name: str) -> MethodRecord:
 
 
 def instructions(program: Program, name: str = "R.init") -> list[str]:
-    """The instructions of `Owner.name` behind its frame; the first has number 1."""
+    """The instructions of `Owner.name` after its frame; the first has number 1."""
     record = method(program, name)
     numbered = re.findall(r"^(?=.{6}  ) *L?(\d+)  (\w.*)$", disassemble(program), re.MULTILINE)
     own = [text for number, text in numbered if record.entry < int(number) < record.end]

@@ -34,6 +34,7 @@ def joined(term: str, operator: str) -> str:
     return f" {operator} ".join([term] * LINKS)
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("value", "result"),
     [
@@ -60,6 +61,7 @@ def test_a_long_sum_is_a_sum(value: str, result: str) -> None:
     assert desk.output == [result]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize(
     ("condition", "result"),
     [

@@ -4,8 +4,17 @@ from __future__ import annotations
 
 from listing import instructions
 
-from lfield.bytecode.program import DEVICE, INT, REAL, VOID, DeviceCall, DeviceField, FieldRecord, Program
-from lfield.compiler.build import compile_program
+from lfield.bytecode.program import (
+    DEVICE,
+    INT,
+    REAL,
+    VOID,
+    DeviceCallRecord,
+    DeviceField,
+    FieldRecord,
+    Program,
+)
+from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, Instruction, Parameter
 
@@ -54,11 +63,11 @@ def test_each_instruction_of_each_device_is_one_row() -> None:
     arm = made.class_index["Arm"]
     (reals,) = [i for i, record in enumerate(made.core.types) if record.kind == 8 and record.of == REAL]
     assert made.core.device_calls == (
-        DeviceCall(arm, "left", "Gripper", "close", (REAL,), VOID, "idempotent"),
-        DeviceCall(arm, "left", "Gripper", "width", (), REAL, "query"),
-        DeviceCall(arm, "right", "Gripper", "width", (), REAL, "query"),
-        DeviceCall(arm, "right", "Gripper", "close", (REAL,), VOID, "idempotent"),
-        DeviceCall(arm, "right", "Gripper", "path", (reals, INT), VOID, "actuate"),
+        DeviceCallRecord(arm, "left", "Gripper", "close", (REAL,), VOID, "idempotent"),
+        DeviceCallRecord(arm, "left", "Gripper", "width", (), REAL, "query"),
+        DeviceCallRecord(arm, "right", "Gripper", "width", (), REAL, "query"),
+        DeviceCallRecord(arm, "right", "Gripper", "close", (REAL,), VOID, "idempotent"),
+        DeviceCallRecord(arm, "right", "Gripper", "path", (reals, INT), VOID, "actuate"),
     )
 
 

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from lfield.errors import ProgramError
-from lfield.mission.load import compile_file
+from lfield.mission.loader import compile_file
 from lfield.testing.golden import compile_text
 
 
@@ -38,6 +38,7 @@ SHAPES: dict[str, Callable[[int], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     few, many = (steps(lambda n=n: compile_text(SHAPES[shape](n))) for n in (30, 300))

@@ -3,8 +3,8 @@
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from lfield.bytecode.verify import verify
-from lfield.compiler.build import compile_program
+from lfield.bytecode.verifier import verify
+from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 
 UNITS = """

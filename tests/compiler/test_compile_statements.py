@@ -6,7 +6,7 @@ import pytest
 from listing import code, compiled, compiled_body, instructions, method
 
 from lfield.bytecode.program import Handler, Program
-from lfield.compiler.build import compile_program
+from lfield.compiler.program_builder import compile_program
 from lfield.errors import ProgramError
 from lfield.lang.frontend import check_text
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from listing import instructions
 
-from lfield.bytecode.disassemble import disassemble
+from lfield.bytecode.disassembler import disassemble
 from lfield.testing.golden import compile_text
 
 ARM = """

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 
 from lfield.mission.bindings import MissionStart
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 
 PROGRAM = """

@@ -25,36 +25,36 @@ ODD: Sequence[Any] = (
 _DEEP = 200
 
 
-def mutated(target: Target, data: bytes, dice: random.Random, other: bytes = b"") -> bytes:
+def mutated(target: Target, data: bytes, rng: random.Random, other: bytes = b"") -> bytes:
     """An input like `data`; parts of `other` may come into it."""
-    for _ in range(1 + int(dice.expovariate(0.7))):
-        if target.packed and dice.random() < 0.8:
-            data = _mutated_tree(target, data, other, dice)
+    for _ in range(1 + int(rng.expovariate(0.7))):
+        if target.packed and rng.random() < 0.8:
+            data = _mutated_tree(target, data, other, rng)
         else:
-            data = _mutated_bytes(target, data, other, dice)
+            data = _mutated_bytes(target, data, other, rng)
     return data[:LONGEST]
 
 
-def _mutated_tree(target: Target, data: bytes, other: bytes, dice: random.Random) -> bytes:
+def _mutated_tree(target: Target, data: bytes, other: bytes, rng: random.Random) -> bytes:
     try:
         tree = msgspec.msgpack.decode(data)
     except (msgspec.MsgspecError, ValueError, RecursionError, TypeError):
-        return _mutated_bytes(target, data, other, dice)
+        return _mutated_bytes(target, data, other, rng)
     places = list(_places(tree))
     if not places:
-        return msgspec.msgpack.encode(_value(target, [], dice))
-    holder, key = dice.choice(places)
-    what = dice.randrange(8)
+        return msgspec.msgpack.encode(_value(target, [], rng))
+    holder, key = rng.choice(places)
+    what = rng.randrange(8)
     if what <= 3:
-        holder[key] = _value(target, places, dice)
+        holder[key] = _value(target, places, rng)
     elif what == 4:
         del holder[key]
     elif isinstance(holder, list) and what == 5:
-        holder.insert(key, _value(target, places, dice))
+        holder.insert(key, _value(target, places, rng))
     elif isinstance(holder, list) and what == 6:
-        holder[key:key] = holder[key : key + dice.randint(1, 4)] * dice.choice((1, 2, 20))
+        holder[key:key] = holder[key : key + rng.randint(1, 4)] * rng.choice((1, 2, 20))
     else:
-        holder[key] = _tweaked(holder[key], dice)
+        holder[key] = _tweaked(holder[key], rng)
     try:
         return msgspec.msgpack.encode(tree)
     except (msgspec.MsgspecError, OverflowError, RecursionError, TypeError, ValueError):
@@ -69,57 +69,57 @@ def _places(tree: Any, depth: int = 0) -> list[tuple[Any, Any]]:
     return found + [place for holder, key in found for place in _places(holder[key], depth + 1)]
 
 
-def _value(target: Target, places: Sequence[tuple[Any, Any]], dice: random.Random) -> Any:
-    what = dice.random()
+def _value(target: Target, places: Sequence[tuple[Any, Any]], rng: random.Random) -> Any:
+    what = rng.random()
     if what < 0.4 and places:
-        holder, key = dice.choice(places)
+        holder, key = rng.choice(places)
         return holder[key]
-    if what < 0.6 and target.words:
-        return dice.choice(target.words)
+    if what < 0.6 and target.tokens:
+        return rng.choice(target.tokens)
     if what < 0.62:
         deep: Any = 0
         for _ in range(_DEEP):
             deep = [deep]
         return deep
-    return dice.choice(ODD)
+    return rng.choice(ODD)
 
 
-def _tweaked(value: Any, dice: random.Random) -> Any:
+def _tweaked(value: Any, rng: random.Random) -> Any:
     if isinstance(value, bool):
         return not value
     if isinstance(value, int):
-        return dice.choice((value + 1, value - 1, value ^ 1 << dice.randrange(40), -value, value * 2))
+        return rng.choice((value + 1, value - 1, value ^ 1 << rng.randrange(40), -value, value * 2))
     if isinstance(value, float):
-        return dice.choice((-value, value * 1e3, value / 1e3, math.nextafter(value, math.inf)))
+        return rng.choice((-value, value * 1e3, value / 1e3, math.nextafter(value, math.inf)))
     if isinstance(value, bytes) and value:
-        return _mutated_bytes(None, value, b"", dice)
+        return _mutated_bytes(None, value, b"", rng)
     if isinstance(value, str):
-        return dice.choice((value[:-1], value + value, value.upper(), value + "\n", value[1:]))
-    return dice.choice(ODD)
+        return rng.choice((value[:-1], value + value, value.upper(), value + "\n", value[1:]))
+    return rng.choice(ODD)
 
 
-def _mutated_bytes(target: Target | None, data: bytes, other: bytes, dice: random.Random) -> bytes:
-    text, at = bytearray(data), dice.randint(0, len(data))
-    what = dice.randrange(9)
+def _mutated_bytes(target: Target | None, data: bytes, other: bytes, rng: random.Random) -> bytes:
+    text, at = bytearray(data), rng.randint(0, len(data))
+    what = rng.randrange(9)
     if what == 0 and text:
-        text[dice.randrange(len(text))] ^= 1 << dice.randrange(8)
+        text[rng.randrange(len(text))] ^= 1 << rng.randrange(8)
     elif what == 1 and text:
-        text[dice.randrange(len(text))] = dice.choice((0, 1, 0x7F, 0x80, 0xFF, dice.randrange(256)))
+        text[rng.randrange(len(text))] = rng.choice((0, 1, 0x7F, 0x80, 0xFF, rng.randrange(256)))
     elif what == 2:
-        del text[at : at + dice.choice((1, 2, 4, 8, 64))]
+        del text[at : at + rng.choice((1, 2, 4, 8, 64))]
     elif what == 3:
-        text[at:at] = dice.randbytes(dice.choice((1, 2, 4, 8, 64)))
+        text[at:at] = rng.randbytes(rng.choice((1, 2, 4, 8, 64)))
     elif what == 4:
-        size, order = dice.choice((1, 2, 4, 8)), dice.choice(("big", "little"))
-        text[at : at + size] = (dice.choice(EDGES) & (1 << 8 * size) - 1).to_bytes(size, order)
+        size, order = rng.choice((1, 2, 4, 8)), rng.choice(("big", "little"))
+        text[at : at + size] = (rng.choice(EDGES) & (1 << 8 * size) - 1).to_bytes(size, order)
     elif what == 5 and other:
-        start = dice.randrange(len(other))
-        text[at : at + dice.choice((0, 4, 64))] = other[start : start + dice.choice((1, 4, 16, 64, 256))]
+        start = rng.randrange(len(other))
+        text[at : at + rng.choice((0, 4, 64))] = other[start : start + rng.choice((1, 4, 16, 64, 256))]
     elif what == 6 and text:
-        start = dice.randrange(len(text))
-        text[at:at] = text[start : start + dice.choice((1, 4, 16, 64))] * dice.choice((1, 2, 30))
-    elif what == 7 and target is not None and target.words:
-        word = dice.choice(target.words)
+        start = rng.randrange(len(text))
+        text[at:at] = text[start : start + rng.choice((1, 4, 16, 64))] * rng.choice((1, 2, 30))
+    elif what == 7 and target is not None and target.tokens:
+        word = rng.choice(target.tokens)
         text[at:at] = word if isinstance(word, bytes) else str(word).encode()
     else:
         del text[at:]

@@ -19,37 +19,37 @@ from decoder_corpus import corpus_of
 from decoder_mutations import mutated
 from decoder_target import Target
 
-from lfield.authority import identity, reading, signature
-from lfield.driver.serial.framing import Lines, Packets
+from lfield.authority import bundle_signature, certificate_reader, identity
+from lfield.driver.serial.serial_framing import Lines, Packets
 from lfield.guard.messages import MessageReader
-from lfield.journal.pages import page_of
+from lfield.journal.records import decode_record
 from lfield.mission import bundle
-from lfield.net.framed import FramedLink
-from lfield.net.greeting import Greeting
+from lfield.net.framed_link import FramedLink
+from lfield.net.handshake import Handshake
 from lfield.wire import codec
 from lfield.wire.framing import FrameDecoder
 from lfield_can.bus.socketcand import Socketcand
 from lfield_dynamixel.bus.packets import Protocol1, Protocol2, split_fast
 
-_MESSAGES = (codec.decode, codec._check, codec._strict)
+_MESSAGES = (codec.decode, codec._verify_checksum, codec._strict)
 READS: Mapping[str, Sequence[object]] = {
     "stream": (
         FrameDecoder,
         codec.frame_decoder,
         codec.limits,
         FramedLink.received,
-        FramedLink.finished,
+        FramedLink.on_eof,
         FramedLink._oversize,
     ),
-    "greeting": (*_MESSAGES, codec._decode_hello, Greeting.receive),
-    "control": (*_MESSAGES, Greeting.admit),
-    "transfer": (codec.decode_transfer, codec._split_transfer, codec._strict),
+    "greeting": (*_MESSAGES, codec._decode_hello, Handshake.receive),
+    "control": (*_MESSAGES, Handshake.admit),
+    "transfer": (codec.decode_transfer, codec._split_transfer),
     "bundle-file": (bundle.contents, bundle._split),
-    "page": (page_of,),
-    "certificate": (reading.identity_in_der,),
-    "revocations": (reading.revoked_in,),
+    "page": (decode_record,),
+    "certificate": (certificate_reader.identity_in_der,),
+    "revocations": (certificate_reader.revoked_in,),
     "names": (identity.identity_of,),
-    "signature": (signature.signed,),
+    "signature": (bundle_signature.verify_bundle,),
     "guard-in": (MessageReader,),
     "guard-out": (MessageReader,),
     "dynamixel": (Protocol1.reader, Protocol2.reader, split_fast),
@@ -61,13 +61,11 @@ _LARGE = "no input is so large"
 #: By target: lines that no input reaches, each with the reason.
 UNREACHED: Mapping[str, Mapping[str, str]] = {
     "stream": {
-        "FramedLink.received: except Exception as error:": _BUG,
-        "FramedLink.received: self.close()": _BUG,
-        "FramedLink.received: unexpected(error)": _BUG,
         "FramedLink._oversize: self._weigh(header)": "only a member over its budget gets no answers",
+        "FrameDecoder.reset_skipped: self.skipped = 0": "called by `withhold`, not by a reader",
     },
     "control": {
-        'Greeting.admit: raise WireError(f"a {type(message).__name__} came before the greeting")': (
+        'Handshake.admit: raise WireError(f"received {type(message).__name__} before the handshake")': (
             "here all have greeted"
         ),
     },
@@ -75,7 +73,9 @@ UNREACHED: Mapping[str, Mapping[str, str]] = {
         'contents: raise BundleError(f"it is larger than {MAX_SIZE >> 20} MiB")': _LARGE,
     },
     "page": {
-        'page_of: raise PageError("it is not of the right kind") from None': "SQLite's columns have types",
+        'decode_record: raise RecordError("it is not of the right kind") from None': (
+            "SQLite's columns have types"
+        ),
     },
     "revocations": {'revoked_in: raise KeysError("the revocation list is too large")': _LARGE},
 }
@@ -119,7 +119,7 @@ def unreached(target: Target, functions: Sequence[object]) -> set[str]:
     sys.settrace(call)
     try:
         for data in (*known, *made):
-            target.take(data)
+            target.decode(data)
     finally:
         sys.settrace(before)
     return {_text(code, number) for code in codes for number in _lines(code) if (code, number) not in ran}

@@ -21,16 +21,16 @@ LONGEST = 1 << 16
 
 @dataclass(frozen=True)
 class Target:
-    """One decoder: `seeds` gives good inputs, `take` decodes one, and raises nothing whatever it is.
+    """One decoder: `seeds` gives good inputs, `decode` decodes one, and raises nothing whatever it is.
 
-    `words` are names that mean something to it. Where `packed`, its inputs are msgpack and changed as such.
+    `tokens` are names that mean something to it. Where `packed`, its inputs are msgpack and changed as such.
     """
 
     name: str
     seeds: Callable[[], Sequence[bytes]]
-    take: Callable[[bytes], None]
+    decode: Callable[[bytes], None]
     packed: bool = False
-    words: Sequence[object] = field(default=())
+    tokens: Sequence[object] = field(default=())
     #: One that plays whole stories takes every so manieth input only.
     share: int = 1
 
@@ -64,7 +64,7 @@ def peak_of(target: Target, data: bytes) -> int:
     """Bytes that Python's allocator gave at once to decode an input."""
     tracemalloc.start()
     try:
-        target.take(data)
+        target.decode(data)
         return tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()

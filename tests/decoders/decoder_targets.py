@@ -9,7 +9,7 @@ import targets_of_guards
 import targets_of_links
 import targets_of_operators
 
-ROOMS = (
+TARGET_MODULES = (
     targets_of_links,
     targets_of_files,
     targets_of_guards,
@@ -17,4 +17,4 @@ ROOMS = (
     targets_of_authority,
     targets_of_operators,
 )
-TARGETS = {target.name: target for room in ROOMS for target in room.TARGETS}
+TARGETS = {target.name: target for room in TARGET_MODULES for target in room.TARGETS}

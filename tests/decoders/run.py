@@ -25,7 +25,7 @@ from decoder_corpus import corpus_of, keep
 HERE = Path(__file__).parent
 FOUND = HERE / "found"
 #: Bytes of address space that a target may take beyond what it has before its first input.
-ROOM = 512 << 20
+MEMORY_LIMIT = 512 << 20
 #: Different crashes of one target that are told before it is left alone.
 MOST = 20
 #: Inputs that are kept of one decoder because they reach more: the shortest.
@@ -88,8 +88,8 @@ def fuzz(name: str, count: int, seed: int) -> int:
     target, dice = TARGETS[name], random.Random(f"{name} {seed}")
     known = [*target.good, *corpus_of(name)]
     for data in known:
-        target.take(data)
-    room()
+        target.decode(data)
+    limit_memory()
     crashes: set[str] = set()
     began, slowest = time.process_time(), 0.0
     done = 0
@@ -99,11 +99,11 @@ def fuzz(name: str, count: int, seed: int) -> int:
         before = time.process_time()
         try:
             with bounded():
-                target.take(data)
+                target.decode(data)
         except BaseException as error:
             if isinstance(error, KeyboardInterrupt):
                 raise
-            tell(name, data, error, crashes)
+            report_crash(name, data, error, crashes)
             if len(crashes) >= MOST:
                 break
         slowest = max(slowest, time.process_time() - before)
@@ -113,7 +113,7 @@ def fuzz(name: str, count: int, seed: int) -> int:
     return 1 if crashes else 0
 
 
-def tell(name: str, data: bytes, error: BaseException, crashes: set[str]) -> None:
+def report_crash(name: str, data: bytes, error: BaseException, crashes: set[str]) -> None:
     """A crash that nobody has seen before: its input is kept, and where it was is told."""
     frames = traceback.extract_tb(error.__traceback__)
     where = next((f for f in reversed(frames) if str(HERE) not in f.filename), frames[-1])
@@ -136,17 +136,17 @@ def again(path: Path, *, kept: bool) -> None:
     if kept:
         keep(name, [*corpus_of(name), data])
     with bounded():
-        TARGETS[name].take(data)
+        TARGETS[name].decode(data)
     print("it is refused, or taken, as it should be")
 
 
-def room() -> None:
+def limit_memory() -> None:
     """From here on an input that takes more memory than there should ever be gets none."""
     used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-    resource.setrlimit(resource.RLIMIT_AS, (used + ROOM, resource.getrlimit(resource.RLIMIT_AS)[1]))
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_LIMIT, resource.getrlimit(resource.RLIMIT_AS)[1]))
 
 
-def hunt(name: str, words: list[str]) -> int:
+def hunt(name: str, options: list[str]) -> int:
     """As `fuzz`, by atheris; what reaches code that nothing else has reached is kept, the shortest of it."""
     from decoder_targets import TARGETS
 
@@ -156,7 +156,7 @@ def hunt(name: str, words: list[str]) -> int:
         for data in {*good, *corpus_of(name)}:
             (Path(folder) / hashlib.sha256(data).hexdigest()).write_bytes(data)
         before = set(FOUND.glob(f"{name}-*"))
-        subprocess.run([sys.executable, __file__, *words, "--guided", "--folder", folder], check=True)
+        subprocess.run([sys.executable, __file__, *options, "--guided", "--folder", folder], check=True)
         old = corpus_of(name)
         reached = {path.read_bytes() for path in Path(folder).iterdir()} - good - set(old)
     # What is there stays: also what once crashed it (--keep).
@@ -179,9 +179,9 @@ def guided(name: str, count: int, seed: int, folder: str) -> None:
     def take(data: bytes) -> None:
         try:
             with bounded():
-                target.take(data)
+                target.decode(data)
         except BaseException as error:
-            tell(name, data, error, crashes)
+            report_crash(name, data, error, crashes)
 
     def mutate(data: bytes, most: int, number: int) -> bytes:
         dice = random.Random(number)

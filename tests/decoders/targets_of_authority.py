@@ -20,41 +20,47 @@ from decoder_target import Target
 from msgspec.structs import replace
 from targets_of_links import pack, unpack
 
-from lfield.authority.admission import Judged
-from lfield.authority.believed import BelievedTime
-from lfield.authority.identity import MAX_NAME, Right, identity_of, in_order, uri_of
-from lfield.authority.judge import Revoked, judged
-from lfield.authority.keys import Keys
-from lfield.authority.making import new_authority
-from lfield.authority.orders.signing import Certificates, Signer, verified_order
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.bundle_signature import sign_bundle, verify_bundle
+from lfield.authority.certificate_authority import new_authority
+from lfield.authority.certificate_reader import (
+    der_of,
+    fingerprint_in,
+    identity_in,
+    identity_in_der,
+    revoked_in,
+)
+from lfield.authority.identity import MAX_NAME, Right, identity_of, sorted_rights, uri_of
+from lfield.authority.key_material import Keys
+from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, verify_order
+from lfield.authority.peer_verification import RevocationList, verify_peer
 from lfield.authority.pem import certificate_in, private_in
-from lfield.authority.reading import der_of, fingerprint_in, identity_in, identity_in_der, revoked_in
-from lfield.authority.signature import sign, signed
+from lfield.authority.trusted_clock import TrustedClock
 from lfield.clock import ManualClock
 from lfield.errors import KeysError, LfieldError, ProgramError, SignatureError
-from lfield.host.stopping.datagrams import Checking, OrderDatagrams
-from lfield.host.stopping.rations import Sender
+from lfield.host.stop_orders.datagram_limits import Sender
+from lfield.host.stop_orders.order_receiver import OrderPorts, OrderReceiver, PendingCheck
 from lfield.mission.access.access_file import read_access
-from lfield.mission.access.rules import decode_access, encode_access
-from lfield.net.tls import Tls
-from lfield.operator.orders.asking import Asking
-from lfield.wire.observing import EmergencyStopped
-from lfield.wire.orders import (
+from lfield.mission.access.access_rules import decode_access, encode_access
+from lfield.net.tls import TlsIdentity
+from lfield.operator.orders.order_protocol import OrderProtocol
+from lfield.wire.observer_messages import EmergencyStopResult
+from lfield.wire.order_messages import (
     MAGIC,
     CertificateRequest,
-    Challenge,
+    EpochChallenge,
     Epochs,
     RelayedOrder,
     SignedAnswer,
     SignedOrder,
-    confirmed,
     decode_answer,
     decode_datagram,
     decode_order,
     encode_datagram,
+    order_confirmation,
 )
 
-BEGIN, END = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2026, 2099))
+NOT_BEFORE, END = (datetime(year, 1, 1, tzinfo=UTC).timestamp() for year in (2026, 2099))
 #: Behind a text that was signed in DER: the name of Ed25519, and the length of its signature as bits.
 _ED25519, _BITS = bytes.fromhex("300506032b6570"), bytes.fromhex("03410000")[:3]
 DIGEST = bytes(32)
@@ -84,10 +90,10 @@ class Made(NamedTuple):
 
 
 def _made() -> list[bytes]:
-    authority = new_authority(BEGIN, END)
-    host = authority.issue("host", "bravo", at=BEGIN, ends=END)
-    person = authority.issue("person", "anna", may=[*Right], at=BEGIN, ends=END)
-    revoked = authority.revocation_list(Revoked(3, frozenset({"1f", "a2"}), BEGIN))
+    authority = new_authority(NOT_BEFORE, END)
+    host = authority.issue("host", "bravo", at=NOT_BEFORE, ends=END)
+    person = authority.issue("person", "anna", may=[*Right], at=NOT_BEFORE, ends=END)
+    revoked = authority.revocation_list(RevocationList(3, frozenset({"1f", "a2"}), NOT_BEFORE))
     own = (authority.certificate, authority.key, host.certificate, host.key)
     return [*own, person.certificate, person.key, revoked]
 
@@ -101,7 +107,7 @@ def team() -> Made:
 def signature_of_a_bundle() -> bytes:
     """What the person has signed: the same keys sign the same in the same way."""
     made = team()
-    return sign(DIGEST, Keys("person", made.authority, made.person, made.person_key), BEGIN + 1.0)
+    return sign_bundle(DIGEST, Keys("person", made.authority, made.person, made.person_key), NOT_BEFORE + 1.0)
 
 
 @cache
@@ -116,34 +122,34 @@ def resigned(body: bytes) -> bytes:
     return b"\x30" + (length if len(parts) < 128 else bytes([0x80 | len(length)]) + length) + parts
 
 
-def take_certificate(data: bytes) -> None:
+def decode_certificate(data: bytes) -> None:
     """A certificate that the authority has signed, whatever it says; and the same bytes as they are."""
     for shown in (resigned(data), data):
         with suppress(KeysError):
             who = identity_in_der(shown, team().authority)
-            judged(who, at=BEGIN + 1.0, authority=fingerprint_in(team().authority))
+            verify_peer(who, at=NOT_BEFORE + 1.0, authority=fingerprint_in(team().authority))
             assert len(who.name) <= MAX_NAME
-            in_order(who.may)
+            sorted_rights(who.may)
 
 
-def take_list(data: bytes) -> None:
+def decode_list(data: bytes) -> None:
     """A revocation list that the authority has signed; and the same bytes as they are."""
     for shown in (resigned(data), data):
         with suppress(KeysError):
             revoked_in(shown, team().authority)
 
 
-def take_pem(data: bytes) -> None:
+def decode_pem(data: bytes) -> None:
     """A file of a key folder: a certificate or a private key."""
     with suppress(KeysError):
         identity_in(data, team().authority)
     with suppress(KeysError):
         private_in(data)
     with suppress(KeysError):
-        Tls(Keys("host", team().authority, data, data))
+        TlsIdentity(Keys("host", team().authority, data, data))
 
 
-def take_names(data: bytes) -> None:
+def decode_names(data: bytes) -> None:
     """What OpenSSL says of a certificate."""
     with suppress(msgspec.MsgspecError, ValueError, RecursionError):
         tree = unpack(data)
@@ -153,28 +159,28 @@ def take_names(data: bytes) -> None:
             str(who)
 
 
-def take_signature(data: bytes) -> None:
+def decode_signature(data: bytes) -> None:
     """The signature of a bundle."""
     with suppress(SignatureError):
-        signed(DIGEST, data, team().authority)
+        verify_bundle(DIGEST, data, team().authority)
 
 
-def take_handshake(data: bytes) -> None:
+def decode_handshake(data: bytes) -> None:
     """Bytes of a stranger who calls, or is called, in pieces of a size that the first byte says."""
     for calls in (False, True):
         channel, size = _tls().channel(calls=calls), 1 + 4 * (data[0] if data else 0)
         with suppress(LfieldError):
             for at in range(1, len(data), size):
-                list(channel.feed(data[at : at + size]))
+                list(channel.receive(data[at : at + size]))
         assert not channel.proven
 
 
 @cache
-def _tls() -> Tls:
-    return Tls(Keys("host", team().authority, team().host, team().host_key))
+def _tls() -> TlsIdentity:
+    return TlsIdentity(Keys("host", team().authority, team().host, team().host_key))
 
 
-def take_access(data: bytes) -> None:
+def decode_access_file(data: bytes) -> None:
     """An access file."""
     path, made = Path(gettempdir()) / "lfield-fuzz.access.yaml", mission()
     path.write_bytes(data)
@@ -211,11 +217,11 @@ def _names() -> list[bytes]:
 
 def _handshakes() -> list[bytes]:
     near, far = _tls().channel(calls=True), _tls().channel(calls=False)
-    hello = near.take()
-    list(far.feed(hello))
-    answer = far.take()
-    list(near.feed(answer))
-    return [b"\xff" + hello, b"\xff" + answer, b"\x02" + hello + near.take()]
+    hello = near.data_to_send()
+    list(far.receive(hello))
+    answer = far.data_to_send()
+    list(near.receive(answer))
+    return [b"\xff" + hello, b"\xff" + answer, b"\x02" + hello + near.data_to_send()]
 
 
 def _pems() -> list[bytes]:
@@ -257,38 +263,45 @@ ID, EPOCHS = bytes(range(16)), Epochs(b"hold hol", b"end end ")
 
 
 @cache
-def signers() -> tuple[Signer, Signer]:
+def signers() -> tuple[OrderSigner, OrderSigner]:
     """A person and a host."""
     made = team()
     person = Keys("person", made.authority, made.person, made.person_key)
-    return Signer(person), Signer(Keys("host", made.authority, made.host, made.host_key))
+    return OrderSigner(person), OrderSigner(Keys("host", made.authority, made.host, made.host_key))
 
 
-def take_datagram(data: bytes) -> None:
+def decode_order_datagram(data: bytes) -> None:
     """At the port of a host, from another host, and at the port of a desk. A signed part is signed again."""
     person, host = signers()
-    known = Certificates(team().authority)
-    known.learn(person.certificate)
-    admission = Judged(Keys("host", team().authority, b"", b""), host.who, BelievedTime(ManualClock(), BEGIN))
-    datagrams = OrderDatagrams(host, known, admission, lambda: EPOCHS, lambda: 0.0)
+    known = CertificateCache(team().authority)
+    known.add_der(person.certificate)
+    admission = CertificateAdmission(
+        Keys("host", team().authority, b"", b""), host.who, TrustedClock(ManualClock(), NOT_BEFORE)
+    )
 
-    def check(checking: Checking) -> None:
+    def check(checking: PendingCheck) -> None:
         try:
-            datagrams.checked(checking, verified_order(checking.signed, checking.known, team().authority)[1])
+            datagrams.on_checked(checking, verify_order(checking.signed, checking.known, team().authority)[1])
         except LfieldError as error:
-            datagrams.checked(checking, error)
+            datagrams.on_checked(checking, error)
 
-    datagrams.check = check
-    datagrams.linked = lambda: ["alpha"]
-    datagrams.execute = lambda message, who, answer: answer(EmergencyStopped({"p.fc": ""}, "", message.id))
-    asking = Asking("stop", ID, "fog", {"bravo": Epochs()}, person, Certificates(team().authority))
+    ports = OrderPorts(
+        send=lambda sender, data: None,
+        relay=lambda host, message: None,
+        linked=lambda: ["alpha"],
+        check=check,
+        execute=lambda message, who, answer: answer(EmergencyStopResult({"p.fc": ""}, "", message.id)),
+        later=lambda seconds, event: None,
+    )
+    datagrams = OrderReceiver(host, known, admission, lambda: EPOCHS, lambda: 0.0, ports)
+    asking = OrderProtocol("stop", ID, "fog", {"bravo": Epochs()}, person, CertificateCache(team().authority))
     asking.start(0.0)
     for number, one in enumerate((data, signed_again(data))):
-        datagrams.came(one, Sender("there", number))
-        datagrams.relayed("alpha", RelayedOrder(one, 1))
-        asking.heard(one, 0.1)
-        for send in asking.take():
-            datagrams.came(send.datagram, Sender("here", 0))
+        datagrams.on_datagram(one, Sender("there", number))
+        datagrams.on_relayed("alpha", RelayedOrder(one, 1))
+        asking.on_datagram(one, 0.1)
+        for send in asking.drain_effects():
+            datagrams.on_datagram(send.datagram, Sender("here", 0))
 
 
 def signed_again(data: bytes) -> bytes:
@@ -307,25 +320,38 @@ def signed_again(data: bytes) -> bytes:
 
 def _orders() -> list[bytes]:
     person, host = signers()
-    asking = Asking("lift", ID, "over", {"bravo": EPOCHS, "alpha": Epochs()}, person, Certificates(b""))
+    asking = OrderProtocol(
+        "lift", ID, "over", {"bravo": EPOCHS, "alpha": Epochs()}, person, CertificateCache(b"")
+    )
     asking.start(0.0)
-    answers = (Challenge(ID, EPOCHS), confirmed(ID, EPOCHS, {"p.fc": "", "q.fc": "moves"}, "late"))
+    answers = (
+        EpochChallenge(ID, EPOCHS),
+        order_confirmation(ID, EPOCHS, {"p.fc": "", "q.fc": "moves"}, "late"),
+    )
     return [
-        *(send.datagram for send in asking.take()),
+        *(send.datagram for send in asking.drain_effects()),
         *(encode_datagram(host.answer(answer, unknown=True)) for answer in answers),
         encode_datagram(CertificateRequest("bravo", person.digest, EPOCHS)),
     ]
 
 
 TARGETS = (
-    Target("certificate", _certificates, take_certificate, words=(b"lfield://host/", b"\x30\x82", b"?may=")),
-    Target("revocations", _lists, take_list, words=(b"\x30\x00", b"\x02\x01", b"\x17\x0d")),
-    Target("pem", _pems, take_pem, words=(b"-----BEGIN CERTIFICATE-----\n", b"-----END PRIVATE KEY-----\n")),
-    Target("names", _names, take_names, True, _URIS),
-    Target("signature", lambda: [signature_of_a_bundle(), b""], take_signature, True, (der_of(team().host),)),
     Target(
-        "handshake", _handshakes, take_handshake, words=(b"\x16\x03\x01", b"\x16\x03\x03", b"\x14\x03\x03")
+        "certificate", _certificates, decode_certificate, tokens=(b"lfield://host/", b"\x30\x82", b"?may=")
     ),
-    Target("access", lambda: [ACCESS.encode()], take_access, words=_YAML),
-    Target("orders", _orders, take_datagram, words=(MAGIC, ID, b"bravo", b"alpha", b"stop", b"pause")),
+    Target("revocations", _lists, decode_list, tokens=(b"\x30\x00", b"\x02\x01", b"\x17\x0d")),
+    Target(
+        "pem", _pems, decode_pem, tokens=(b"-----BEGIN CERTIFICATE-----\n", b"-----END PRIVATE KEY-----\n")
+    ),
+    Target("names", _names, decode_names, True, _URIS),
+    Target(
+        "signature", lambda: [signature_of_a_bundle(), b""], decode_signature, True, (der_of(team().host),)
+    ),
+    Target(
+        "handshake", _handshakes, decode_handshake, tokens=(b"\x16\x03\x01", b"\x16\x03\x03", b"\x14\x03\x03")
+    ),
+    Target("access", lambda: [ACCESS.encode()], decode_access_file, tokens=_YAML),
+    Target(
+        "orders", _orders, decode_order_datagram, tokens=(MAGIC, ID, b"bravo", b"alpha", b"stop", b"pause")
+    ),
 )

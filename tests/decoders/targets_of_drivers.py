@@ -19,19 +19,19 @@ from targets_of_links import pack, unpack
 
 from lfield.clock import ManualClock
 from lfield.driver import DeviceBinding
-from lfield.driver.serial.framing import Lines, Packets
+from lfield.driver.serial.serial_framing import Lines, Packets
 from lfield.errors import DeviceError
 from lfield.testing.driver_bench import bind
-from lfield.testing.reports import KeptReports
+from lfield.testing.kept_reports import KeptReports
 from lfield_can import PLUGIN as CAN
-from lfield_can.bus.frames import Listener, error_words
+from lfield_can.bus.frames import Listener, error_text
 from lfield_can.bus.socketcand import Socketcand
 from lfield_can.protocols.sdo import SdoClient
 from lfield_dynamixel.bus.packets import Protocol1, Protocol2, crc16, split_fast
 from lfield_mavlink import PLUGIN as MAVLINK
 from lfield_mavlink.link.dialect import Reader
 from lfield_mavlink.vehicle import MavlinkVehicle
-from lfield_sim.mavlink.link.codec import Writer
+from lfield_sim.mavlink.link.codec import PacketWriter
 
 TESTS = Path(__file__).parents[1]
 
@@ -80,7 +80,7 @@ def manifest() -> Any:
     return MAVLINK.read_manifests()["Mavlink"]
 
 
-def take_mavlink(data: bytes) -> None:
+def decode_mavlink(data: bytes) -> None:
     """Packets with the right checksums, or bytes, to a copter and a rover."""
     try:
         tree = unpack(data)
@@ -96,7 +96,7 @@ def take_mavlink(data: bytes) -> None:
 
 def _packets() -> list[bytes]:
     """A packet of every message, the heartbeat before it."""
-    heartbeat = Writer(1, 1).pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3))
+    heartbeat = PacketWriter(1, 1).pack(dialect.MAVLink_heartbeat_message(2, 3, 129, 4, 4, 3))
     plain = (_plain(kind, message.unpacker.size) for kind, message in dialect.mavlink_map.items())
     return [pack([heartbeat, sealed(packet)]) for packet in plain]
 
@@ -169,7 +169,7 @@ def play(bench: Any, calls: list[tuple[str, list[Any]]], patience: float = 400.0
             raise context["exception"]
 
 
-def take_lying_vehicle(data: bytes) -> None:
+def decode_lying_vehicle(data: bytes) -> None:
     """A flight with an autopilot that says other things than it means."""
     module = bench_of("mavlink", "conftest")
     flavour = "px4" if data[:1] > b"\x7f" else "ardupilot"
@@ -191,7 +191,7 @@ def take_lying_vehicle(data: bytes) -> None:
     play(bench, plan)
 
 
-def take_lying_servo(data: bytes) -> None:
+def decode_lying_servo(data: bytes) -> None:
     """A joint with a servo that lies about what it measures; a group of two where the first byte is odd."""
     module = bench_of("dynamixel/driver", "dynamixel_bench")
     odd = bool(data and data[0] & 1)
@@ -214,7 +214,7 @@ def sealed_dynamixel(packet: bytes) -> bytes:
     return body + crc16(body).to_bytes(2, "little")
 
 
-def take_lying_drive(data: bytes) -> None:
+def decode_lying_drive(data: bytes) -> None:
     """An axis with a drive of CiA 402 that says other things than it does."""
     places, drives = bench_of("can", "conftest"), bench_of("can/driver", "can_local_drive")
     bus, drive = places.MemoryBus(), drives.LocalDrive()
@@ -242,7 +242,7 @@ def _lie_on(bus: Any, data: bytes) -> None:
     bus.say = lie
 
 
-def take_can_frames(data: bytes) -> None:
+def decode_can_frames(data: bytes) -> None:
     """Frames of all ids, of two to nine bytes each, to an axis of ODrive and one of CiA 402 that open."""
     places = bench_of("can", "conftest")
     cia402 = {"protocol": "cia402", "node": 5, "counts": 4096, "connect": 1.0}
@@ -265,7 +265,7 @@ async def _speak(bus: Any, data: bytes) -> None:
 # -- bytes ----------------------------------------------------------------------------------------------
 
 
-def take_dynamixel(data: bytes) -> None:
+def decode_dynamixel(data: bytes) -> None:
     """Bytes of a bus of servos, in pieces, by both protocols."""
     for protocol in (Protocol1, Protocol2):
         reader = protocol.reader()
@@ -277,9 +277,9 @@ def take_dynamixel(data: bytes) -> None:
         assert len(reader._buffer) <= 2048  # type: ignore[attr-defined]
 
 
-def take_socketcand(data: bytes) -> None:
+def decode_socketcand(data: bytes) -> None:
     """Bytes of a server of socketcand, in pieces, before and after the greeting."""
-    client = Socketcand(Listener(lambda frame: None, error_words, lambda why: None))
+    client = Socketcand(Listener(lambda frame: None, error_text, lambda why: None))
     size = 1 + (data[0] if data else 0)
     for at in range(1, len(data), size):
         client.data_received(data[at : at + size])
@@ -288,7 +288,7 @@ def take_socketcand(data: bytes) -> None:
     assert len(client._unread) <= 256
 
 
-def take_sdo(data: bytes) -> None:
+def decode_sdo(data: bytes) -> None:
     """Answers of a server of CANopen: eight bytes each, behind one that says what is asked meanwhile."""
     client = SdoClient()
     keys = ((0x6064, 0), (0x1018, 1), (0x1008, 0))
@@ -298,11 +298,11 @@ def take_sdo(data: bytes) -> None:
             key = keys[data[at] % 3]
             client.upload(key) if data[at] & 4 else client.download(key, b"\1\2")
             busy = True
-        effects = client.answered(data[at + 1 : at + 9]) if data[at] & 8 else client.expired()
+        effects = client.on_response(data[at + 1 : at + 9]) if data[at] & 8 else client.on_timeout()
         busy = not any(type(effect).__name__ in ("Done", "Refused", "Failed") for effect in effects)
 
 
-def take_serial(data: bytes) -> None:
+def decode_serial(data: bytes) -> None:
     """Bytes of any serial device, by lines and by packets."""
     packets = Packets(b"\xb5\x62", 6, lambda head: 8 + (head[4] | head[5] << 8), lambda frame: frame[-1] != 0)
     for framer in (Lines(), Lines(b"\r\n", longest=40), packets):
@@ -347,13 +347,13 @@ def _serial_seeds() -> list[bytes]:
 _SOCKETCAND = (b"< frame ", b" >", b"<", b">", b"< error ", b"1FFFFFFF", b"7ff", b"+1_0", b"-1")
 
 TARGETS = (
-    Target("mavlink", _packets, take_mavlink, True),
-    Target("mavlink-lies", _lies, take_lying_vehicle, share=40),
-    Target("dynamixel", _dynamixel_seeds, take_dynamixel, words=(b"\xff\xff\xfd\0", b"\xff\xff")),
-    Target("dynamixel-lies", _lies, take_lying_servo, share=2),
-    Target("socketcand", _socketcand_seeds, take_socketcand, words=_SOCKETCAND),
-    Target("sdo", _sdo_seeds, take_sdo),
-    Target("can-frames", _frame_seeds, take_can_frames),
-    Target("can-lies", _lies, take_lying_drive, share=10),
-    Target("serial", _serial_seeds, take_serial, words=(b"\xb5\x62", b"\n")),
+    Target("mavlink", _packets, decode_mavlink, True),
+    Target("mavlink-lies", _lies, decode_lying_vehicle, share=40),
+    Target("dynamixel", _dynamixel_seeds, decode_dynamixel, tokens=(b"\xff\xff\xfd\0", b"\xff\xff")),
+    Target("dynamixel-lies", _lies, decode_lying_servo, share=2),
+    Target("socketcand", _socketcand_seeds, decode_socketcand, tokens=_SOCKETCAND),
+    Target("sdo", _sdo_seeds, decode_sdo),
+    Target("can-frames", _frame_seeds, decode_can_frames),
+    Target("can-lies", _lies, decode_lying_drive, share=10),
+    Target("serial", _serial_seeds, decode_serial, tokens=(b"\xb5\x62", b"\n")),
 )

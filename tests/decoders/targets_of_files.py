@@ -22,48 +22,50 @@ from decoder_target import Target
 from targets_of_links import Nothing, no_bug_of_ours, pack, transfers, unpack
 
 from lfield.bytecode import encoding
-from lfield.capability.matching.expression import compile_wish
+from lfield.capability.condition_compiler import compile_query
 from lfield.cli.views.journal_view import journal_lines
 from lfield.clock import ManualClock
 from lfield.driver.plugins import discover
 from lfield.errors import LfieldError, ProgramError
+from lfield.host.context import HostContext
 from lfield.host.core import HostCore
-from lfield.journal.file import FileJournal
-from lfield.journal.opening import Owner
-from lfield.journal.pages import (
-    BegunPage,
-    CopyPage,
-    Entry,
-    Fence,
-    Key,
-    PageError,
-    ProgramPage,
-    Starts,
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.journal.file_journal import FileJournal
+from lfield.journal.journal_loader import JournalOwner
+from lfield.journal.readonly_view import open_read_only
+from lfield.journal.records import (
+    CoordinatorRecord,
+    FenceRecord,
+    JournalEntry,
+    PendingCallRecord,
+    ProgramRecord,
+    RecordError,
+    RecordKey,
+    StartCounter,
     _check,
-    entry,
-    page_of,
+    decode_record,
+    encode_record,
 )
-from lfield.journal.reading import see
 from lfield.lang.deployment import parse_deployment
 from lfield.lang.frontend import check_text
 from lfield.mission import bundle
 from lfield.mission.bindings_file import read_bindings
 from lfield.mission.mission import needed_devices
-from lfield.mobility.neighbours import Neighbourhood
-from lfield.operator.question import read_question
-from lfield.vm.inspect import dump
-from lfield.vm.inspect.decode import view
+from lfield.operator.query_parser import parse_query
+from lfield.replication.membership.overlay import Overlay
+from lfield.vm.inspection import dump_file
+from lfield.vm.inspection.block_view import view
 
 #: Where files of fuzzers lie: in memory, where there is such a place.
 FOLDER = Path(tempfile.mkdtemp(prefix="lfield-fuzz-", dir="/dev/shm" if Path("/dev/shm").is_dir() else None))
 atexit.register(shutil.rmtree, FOLDER, ignore_errors=True)
-OWNER = Owner("mission", "alpha", "this computer")
+OWNER = JournalOwner("mission", "alpha", "this computer")
 
 
 # -- bundles and programs -------------------------------------------------------------------------------
 
 
-def take_bundle(data: bytes) -> None:
+def decode_bundle(data: bytes) -> None:
     """A bundle whose digests are right; the input is its parts as one tree. A sound one runs for a while."""
     try:
         parts = [pack(part) if part else b"" for part in unpack(data)]
@@ -78,19 +80,21 @@ def take_bundle(data: bytes) -> None:
         str(error)
         return
     clock, name = ManualClock(), made.team.hosts[0]
-    neighbours = Neighbourhood(made.team.hosts, 0, everybody=made.registry is not None)
-    core = HostCore(made, name, 7, clock, Nothing(), random.Random(1), 10.0, neighbours)
+    neighbours = Overlay(made.team.hosts, 0, is_full_mesh=made.registry is not None)
+    core = HostCore(
+        HostContext(made, name, 7, clock, Nothing(), random.Random(1), 10.0, neighbours, EventRecorder(clock))
+    )
     core.start_resources(first=True)
     core.start_coordinators(first=True)
     for _ in range(6):
         pause = core.run()
-        no_bug_of_ours(core.take())
+        no_bug_of_ours(core.drain_effects())
         clock.advance(pause or 0.0)
     core.hello()
     bundle.encode(made)
 
 
-def take_bundle_bytes(data: bytes) -> None:
+def decode_bundle_bytes(data: bytes) -> None:
     """A file that should be a bundle."""
     try:
         bundle.decode(data)
@@ -98,7 +102,7 @@ def take_bundle_bytes(data: bytes) -> None:
         str(error)
 
 
-def take_program(data: bytes) -> None:
+def decode_program(data: bytes) -> None:
     """A program file whose checksum is right: core and debug information, each as a tree."""
     try:
         core, debug = (pack(part) for part in unpack(data))
@@ -112,10 +116,10 @@ def take_program(data: bytes) -> None:
         str(error)
 
 
-def take_dump(data: bytes) -> None:
+def decode_dump(data: bytes) -> None:
     """What `lfield inspect` shows of an agent that died somewhere; the checksum is right."""
     try:
-        record, program, block = dump.decode(_dump_head() + struct.pack("<I", zlib.crc32(data)) + data)
+        record, program, block = dump_file.decode(_dump_head() + struct.pack("<I", zlib.crc32(data)) + data)
         view(block, program, record.members)
     except LfieldError as error:
         str(error)
@@ -129,16 +133,16 @@ def _dump_head() -> bytes:
 # -- journals -------------------------------------------------------------------------------------------
 
 
-def take_page(data: bytes) -> None:
+def decode_page(data: bytes) -> None:
     """A page of a journal: its key and its body, whose checksum is right; and then is not."""
     try:
         kind, name, number, version, body = unpack(data)
-        key, body = Key(kind, name, number), pack(body)
+        key, body = RecordKey(kind, name, number), pack(body)
         check = _check(key, 1.0, version, body)
-        with suppress(PageError):
-            page_of(Entry(key, 1.0, version, body, check ^ 1))
-        page_of(Entry(key, 1.0, version, body, check))
-    except PageError as error:
+        with suppress(RecordError):
+            decode_record(JournalEntry(key, 1.0, version, body, check ^ 1))
+        decode_record(JournalEntry(key, 1.0, version, body, check))
+    except RecordError as error:
         str(error)
     except (
         msgspec.MsgspecError,
@@ -153,7 +157,7 @@ def take_page(data: bytes) -> None:
         return
 
 
-def take_journal(data: bytes) -> None:
+def decode_journal(data: bytes) -> None:
     """The files of a journal: the length of its database in four bytes, that, and its log."""
     size = int.from_bytes(data[:4], "big")
     shutil.rmtree(FOLDER / "journal", ignore_errors=True)
@@ -164,15 +168,15 @@ def take_journal(data: bytes) -> None:
     # It is salvaged in a copy, for which SQLite would wait until it is on a disk.
     elsewhere, tempfile.tempdir = tempfile.tempdir, str(FOLDER)
     try:
-        _look_at(path)
+        _inspect(path)
     finally:
         tempfile.tempdir = elsewhere
 
 
-def _look_at(path: Path) -> None:
+def _inspect(path: Path) -> None:
     """As `lfield inspect` does, and then as a host that has it."""
     with suppress(LfieldError):
-        list(journal_lines(see(path)))
+        list(journal_lines(open_read_only(path)))
     with suppress(LfieldError):
         FileJournal(path, OWNER, lambda told: None, ManualClock()).close()
 
@@ -190,13 +194,13 @@ def shown(error: ProgramError) -> None:
         assert finding.render()
 
 
-def take_question(data: bytes) -> None:
+def decode_question(data: bytes) -> None:
     """What somebody asks of the registry."""
     registry = mission().registry
     assert registry is not None
     for ask in (
-        lambda: read_question(_text(data), registry),
-        lambda: compile_wish(_text(data), registry.attributes),
+        lambda: parse_query(_text(data), registry),
+        lambda: compile_query(_text(data), registry.attributes),
     ):
         try:
             ask()
@@ -206,7 +210,7 @@ def take_question(data: bytes) -> None:
             str(error)
 
 
-def take_deployment(data: bytes) -> None:
+def decode_deployment(data: bytes) -> None:
     """A deployment."""
     try:
         parse_deployment("mission.dL", _text(data), dict(mission().program.units))
@@ -214,13 +218,13 @@ def take_deployment(data: bytes) -> None:
         shown(error)
 
 
-def take_program_text(data: bytes) -> None:
+def decode_program_text(data: bytes) -> None:
     """A program in L."""
     for finding in check_text(_text(data), "mission.L").diagnostics:
         finding.render()
 
 
-def take_bindings(data: bytes) -> None:
+def decode_bindings(data: bytes) -> None:
     """A devices file."""
     path = FOLDER / "mission.devices.yaml"
     path.write_bytes(data)
@@ -270,18 +274,18 @@ def _program_parts() -> list[Any]:
 def _pages() -> Sequence[Any]:
     block, program = transfers()[0][1], mission().program
     return (
-        CopyPage("tom", 1, "RUN", 3, 2, "", "", "", 0, "", "", "", program.digest, block),
-        CopyPage("ann", 1, "PREPARED", 3, 2, "", "", "bravo", 9, "", "", "", program.digest, block),
-        CopyPage("ann", 2, "EXITED", 3, 2, outcome="died", detail="why", ended_on="bravo"),
-        BegunPage("tom", 1, 2, "bell", "ring", "done", b"\0" * 8, program.digest),
-        Starts(4),
-        Fence("idle", 3),
-        ProgramPage(program.digest, encoding.encode(program), ("bell",), ("Bell",), ("alpha",)),
+        CoordinatorRecord("tom", 1, "RUN", 3, 2, "", "", "", 0, "", "", "", program.digest, block),
+        CoordinatorRecord("ann", 1, "PREPARED", 3, 2, "", "", "bravo", 9, "", "", "", program.digest, block),
+        CoordinatorRecord("ann", 2, "EXITED", 3, 2, outcome="died", detail="why", ended_on="bravo"),
+        PendingCallRecord("tom", 1, 2, "bell", "ring", "done", b"\0" * 8, program.digest),
+        StartCounter(4),
+        FenceRecord("idle", 3),
+        ProgramRecord(program.digest, encoding.encode(program), ("bell",), ("Bell",), ("alpha",)),
     )
 
 
 def _entries() -> list[Any]:
-    found = [entry(page, 1.0) for page in _pages()]
+    found = [encode_record(page, 1.0) for page in _pages()]
     return [(*each.key, each.version, unpack(each.body)) for each in found]
 
 
@@ -294,7 +298,7 @@ def _a_dump() -> bytes:
     core.run()
     agent = core.machine.agents["tom"]
     team, program = core.team, core.mission.program
-    return dump.encode("alpha", "why", agent.limits.heap, team.members, team.hosts, program, agent.block)
+    return dump_file.encode("alpha", "why", agent.limits.heap, team.members, team.hosts, program, agent.block)
 
 
 def _journals() -> list[bytes]:
@@ -336,14 +340,14 @@ _OF_BINDINGS = (": ", "\n", "  ", "- ", "{", "}", "[", "]", "&a", "*a", "!!pytho
 _OF_BINDINGS += ("1e999", ".nan", "2001-01-01", "0x10", "'")
 
 TARGETS = (
-    Target("bundle", lambda: [pack(_parts())], take_bundle, True, _OF_BUNDLES, share=4),
-    Target("bundle-file", _bundles, take_bundle_bytes),
-    Target("program", lambda: [pack(_program_parts())], take_program, True, (*range(60), "Bell", "ring")),
-    Target("dump", lambda: [_a_dump()[12:]], take_dump, True),
-    Target("page", lambda: list(map(pack, _entries())), take_page, True, ("tom", "copy", "begun", "RUN")),
-    Target("journal", lambda: fixed("journal", _journals), take_journal),
-    Target("question", lambda: _QUESTIONS, take_question, words=_OF_QUESTIONS),
-    Target("deployment", lambda: [DEPLOYMENT.encode()], take_deployment, words=_OF_TEAMS),
-    Target("program-text", lambda: [PROGRAM.encode()], take_program_text, words=_OF_PROGRAMS),
-    Target("bindings", lambda: [DEVICES.encode()], take_bindings, words=_OF_BINDINGS, share=5),
+    Target("bundle", lambda: [pack(_parts())], decode_bundle, True, _OF_BUNDLES, share=4),
+    Target("bundle-file", _bundles, decode_bundle_bytes),
+    Target("program", lambda: [pack(_program_parts())], decode_program, True, (*range(60), "Bell", "ring")),
+    Target("dump", lambda: [_a_dump()[12:]], decode_dump, True),
+    Target("page", lambda: list(map(pack, _entries())), decode_page, True, ("tom", "copy", "begun", "RUN")),
+    Target("journal", lambda: fixed("journal", _journals), decode_journal),
+    Target("question", lambda: _QUESTIONS, decode_question, tokens=_OF_QUESTIONS),
+    Target("deployment", lambda: [DEPLOYMENT.encode()], decode_deployment, tokens=_OF_TEAMS),
+    Target("program-text", lambda: [PROGRAM.encode()], decode_program_text, tokens=_OF_PROGRAMS),
+    Target("bindings", lambda: [DEVICES.encode()], decode_bindings, tokens=_OF_BINDINGS, share=5),
 )

@@ -11,17 +11,17 @@ import msgspec
 from decoder_target import Target
 from targets_of_links import pack, unpack
 
-from lfield.devices.keeper import Guard
-from lfield.devices.lateness import Lateness, Limit
+from lfield.devices.guard_process import GuardProcess
+from lfield.devices.scheduling_jitter import JitterLimit, JitterMonitor
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
 from lfield.driver.device import Device, Driver
-from lfield.driver.known import KnownDriver, ManifestFile
+from lfield.driver.driver_index import DriverInfo, ManifestFile
 from lfield.guard import messages
-from lfield.guard.messages import MESSAGES, Open
+from lfield.guard.messages import MESSAGES, OpenDevices
 from lfield.guard.shell import Shell
 from lfield.manifest import DeviceManifest, Instruction, Observation, Parameter, Quantity
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield.wire.framing import frame
 
 THING = DeviceManifest(
@@ -47,14 +47,14 @@ BINDING = DeviceBinding(
     options={},
     waivers=["device_watchdog"],
 )
-KNOWN = KnownDriver(
+KNOWN = DriverInfo(
     "thing",
     "lfield_thing:PLUGIN",
     {"Thing": Manifest(THING)},
     {"Thing": ManifestFile("manifest.yaml", bytes(32))},
     "",
 )
-WORDS = (
+TOKENS = (
     "a.x",
     "Thing",
     "move",
@@ -131,7 +131,7 @@ class Output:
 class Free:
     """A lock that nobody else wants."""
 
-    async def take(self, endpoint: str) -> None:
+    async def acquire(self, endpoint: str) -> None:
         """It is taken."""
 
     def release(self) -> None:
@@ -162,7 +162,7 @@ def frames(data: bytes) -> list[bytes]:
     return found
 
 
-def take_in_guard(data: bytes) -> None:
+def decode_in_guard(data: bytes) -> None:
     """What a guard does with what its host says."""
 
     async def story() -> None:
@@ -208,12 +208,14 @@ class Process:
         """It is over."""
 
 
-def take_in_host(data: bytes) -> None:
+def decode_in_host(data: bytes) -> None:
     """What a host does with what a guard says."""
 
     async def story() -> None:
         notes: list[str] = []
-        guard = Guard(KNOWN, [BINDING], LoopClock(), notes.append, Lateness(Limit(1.0, False)), lambda: True)
+        guard = GuardProcess(
+            KNOWN, [BINDING], LoopClock(), notes.append, JitterMonitor(JitterLimit(1.0, False)), lambda: True
+        )
         guard.connection_made(Process())  # type: ignore[arg-type]
         called = False
         # Somebody waits for it to be open.
@@ -225,7 +227,7 @@ def take_in_host(data: bytes) -> None:
                 called = True
                 for instruction, arguments in ((0, [1.0]), (3, []), (2, [[1.0, 2.0]])):
                     guard.call("a.x", THING.instructions[instruction], arguments, lambda value: None)
-            guard.trouble("a.x"), guard.snapshots.telemetry, guard.snapshots.in_words("a.x")
+            guard.trouble("a.x"), guard.snapshots.telemetry, guard.snapshots.describe("a.x")
             for quantity in THING.telemetry:
                 if guard.snapshots.last("a.x", quantity.name) is not None:
                     guard.snapshots.reading("a.x", quantity.name)
@@ -238,17 +240,17 @@ def _kind(message: msgspec.Struct) -> list[Any]:
 
 
 def _host_says() -> list[bytes]:
-    opened, m = Open([BINDING], "", 0.5, KNOWN), messages
+    opened, m = OpenDevices([BINDING], "", 0.5, KNOWN), messages
     said = [
         m.Beat(1000.01),
-        m.Call(1, "a.x", "move", [1.0], 1000.02, 1009.0),
-        m.Call(2, "a.x", "look", [], 1000.03, 1009.0),
-        m.Call(3, "a.x", "steer", [[1.0, 2.0]], 1000.03, 1009.0),
-        m.Cancel(1, 1000.1),
-        m.Safe("a.x", "why"),
-        m.Safe("", "why", True, "hold"),
-        m.Allow(),
-        m.Call(4, "a.x", "release", [], 1000.3, 1009.0),
+        m.GuardCall(1, "a.x", "move", [1.0], 1000.02, 1009.0),
+        m.GuardCall(2, "a.x", "look", [], 1000.03, 1009.0),
+        m.GuardCall(3, "a.x", "steer", [[1.0, 2.0]], 1000.03, 1009.0),
+        m.CancelInstruction(1, 1000.1),
+        m.RequestSafeState("a.x", "why"),
+        m.RequestSafeState("", "why", True, "hold"),
+        m.ClearStop(),
+        m.GuardCall(4, "a.x", "release", [], 1000.3, 1009.0),
         m.Stop("end"),
     ]
     whole = [_kind(opened), *map(_kind, said)]
@@ -259,17 +261,17 @@ def _guard_says() -> list[bytes]:
     m = messages
     seen = {"where": Observation(1.0, 1000.1), "on": Observation(True, 1000.1)}
     said = [
-        m.Ready({"a.x": "a thing"}),
-        m.Snapshot("a.x", seen, 1000.1),
-        m.Done(1, None),
-        m.Done(2, 7),
+        m.DevicesOpened({"a.x": "a thing"}),
+        m.TelemetrySnapshot("a.x", seen, 1000.1),
+        m.CallDone(1, None),
+        m.CallDone(2, 7),
         m.Refused(3, "DeviceException", "no"),
         m.Latched("a.x", "why", False),
         m.Latched("a.x", "why", True, "hold"),
         m.Moving("a.x", "rolls"),
         m.Released("a.x"),
         m.Note("a.x", "said"),
-        m.Failed([("a.x", "DeviceException", "no")]),
+        m.OpenFailed([("a.x", "DeviceException", "no")]),
         m.Stopped({"a.x": "rolls"}),
         m.Beat(1000.2),
     ]
@@ -282,6 +284,6 @@ def _guard_says() -> list[bytes]:
 
 
 TARGETS = (
-    Target("guard-in", _host_says, take_in_guard, True, WORDS),
-    Target("guard-out", _guard_says, take_in_host, True, WORDS),
+    Target("guard-in", _host_says, decode_in_guard, True, TOKENS),
+    Target("guard-out", _guard_says, decode_in_host, True, TOKENS),
 )

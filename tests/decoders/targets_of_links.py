@@ -15,24 +15,25 @@ import msgspec
 from decoder_missions import HOSTS, mission
 from decoder_target import Target
 
-from lfield.authority.identity import NONE, Identity
+from lfield.authority.identity import NO_RIGHTS, Identity
 from lfield.clock import ManualClock
-from lfield.errors import GreetingError, LfieldError, WireError
+from lfield.errors import HandshakeError, LfieldError, WireError
+from lfield.host.context import HostContext
 from lfield.host.core import HostCore
-from lfield.mobility.effects import Send, SendTransfer
-from lfield.mobility.neighbours import Neighbourhood
-from lfield.net.framed import FramedLink
-from lfield.net.greeting import Greeting
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.net.framed_link import FramedLink
+from lfield.net.handshake import Handshake
+from lfield.replication.membership.overlay import Overlay
+from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.wire import codec
-from lfield.wire.coordinators import Transfer
+from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.framing import HEADER_SIZE, frame
-from lfield.wire.messages import Control, ForeignHello, Hello, Message, Refuse, Role
-from lfield.wire.observing import Status
+from lfield.wire.messages import Control, HandshakeRefused, Hello, IncompatibleHello, Message, Role
 
 pack = msgspec.msgpack.encode
 unpack = msgspec.msgpack.decode
 #: Names that mean something in that mission, and the tags of messages.
-WORDS = (
+TOKENS = (
     *("alpha", "bravo", "charlie", "bell", "horn", "tom", "ann", "idle", "near", "far", "host", "observer"),
     *("RUN", "EXITED", "MOVED", "FROZEN", "PREPARED", "IN DOUBT", "PARKED"),
     *("done", "died", "lost", "superseded", "measured", *range(40)),
@@ -44,15 +45,15 @@ HELLO_START = codec.MAGIC + struct.pack(">H", codec.PROTOCOL)
 #: What is wrong with a transfer, in the first byte of an input: a checksum, or all of it may be.
 OF_BLOCK, OF_HEADER, AS_IT_IS = 1, 2, 3
 #: Who has proven to be at the other end.
-BRAVO = Identity("host", "bravo", NONE)
+BRAVO = Identity("host", "bravo", NO_RIGHTS)
 
 
 class Nothing:
     """What a host without devices may look at."""
 
-    away: dict[str, float] = {}
+    down_since: dict[str, float] = {}
 
-    def last_heard(self, host: str) -> None:
+    def last_contact_at(self, host: str) -> None:
         """Nothing was heard."""
 
     def round_trip(self, host: str) -> None:
@@ -70,8 +71,12 @@ class Nothing:
 def host(name: str, clock: ManualClock, life: int) -> HostCore:
     """A host of the mission with resources and coordinators of its own, started."""
     made = mission()
-    neighbours = Neighbourhood(made.team.hosts, made.team.number(name), everybody=True)
-    core = HostCore(made, name, life, clock, Nothing(), random.Random(1), 10.0, neighbours)
+    neighbours = Overlay(made.team.hosts, made.team.number(name), is_full_mesh=True)
+    core = HostCore(
+        HostContext(
+            made, name, life, clock, Nothing(), random.Random(1), 10.0, neighbours, EventRecorder(clock)
+        )
+    )
     core.start_resources(first=True)
     core.run()
     return core
@@ -102,22 +107,22 @@ def frame_of(data: bytes) -> tuple[int, bytes] | None:
     return kind, sealed(pack(body), HELLO_START if kind == codec.HELLO else b"")
 
 
-def take_control(data: bytes) -> None:
+def decode_control(data: bytes) -> None:
     """One message of whoever has greeted as a host, or as somebody who only looks."""
     if (frame := frame_of(data)) is None:
         return
     try:
         message = codec.decode(*frame)
-        if not isinstance(message, Hello | ForeignHello):
+        if not isinstance(message, Hello | IncompatibleHello):
             codec.encode(message)
     except WireError:
         return
     for role in ("host", "observer"):
-        with suppress(WireError, GreetingError):
+        with suppress(WireError, HandshakeError):
             greeted_by(role).admit(message)
 
 
-def take_greeting(data: bytes) -> None:
+def decode_greeting(data: bytes) -> None:
     """The first message of somebody, as a host hears it, and as a command does."""
     if (frame := frame_of(data)) is None:
         return
@@ -126,20 +131,20 @@ def take_greeting(data: bytes) -> None:
         try:
             message = codec.decode(*frame)
             here = msgspec.structs.replace(own, role=role)
-            Greeting(here, BRAVO, hosts=HOSTS, linked={"charlie": 5}).receive(message)
-        except (WireError, GreetingError) as error:
+            Handshake(here, BRAVO, hosts=HOSTS, linked={"charlie": 5}).receive(message)
+        except (WireError, HandshakeError) as error:
             str(error)
 
 
 @cache
-def greeted_by(role: Role) -> Greeting:
+def greeted_by(role: Role) -> Handshake:
     """A greeting after which bravo may send what such a peer sends."""
-    made = Greeting(greeting("alpha"), BRAVO, hosts=HOSTS)
+    made = Handshake(greeting("alpha"), BRAVO, hosts=HOSTS)
     made.receive(msgspec.structs.replace(greeting("bravo"), role=role))
     return made
 
 
-def take_transfer(data: bytes) -> None:
+def decode_transfer(data: bytes) -> None:
     """A transfer: what is wrong with its checksums, the length of its header, header, block."""
     wrong, size = (data + b"\0\0")[:2]
     head, block = data[2 : 2 + size], data[2 + size :]
@@ -149,31 +154,31 @@ def take_transfer(data: bytes) -> None:
         codec.decode_transfer(data[1:] if wrong == AS_IT_IS else struct.pack(">I", check) + start + block)
 
 
-class Ears:
+class LinkRecorder:
     """Whoever has a link and hears what comes on it."""
 
     def __init__(self) -> None:
-        self.heard: list[object] = []
+        self.messages: list[object] = []
 
     def on_message(self, link: FramedLink, message: Message) -> None:
         """After the greeting of a host everything may come, and nothing after a refusal."""
-        self.heard.append(message)
+        self.messages.append(message)
         if isinstance(message, Hello):
-            link.greeted(message.role)
-        elif isinstance(message, Refuse):
+            link.accept_role(message.role)
+        elif isinstance(message, HandshakeRefused):
             link.close()
 
     def on_transfer(self, link: FramedLink, header: Transfer, block: memoryview) -> None:
         """A coordinator."""
-        self.heard.append(bytes(block))
+        self.messages.append(bytes(block))
 
     def on_oversize(self, link: FramedLink, header: Transfer, size: int) -> None:
         """A coordinator too large."""
-        self.heard.append(size)
+        self.messages.append(size)
 
     def on_closed(self, link: FramedLink, error: LfieldError | None) -> None:
         """The end."""
-        self.heard.append(str(error))
+        self.messages.append(str(error))
 
 
 class Pipe(FramedLink):
@@ -184,31 +189,31 @@ class Pipe(FramedLink):
         self.closed = True
 
 
-def take_stream(data: bytes) -> None:
+def decode_stream(data: bytes) -> None:
     """Bytes of a link in pieces, of a size that the first byte says. The same comes of them in one piece, and
     of a guest's, which are taken message by message.
     """
     size, heard = (data[0] if data else 0) + 1, []
     for step, is_guest in ((size, False), (len(data) + 1, False), (size, True)):
-        link, ears = Pipe("peer", 4096), Ears()
+        link, ears = Pipe("peer", 4096), LinkRecorder()
         link.handler = ears
         for at in range(1, len(data), step):
             if link.closed:
                 break
             piece = data[at : at + step]
             if is_guest:
-                deque(link.one_by_one(piece), maxlen=0)
+                deque(link.deliver_pending(piece), maxlen=0)
             else:
                 link.received(piece)
-        link.finished(None)
-        heard.append(ears.heard)
+        link.on_eof(None)
+        heard.append(ears.messages)
     assert heard[0][:-1] == heard[1][:-1] == heard[2][:-1], "what is heard depends on how bytes are split"
 
 
 # -- a whole host ---------------------------------------------------------------------------------------
 
 
-def take_events(data: bytes) -> None:
+def decode_events(data: bytes) -> None:
     """What a peer that has greeted does to a host: a list of [what, value]."""
     try:
         events = unpack(data)
@@ -217,12 +222,12 @@ def take_events(data: bytes) -> None:
     clock = ManualClock()
     core = host("alpha", clock, 7)
     core.start_coordinators(first=True)
-    core.linked(greeting("bravo"))
+    core.on_linked(greeting("bravo"))
     for event in events[:60] if isinstance(events, list) else ():
         happen(core, clock, event)
         for _ in range(8):
             pause = core.run()
-            effects = core.take()
+            effects = core.drain_effects()
             no_bug_of_ours(effects)
             for effect in effects:
                 if hasattr(effect, "message"):
@@ -246,56 +251,54 @@ def happen(core: HostCore, clock: ManualClock, event: Any) -> None:
     try:
         if what == 0:
             hello = msgspec.convert(value, Hello)
-            Greeting(core.hello(), BRAVO, hosts=HOSTS).receive(hello)
+            Handshake(core.hello(), BRAVO, hosts=HOSTS).receive(hello)
             if hello.role == "host":
-                core.linked(hello)
+                core.on_linked(hello)
         elif what == 1:
             message: Control = codec.decode(codec.CONTROL, sealed(pack(value)))  # type: ignore[assignment]
-            core.received("bravo", message)
+            core.on_message("bravo", message)
         elif what == 2 and isinstance(value, list) and len(value) == 2 and isinstance(value[1], bytes):
             header = msgspec.convert(value[0], Transfer)
-            core.arrived("bravo", header, memoryview(value[1]))
+            core.on_transfer("bravo", header, memoryview(value[1]))
         elif what == 3:
-            core.unlinked("bravo", quietly=bool(value))
+            core.on_unlinked("bravo", quietly=bool(value))
         elif what == 4 and isinstance(value, int | float) and 0 < value < 1e6:
             clock.advance(value)
-        elif what == 5:
-            core.told("bravo", msgspec.convert(value, Status))
         elif what == 6:
-            core.too_large("bravo", msgspec.convert(value, Transfer), 1 << 30)
+            core.on_oversize("bravo", msgspec.convert(value, Transfer), 1 << 30)
         elif what == 7:
-            words_of_a_person(core, value)
-    except (WireError, GreetingError, msgspec.ValidationError):
+            operator_messages(core, value)
+    except (WireError, HandshakeError, msgspec.ValidationError):
         return
 
 
-def words_of_a_person(core: HostCore, value: Any) -> None:
+def operator_messages(core: HostCore, value: Any) -> None:
     """What an observer asks of the core."""
     message = codec.decode(codec.CONTROL, sealed(pack(value)))
     match type(message).__name__:
-        case "Forget":
+        case "ForgetRequest":
             core.forget(message.agent)
-        case "Recover":
+        case "RecoverRequest":
             codec.encode(core.recover(message))
         case "Pause":
-            core.pause(on=not message.lift)
+            core.set_paused(on=not message.lift)
         case "EmergencyStop":
-            core.stop("" if message.lift else message.reason)
+            core.set_emergency_stop("" if message.lift else message.reason)
 
 
 # -- a block --------------------------------------------------------------------------------------------
 
 
-def take_block(data: bytes) -> None:
+def decode_block(data: bytes) -> None:
     """The block of a coordinator from another host: refused, or it runs."""
     clock = ManualClock()
     core = host("alpha", clock, 7)
-    core.linked(greeting("bravo"))
+    core.on_linked(greeting("bravo"))
     header = msgspec.structs.replace(transfers()[0][0], size=len(data))
-    core.arrived("bravo", header, memoryview(data))
+    core.on_transfer("bravo", header, memoryview(data))
     for _ in range(20):
         pause = core.run()
-        effects = core.take()
+        effects = core.drain_effects()
         no_bug_of_ours(effects)
         clock.advance(pause or 0.0)
 
@@ -317,17 +320,17 @@ def transfers() -> Sequence[tuple[Transfer, bytes]]:
     cores = {"alpha": host("alpha", clock, 7), "bravo": host("bravo", clock, 3)}
     for core, other in ((cores["alpha"], cores["bravo"]), (cores["bravo"], cores["alpha"])):
         core.start_coordinators(first=True)
-        core.linked(other.hello())
+        core.on_linked(other.hello())
     for _ in range(2000):
         pauses = [core.run() for core in cores.values()]
         for name, core in cores.items():
-            for effect in core.take():
+            for effect in core.drain_effects():
                 to = getattr(effect, "host", "")
                 if isinstance(effect, SendTransfer) and to in cores:
                     found += [(effect.header, bytes(effect.block))] if to == "alpha" else []
-                    cores[to].arrived(name, effect.header, memoryview(bytes(effect.block)))
+                    cores[to].on_transfer(name, effect.header, memoryview(bytes(effect.block)))
                 elif isinstance(effect, Send) and to in cores:
-                    cores[to].received(name, effect.message)
+                    cores[to].on_message(name, effect.message)
         clock.advance(min((pause for pause in pauses if pause is not None), default=0.01) + 0.001)
     return found[:: max(1, len(found) // 12)]
 
@@ -377,12 +380,11 @@ def _event_seeds() -> Sequence[bytes]:
     hello = [0, unpack(pack(greeting("bravo")))]
     header, block = transfers()[0]
     arrival = [2, [unpack(pack(header)), block]]
-    status = unpack(pack(example(Status)))
     told = [[1, message] for message in messages()]
     quiet = [pack([event]) for event in told] + [pack([event, [4, 0.5], event]) for event in told]
     busy = [pack([arrival, event, [4, 11.0], hello]) for event in told]
     people = [pack([[7, message], [4, 1.0]]) for message in messages()]
-    rest = pack([hello, [5, status], [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
+    rest = pack([hello, [6, arrival[1][0]], [3, 0], [4, 30.0], hello])
     return [*quiet, *busy, *people, rest, pack([hello, *told])]
 
 
@@ -392,7 +394,11 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
     header, block = transfers()[0]
     controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
     hellos = [codec.encode(greeting("bravo")), frame(codec.HELLO, b"lfld\0\6"), frame(codec.HELLO, b"lfl")]
-    refusals = [codec.encode(Refuse("no")), frame(codec.REFUSE, b"\xff no"), frame(codec.REFUSE, b"")]
+    refusals = [
+        codec.encode(HandshakeRefused("no")),
+        frame(codec.REFUSE, b"\xff no"),
+        frame(codec.REFUSE, b""),
+    ]
     found = {
         codec.HELLO: hellos,
         codec.REFUSE: refusals,
@@ -402,7 +408,7 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
             frame(codec.PART, part) for part in (controls[0], controls[0][:7], controls[0][7:], b"")
         ],
     }
-    allowed = codec.limits("host", 1).keys() | codec.GREETING_LIMITS.keys()
+    allowed = codec.limits("host", 1).keys() | codec.HANDSHAKE_LIMITS.keys()
     assert found.keys() == allowed, "a kind of frame has no seeds here"
     return {kind: [data[HEADER_SIZE:] for data in sent] for kind, sent in found.items()}
 
@@ -452,10 +458,10 @@ def _transfer_seeds() -> Sequence[bytes]:
 
 
 TARGETS = (
-    Target("stream", _stream_seeds, take_stream, words=(b"lfld",)),
-    Target("greeting", _greeting_seeds, take_greeting, True, WORDS),
-    Target("control", _control_seeds, take_control, True, WORDS),
-    Target("transfer", _transfer_seeds, take_transfer),
-    Target("host", _event_seeds, take_events, True, WORDS),
-    Target("block", lambda: [block for _, block in transfers()], take_block),
+    Target("stream", _stream_seeds, decode_stream, tokens=(b"lfld",)),
+    Target("greeting", _greeting_seeds, decode_greeting, True, TOKENS),
+    Target("control", _control_seeds, decode_control, True, TOKENS),
+    Target("transfer", _transfer_seeds, decode_transfer),
+    Target("host", _event_seeds, decode_events, True, TOKENS),
+    Target("block", lambda: [block for _, block in transfers()], decode_block),
 )

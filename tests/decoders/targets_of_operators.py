@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import msgspec
 from decoder_target import Target
 from rich.console import Console
-from targets_of_links import WORDS, example, pack, sealed, unpack
+from targets_of_links import TOKENS, example, pack, sealed, unpack
 
-from lfield.cli.views import event_view, picture, seen_view
+from lfield.cli.views import event_view, team_state_view, team_status_view
 from lfield.errors import WireError
-from lfield.operator.ask import Answers
-from lfield.operator.sight.following.cursor import Cursor
-from lfield.operator.sight.picture.roll import Roll
-from lfield.operator.sight.picture.team_picture import Picture
-from lfield.operator.sight.timeline.timeline import Timeline
+from lfield.operator.dashboard.event_stream.stream_cursor import StreamCursor
+from lfield.operator.dashboard.timeline.event_timeline import EventTimeline
+from lfield.operator.team_model.host_model import host_states
+from lfield.operator.team_model.inventory import Inventory
+from lfield.operator.team_model.team_state import HostState
+from lfield.operator.team_model.team_view import TeamView
 from lfield.wire import codec
 from lfield.wire.events import KINDS, Event
-from lfield.wire.observing import Status
-from lfield.wire.watching import Events
+from lfield.wire.observer_messages import Status
+from lfield.wire.subscription_messages import EventBatch
 
 #: What a terminal would obey.
 _ESCAPES = ("\x1b[2J", "\x9b31m", "\u202e", "\r", "\x07", "[red]", "😀" * 50)
 
 
-def take_statuses(data: bytes) -> None:
+def decode_statuses(data: bytes) -> None:
     """What two hosts say that they run, as `lfield ps` shows it: nothing in it is for the terminal."""
     try:
         tree = unpack(data)
@@ -40,24 +41,26 @@ def take_statuses(data: bytes) -> None:
         except WireError as error:
             answers[f"host{number}"] = error
             continue
-        if isinstance(told, Status):
+        if isinstance(told, EventBatch):
             answers[f"host{number}"] = told
-    _shown(answers)
+    _shown(host_states(answers))
 
 
-def _shown(answers: Answers[Status]) -> None:
+def _shown(hosts: Mapping[str, HostState]) -> None:
     text = io.StringIO()
-    Console(file=text, width=120, markup=False, highlight=False, emoji=False).print(picture.picture(answers))
-    _insist_on_plain(text.getvalue())
-    assert picture.as_json(answers)
+    Console(file=text, width=120, markup=False, highlight=False, emoji=False).print(
+        team_status_view.team_tables(hosts)
+    )
+    _require_plain(text.getvalue())
+    assert team_status_view.as_json(hosts)
 
 
 def _statuses() -> Sequence[bytes]:
-    plain = unpack(pack(example(Status)))
+    plain = unpack(pack(EventBatch(7, 1, 1.7e9, 5.0, 0, 0, [], {}, example(Status))))
     return [pack([plain]), pack([plain, plain])]
 
 
-def take_batches(data: bytes) -> None:
+def decode_batches(data: bytes) -> None:
     """What two hosts tell in batches: into the picture, the time line, and all that is shown of them."""
     try:
         tree = unpack(data)
@@ -69,45 +72,44 @@ def take_batches(data: bytes) -> None:
             told = codec.decode(codec.CONTROL, sealed(pack(said)))
         except WireError:
             continue
-        if isinstance(told, Events):
-            watching.take(f"host{number % 2}", told, 100.0 + number)
-    watching.look()
+        if isinstance(told, EventBatch):
+            watching.decode(f"host{number % 2}", told, 100.0 + number)
+    watching.poll()
 
 
 class _Watching:
     """All that is made of what is heard."""
 
     def __init__(self) -> None:
-        self._cursors = {f"host{n}": Cursor(telemetry=5.0) for n in range(2)}
-        self._picture = Picture(Roll("team", tuple(self._cursors)))
-        self._timeline = Timeline()
-        self._table, self._log = event_view.Csv(), event_view.LogView()
+        self._cursors = {f"host{n}": StreamCursor(telemetry=5.0) for n in range(2)}
+        self._picture = TeamView(Inventory("team", tuple(self._cursors)))
+        self._timeline = EventTimeline()
+        self._table, self._log = event_view.EventCsv(), event_view.LogLineView()
 
-    def take(self, host: str, batch: Events, now: float) -> None:
+    def decode(self, host: str, batch: EventBatch, now: float) -> None:
         """A batch of a host."""
-        fresh = self._cursors[host].took(batch)
-        pack(self._cursors[host].watch(batch.incarnation))
-        self._picture.told(host, fresh, now, 1.7e9, 0.1)
-        self._timeline.heard(host, fresh.incarnation, fresh.up, now, now - 0.1)
+        fresh = self._cursors[host].accept(batch)
+        pack(self._cursors[host].watch_request(batch.incarnation))
+        self._picture.feed(host, fresh, now, 1.7e9, 0.1)
         for event in fresh.events:
-            self._timeline.add(host, fresh.incarnation, event)
+            self._timeline.add(host, fresh.incarnation, event, now)
 
-    def look(self) -> None:
+    def poll(self) -> None:
         """Everything, as it is shown."""
         for now in (103.0, 110.0):
             self._picture.tick(now)
             text = io.StringIO()
             console = Console(file=text, width=120, markup=False, highlight=False, emoji=False)
-            console.print(seen_view.table(self._picture.seen(now)))
-            _insist_on_plain(text.getvalue())
+            console.print(team_state_view.table(self._picture.snapshot(now)))
+            _require_plain(text.getvalue())
         assert self._picture.curves(110.0) is not None
-        for told in self._timeline.given():
-            lines = (event_view.as_line(told), event_view.as_json(told))
+        for told in self._timeline.drain_events():
+            lines = (event_view.event_line(told), event_view.event_json(told))
             for line in (*lines, *self._table.rows(told), *self._log.lines(told)):
-                _insist_on_plain(line)
+                _require_plain(line)
 
 
-def _insist_on_plain(text: str) -> None:
+def _require_plain(text: str) -> None:
     assert not any(sign in text for sign in ("\x1b", "\x9b", "\x07", "\u202e", "\r"))
 
 
@@ -116,14 +118,14 @@ def _batches() -> Sequence[bytes]:
     found = []
     for number, kind in enumerate(KINDS.values(), 1):
         event = Event(number, 1.7e9, 5.0, 0, example(kind))
-        batch = Events(7, 1, 1.7e9, 5.0, number - 1, number, [event])
+        batch = EventBatch(7, 1, 1.7e9, 5.0, number - 1, number, [event])
         found.append(unpack(pack(batch)))
-    first = unpack(pack(Events(7, 1, 1.7e9, 5.0, 0, 0, [], {"state": 2}, example(Status))))
-    hop = found[[kind.__name__ for kind in KINDS.values()].index("Left")]
+    first = unpack(pack(EventBatch(7, 1, 1.7e9, 5.0, 0, 0, [], {"state": 2}, example(Status))))
+    hop = found[[kind.__name__ for kind in KINDS.values()].index("MigrationStarted")]
     return [pack([first, each, hop, first]) for each in found]
 
 
 TARGETS = (
-    Target("ps", _statuses, take_statuses, True, (*WORDS, *_ESCAPES)),
-    Target("events", _batches, take_batches, True, (*WORDS, *_ESCAPES)),
+    Target("ps", _statuses, decode_statuses, True, (*TOKENS, *_ESCAPES)),
+    Target("events", _batches, decode_batches, True, (*TOKENS, *_ESCAPES)),
 )

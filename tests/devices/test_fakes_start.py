@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield.devices.fakes import start_fake
+from lfield.devices.fake_processes import start_fake
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import discover
 from lfield.driver.sims import Sims, discover_sims
@@ -103,7 +103,7 @@ def lfield_here(tmp_path: Path):
     def run(*words: str) -> tuple[int, str]:
         done = subprocess.run(
             [sys.executable, "-m", "lfield", *words], cwd=tmp_path, stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=30, check=False,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, timeout=60, check=False,
         )  # fmt: skip
         return done.returncode, done.stdout
 
@@ -140,7 +140,7 @@ def made(folder: Path, body: str, monkeypatch: pytest.MonkeyPatch) -> Sims:
         ("raise ValueError('the wing is bent')", "; it said: ValueError: the wing is bent"),
         ("print('no port', 5, file=sys.stderr)", "; it said: no port 5"),
         ("print('nothing is ready')", "; it said: nothing is ready"),
-        ("pass", ", and said nothing"),
+        ("pass", ", without output"),
     ],
 )
 def test_its_last_words_are_told(

@@ -7,19 +7,32 @@ from types import SimpleNamespace
 
 import pytest
 
-from lfield.devices.keeper import Guard
-from lfield.devices.lateness import Lateness, Limit
+from lfield.devices.guard_process import GuardProcess
+from lfield.devices.scheduling_jitter import JitterLimit, JitterMonitor
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest
-from lfield.driver.known import KnownDriver, ManifestFile
-from lfield.guard.messages import Done, Latched, Ready, Refused, Released, Snapshot, encode
+from lfield.driver.driver_index import DriverInfo, ManifestFile
+from lfield.guard.messages import (
+    Beat,
+    CallDone,
+    DevicesOpened,
+    Latched,
+    MessageReader,
+    OpenDevices,
+    Refused,
+    Released,
+    Stop,
+    Stopped,
+    TelemetrySnapshot,
+    encode,
+)
 from lfield.manifest import DeviceManifest, Observation, Quantity
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 
 LAMP = DeviceManifest(
     "Lamp", "lamp", (), (Quantity("glow", "real"), Quantity("on", "boolean")), safe_states=("off",)
 )
-KNOWN = KnownDriver(
+KNOWN = DriverInfo(
     "lamp", "lfield_lamp:PLUGIN", {"Lamp": Manifest(LAMP)}, {"Lamp": ManifestFile("lamp.yaml", bytes(32))}, ""
 )
 BINDING = DeviceBinding(
@@ -31,14 +44,14 @@ SEEN = Observation(1.0, 1.0)
 @pytest.mark.parametrize(
     ("message", "told"),
     [
-        (Done(7, None), "an answer to call 7, which waits for none"),
-        (Refused(7, "DeviceException", "no"), "an answer to call 7, which waits for none"),
-        (Snapshot("b.y", {}, 1.0), "telemetry of 'b.y', which it does not guard"),
-        (Snapshot("a.x", {"warmth": SEEN}, 1.0), "a.x has no warmth"),
-        (Snapshot("a.x", {"on": SEEN}, 1.0), "on of a.x: 1.0 is not a boolean"),
-        (Latched("b.y", "why", confirmed=False), "word of 'b.y', which it does not guard"),
-        (Released("b.y"), "word of 'b.y', which it does not guard"),
-        (Ready({"a.x": "a lamp", "b.y": "another"}), "devices that it does not guard: a.x, b.y"),
+        (CallDone(7, None), "an answer to call 7, which is not pending"),
+        (Refused(7, "DeviceException", "no"), "an answer to call 7, which is not pending"),
+        (TelemetrySnapshot("b.y", {}, 1.0), "telemetry of 'b.y', which it does not guard"),
+        (TelemetrySnapshot("a.x", {"warmth": SEEN}, 1.0), "a.x has no warmth"),
+        (TelemetrySnapshot("a.x", {"on": SEEN}, 1.0), "on of a.x: 1.0 is not a boolean"),
+        (Latched("b.y", "why", confirmed=False), "message about 'b.y', which it does not guard"),
+        (Released("b.y"), "message about 'b.y', which it does not guard"),
+        (DevicesOpened({"a.x": "a lamp", "b.y": "another"}), "devices that it does not guard: a.x, b.y"),
     ],
 )
 def test_it_is_killed_and_its_host_goes_on(message, told):
@@ -46,13 +59,15 @@ def test_it_is_killed_and_its_host_goes_on(message, told):
 
     async def story():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: raised.append(context))
-        guard = Guard(KNOWN, [BINDING], LoopClock(), notes.append, Lateness(Limit(1.0)), lambda: True)
+        guard = GuardProcess(
+            KNOWN, [BINDING], LoopClock(), notes.append, JitterMonitor(JitterLimit(1.0)), lambda: True
+        )
         guard.kill = lambda: killed.append(True)
         guard.connection_made(SimpleNamespace(get_pipe_transport=lambda fd: None))
         guard.pipe_data_received(1, encode(message))
 
     run_jumping(story())
-    assert notes == [f"the guard sent bytes that make no sense: {told}"]
+    assert [note.partition(" sent ")[2] for note in notes] == [f"invalid bytes: {told}; restarting it"]
     assert (killed, raised) == ([True], [])
 
 
@@ -62,7 +77,9 @@ def test_a_guard_that_lived_is_started_again_at_once_and_one_that_did_not_after_
 
     async def story():
         clock = LoopClock()
-        guard = Guard(KNOWN, [BINDING], clock, lambda text: None, Lateness(Limit(1.0)), lambda: True)
+        guard = GuardProcess(
+            KNOWN, [BINDING], clock, lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
+        )
 
         async def start(protocol, *words):
             started.append(clock.monotonic())
@@ -71,9 +88,9 @@ def test_a_guard_that_lived_is_started_again_at_once_and_one_that_did_not_after_
                 get_pipe_transport=lambda fd: pipe, get_returncode=lambda: -9, close=lambda: None
             )
             protocol.connection_made(process)
-            protocol.pipe_data_received(1, encode(Ready({"a.x": "a lamp"})))
+            protocol.pipe_data_received(1, encode(DevicesOpened({"a.x": "a lamp"})))
 
-        monkeypatch.setattr("lfield.devices.keeper.start_process", start)
+        monkeypatch.setattr("lfield.devices.guard_process.start_process", start)
         await guard.open()
         for lived in (6.0, 0.5, 6.0):
             await asyncio.sleep(lived)
@@ -83,3 +100,50 @@ def test_a_guard_that_lived_is_started_again_at_once_and_one_that_did_not_after_
     run_jumping(story())
     first, *again = started
     assert [round(at - first, 3) for at in again] == [6.0, 6.7, 12.5]
+
+
+def test_a_host_that_stops_while_a_guard_is_started_again_asks_it_to_open_its_devices_first(monkeypatch):
+    """The process exists before the loop tells its starter: a stop may come between."""
+    received = []
+
+    async def story():
+        guard = GuardProcess(
+            KNOWN, [BINDING], LoopClock(), lambda text: None, JitterMonitor(JitterLimit(1.0)), lambda: True
+        )
+        starts, started, may_return = 0, asyncio.Event(), asyncio.Event()
+
+        async def start(protocol, *words):
+            nonlocal starts
+            starts += 1
+            reader, messages = MessageReader(), []
+            received.append(messages)
+            pipe = SimpleNamespace(
+                is_closing=lambda: False, write=lambda data: messages.extend(reader.feed(data))
+            )
+            status = -9 if starts == 1 else 1
+            process = SimpleNamespace(
+                get_pipe_transport=lambda fd: pipe, get_returncode=lambda: status, close=lambda: None
+            )
+            protocol.connection_made(process)
+            if starts == 2:
+                started.set()
+                await may_return.wait()
+            protocol.pipe_data_received(1, encode(DevicesOpened({"a.x": "a lamp"})))
+
+        monkeypatch.setattr("lfield.devices.guard_process.start_process", start)
+        await guard.open()
+        guard.connection_lost(None)
+        await started.wait()
+        closing = asyncio.create_task(guard.close())
+        await asyncio.sleep(0)
+        may_return.set()
+        await asyncio.sleep(1.0)
+        guard.pipe_data_received(1, encode(Stopped({"a.x": "it is hot"})))
+        guard.connection_lost(None)
+        return await closing
+
+    assert run_jumping(story()) == {"a.x": "it is hot"}
+    first, second, *rest = (message for message in received[1] if not isinstance(message, Beat))
+    assert isinstance(first, OpenDevices)
+    assert first.latched == "its guard died and was restarted"
+    assert [second, *rest] == [Stop("the host is stopping")] * 2

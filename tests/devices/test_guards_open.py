@@ -9,13 +9,14 @@ import msgspec
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.devices.fakes import conditions
-from lfield.devices.guards import Guards
+from lfield.devices.device_guards import DeviceGuards
+from lfield.devices.fake_processes import fault_options
+from lfield.devices.latched_devices import LatchedDevices
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
 from lfield.mission.bindings_file import read_bindings
-from lfield.simulate.time import run_jumping
+from lfield.simulate.jumping_loop import run_jumping
 
 SERVO = DeviceBinding(
     agent="arm", field="wrist", type="Dynamixel", driver="dynamixel", endpoint="serial:/dev/ttyUSB0:57600",
@@ -36,16 +37,16 @@ def test_two_drivers_for_one_port(plugins):
         agent="car", field="fc", type="Mavlink", driver="mavlink", endpoint=SERVO.endpoint, safe_state="hold"
     )
     with pytest.raises(DevicesError) as error:
-        asyncio.run(Guards(plugins, ManualClock(), print).open([SERVO, vehicle]))
+        asyncio.run(DeviceGuards(plugins, ManualClock(), print).open([SERVO, vehicle]))
     assert error.value.problems == (
-        "arm.wrist and car.fc are both at serial:/dev/ttyUSB0:57600, one by the driver 'dynamixel', one by "
-        "'mavlink': one port can have one driver",
+        "arm.wrist and car.fc are both at serial:/dev/ttyUSB0:57600, with the drivers 'dynamixel' and "
+        "'mavlink': a port can have only one driver",
     )
 
 
 def test_theconditions_of_a_fake_are_aimed_at_its_device():
     soft = msgspec.structs.replace(SERVO, sim=["obstacle=-0.1", "unplug@2=true"])
-    assert conditions([soft]) == ["--fault", "obstacle@arm.wrist=-0.1", "--fault", "unplug@2=true"]
+    assert fault_options([soft]) == ["--fault", "obstacle@arm.wrist=-0.1", "--fault", "unplug@2=true"]
 
 
 def test_a_devices_file_says_what_its_fake_is_like(plugins, tmp_path):
@@ -59,7 +60,7 @@ def test_a_waiver_that_nobody_knows_is_an_error(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
     device = "{driver: dynamixel, endpoint: 'serial:/dev/x:1', waivers: [care]}"
     path.write_text(f"agents: {{arm: {{devices: {{wrist: {device}}}}}}}\n")
-    with pytest.raises(Exception, match="there is nothing called 'care' to waive"):
+    with pytest.raises(Exception, match="unknown waiver 'care'"):
         read_bindings(path, {"arm": {"wrist": "Dynamixel"}}, plugins)
 
 
@@ -81,34 +82,34 @@ def test_a_device_type_of_a_driver_with_several(plugins, tmp_path):
     path = tmp_path / "m.devices.yaml"
     device = "{driver: dynamixel, type: Dynamixel, endpoint: 'serial:/dev/x:1'}"
     path.write_text(f"agents: {{arm: {{devices: {{joints: {device}}}}}}}\n")
-    with pytest.raises(Exception, match="'type' is one of DynamixelGroup"):
+    with pytest.raises(Exception, match="'type' must be one of DynamixelGroup"):
         read_bindings(path, {"arm": {"joints": "DynamixelGroup"}}, plugins)
 
 
 class LateGuard:
     """A guard whose device confirms its safe state some seconds after the first stop."""
 
-    movable = ("arm.wrist",)
+    actuated_devices = ("arm.wrist",)
 
     def __init__(self, seconds: float, *, lost: float | None = None) -> None:
         self.snapshots = SimpleNamespace(
-            lost_since=lambda name: lost, in_words=lambda name: "last heard 9.0 s ago"
+            silent_since=lambda name: lost, describe=lambda name: "last heard 9.0 s ago"
         )
-        self.held = SimpleNamespace(confirmed=set(), on_change=lambda: None)
+        self.latched_devices = LatchedDevices({}, ManualClock(), print, None)
         self._seconds = seconds
 
-    def bar(self, reason: str) -> None:
+    def inhibit(self, reason: str) -> None:
         if reason == "first":
             asyncio.get_running_loop().call_later(self._seconds, self._confirm)
 
     def _confirm(self) -> None:
-        self.held.confirmed.update(self.movable)
-        self.held.on_change()
+        self.latched_devices.confirmed.update(self.actuated_devices)
+        self.latched_devices.on_change()
 
 
 def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):
     async def story() -> float:
-        guards, loop = Guards(plugins, ManualClock(), print), asyncio.get_running_loop()
+        guards, loop = DeviceGuards(plugins, ManualClock(), print), asyncio.get_running_loop()
         guards._guards = [LateGuard(2.0)]
         began = loop.time()
         first, second = (asyncio.ensure_future(guards.emergency_stop(word)) for word in ("first", "second"))
@@ -120,10 +121,10 @@ def test_a_second_stop_does_not_take_the_answer_of_the_first(plugins):
 
 def test_who_was_safe_before_and_is_not_heard_any_more_is_not_called_safe(plugins):
     async def story() -> dict[str, str]:
-        guards = Guards(plugins, ManualClock(), print)
+        guards = DeviceGuards(plugins, ManualClock(), print)
         guards._guards = [LateGuard(0.1, lost=3.0)]
         return await guards.emergency_stop("first")
 
     assert run_jumping(story()) == {
-        "arm.wrist": "it was in its safe state before, and is not heard any more; last heard 9.0 s ago"
+        "arm.wrist": "it was in its safe state before, but no longer responds; last heard 9.0 s ago"
     }

@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 
 import msgspec
 import pytest
 
-from lfield import loop
+from lfield import event_loop
 from lfield.clock import SystemClock
-from lfield.devices.lateness import Limit
-from lfield.devices.measuring import SPAN, TRIES, insist, measured
+from lfield.devices.jitter_measurement import SPAN, TRIES, measure_jitter, require_timely
+from lfield.devices.scheduling_jitter import JitterLimit
 from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
 from lfield.errors import DevicesError
 from lfield.mission.bindings_file import read_bindings
-from lfield.operator.doctor import lateness
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.operator.diagnostics import scheduling_lateness
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield.testing.driver_bench import guarded, running_fake
 
 
@@ -48,29 +49,30 @@ def bound(endpoint):
 def test_a_computer_in_time_is_measured_in_a_second():
     async def story():
         begun = LoopClock().monotonic()
-        assert await measured(Limit(0.1), LoopClock()) == pytest.approx(0.0, abs=1e-6)
+        assert await measure_jitter(JitterLimit(0.1), LoopClock()) == pytest.approx(0.0, abs=1e-6)
         assert LoopClock().monotonic() - begun == pytest.approx(SPAN, abs=0.02)
 
     run_jumping(story())
 
 
 def test_one_hiccup_is_measured_and_allowed():
-    assert run_jumping(measured(Limit(0.1), Hiccups(0.02, 0.4))) == pytest.approx(0.02, abs=1e-6)
+    assert run_jumping(measure_jitter(JitterLimit(0.1), Hiccups(0.02, 0.4))) == pytest.approx(0.02, abs=1e-6)
 
 
 def test_a_computer_that_is_late_once_gets_another_second():
-    assert run_jumping(measured(Limit(0.1), Hiccups(0.12, 0.4))) == pytest.approx(0.0, abs=1e-6)
+    assert run_jumping(measure_jitter(JitterLimit(0.1), Hiccups(0.12, 0.4))) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_a_computer_that_is_late_each_time_is_refused_before_anything_is_opened():
     late = Hiccups(0.12, *(0.4 * count for count in range(1, 3 * TRIES)))
     with pytest.raises(DevicesError) as refused:
-        run_jumping(insist(Limit(0.1), [bound("udp:127.0.0.1:1")], late))
+        run_jumping(require_timely(JitterLimit(0.1), [bound("udp:127.0.0.1:1")], late))
     assert refused.value.exit_status == 69
     assert refused.value.problems == (
-        "this computer cannot keep 'silence: 0.1': it was late by 0.12 s and could keep 0.3 s: free the "
-        "computer, let its guards have real-time priority (LimitRTPRIO=1, see 'lfield doctor') or write "
-        "'silence: 0.3' if the vehicles may go on alone for so long",
+        "this computer does not support 'silence: 0.1': it was late by 0.12 s and supports 0.3 s: "
+        "reduce the load of "
+        "this computer, give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor') or write "
+        "'silence: 0.3' if the vehicles may move for so long without their host",
     )
 
 
@@ -80,20 +82,22 @@ def test_fakes_and_hosts_without_devices_ask_for_nothing():
             raise AssertionError("it is measured")
 
     for devices in ([], [bound(f"{SIMULATED}lead.fc")]):
-        asyncio.run(insist(Limit(0.1), devices, Never()))
+        asyncio.run(require_timely(JitterLimit(0.1), devices, Never()))
 
 
 def test_the_doctor_measures_and_advises(monkeypatch):
-    monkeypatch.setattr(loop, "may_be_prompt", lambda: False)
+    monkeypatch.setattr(event_loop, "may_raise_timer_priority", lambda: False)
     late = Hiccups(0.12, *(0.4 * count for count in range(1, 3 * TRIES)))
-    found = run_jumping(lateness(0.1, late, bound=True))
+    found = run_jumping(scheduling_lateness(0.1, late, bound=True))
     assert found.state == "problem"
-    assert found.what.startswith("this computer cannot keep 'silence: 0.1': it was late by 0.12 s and could")
-    assert found.cure.endswith("write 'silence: 0.3' if the vehicles may go on alone for so long")
-    assert run_jumping(lateness(0.1, Hiccups(0.12, *late.times), bound=False)).state == "warning"
-    well = run_jumping(lateness(0.2, Hiccups(0.02, 0.4), bound=True))
+    assert found.what.startswith(
+        "this computer does not support 'silence: 0.1': it was late by 0.12 s and supports"
+    )
+    assert found.cure.endswith("write 'silence: 0.3' if the vehicles may move for so long without their host")
+    assert run_jumping(scheduling_lateness(0.1, Hiccups(0.12, *late.times), bound=False)).state == "warning"
+    well = run_jumping(scheduling_lateness(0.2, Hiccups(0.02, 0.4), bound=True))
     assert (well.state, well.cure) == ("ok", "")
-    assert well.what == "this computer was late by 20 ms: it keeps a silence of 0.2 s"
+    assert well.what == "this computer was late by 20 ms: it supports a silence of 0.2 s"
 
 
 @pytest.mark.process
@@ -104,10 +108,11 @@ def test_a_latch_for_silence_says_that_this_computer_was_late():
                 await flight.call("arm")
                 # The loop is held: neither a beat nor anything else goes out.
                 time.sleep(1.5)
-                why = "the host was silent for over 500 ms, since this computer was late by 1."
-                await flight.told(f"is in its safe state 'land': {why}")
+                why = "the host was silent for over 500 ms, since this computer was late"
+                await flight.until_note(f"in safe state 'land': {why}")
                 assert why in flight.latched
-                (warning,) = [line for line in flight.notes if "longest so far" in line]
-                assert warning.startswith("this computer was late by 1.")
+                # A busy computer may be late by more than that, and before.
+                late = [line for line in flight.notes if "longest so far" in line]
+                assert any(re.match(r"heartbeats to the guards late by [1-9]", line) for line in late)
 
     asyncio.run(story())

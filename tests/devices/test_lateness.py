@@ -8,7 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.devices.lateness import BEAT, MINUTE, Lateness, Limit, Pulse
+from lfield.devices.scheduling_jitter import (
+    HEARTBEAT_INTERVAL,
+    WINDOW,
+    HeartbeatJitter,
+    JitterLimit,
+    JitterMonitor,
+)
 
 SILENCE = 0.2
 
@@ -29,41 +35,43 @@ SILENCE = 0.2
     ],
 )
 def test_which_silence_a_computer_keeps(silence, late, keeps, prompt):
-    assert (late <= Limit(silence, prompt).allowed) is keeps
+    assert (late <= JitterLimit(silence, prompt).max_jitter) is keeps
 
 
 @given(st.floats(0.0, 20.0), st.booleans())
 def test_what_it_could_keep_it_keeps_and_a_tenth_less_it_does_not(late, prompt):
-    kept = Limit(SILENCE, prompt).kept_when(late)
+    kept = JitterLimit(SILENCE, prompt).shortest_silence(late)
     assert kept >= 0.1
-    assert late <= Limit(kept, prompt).allowed + 1e-6
-    assert kept == 0.1 or late > Limit(kept - 0.1, prompt).allowed - 1e-6
+    assert late <= JitterLimit(kept, prompt).max_jitter + 1e-6
+    assert kept == 0.1 or late > JitterLimit(kept - 0.1, prompt).max_jitter - 1e-6
 
 
 def test_what_is_not_kept_is_told_with_what_could_be_and_what_to_do():
-    limit = Limit(0.1)
-    assert limit.told(0.12) == (
-        "this computer cannot keep 'silence: 0.1': it was late by 0.12 s and could keep 0.3 s"
+    limit = JitterLimit(0.1)
+    assert limit.report(0.12) == (
+        "this computer does not support 'silence: 0.1': it was late by 0.12 s and supports 0.3 s"
     )
-    assert limit.cure(0.12) == (
-        "free the computer, let its guards have real-time priority (LimitRTPRIO=1, see 'lfield doctor') or "
-        "write 'silence: 0.3' if the vehicles may go on alone for so long"
+    assert limit.remedy(0.12) == (
+        "reduce the load of this computer, give its guards real-time priority (LimitRTPRIO=1, see "
+        "'lfield doctor') or "
+        "write 'silence: 0.3' if the vehicles may move for so long without their host"
     )
-    assert limit.told(0.004) == "this computer was late by 4 ms: it keeps a silence of 0.1 s"
+    assert limit.report(0.004) == "this computer was late by 4 ms: it supports a silence of 0.1 s"
 
 
 def test_guards_that_come_first_count_less_and_need_not_be_let():
-    limit = Limit(0.2, prompt=True)
-    assert limit.kept_when(0.12) == 0.3
-    assert limit.kept_when(0.09) == 0.2 < Limit(0.2).kept_when(0.09)
-    assert limit.cure(0.12) == (
-        "free the computer or write 'silence: 0.3' if the vehicles may go on alone for so long"
+    limit = JitterLimit(0.2, prompt=True)
+    assert limit.shortest_silence(0.12) == 0.3
+    assert limit.shortest_silence(0.09) == 0.2 < JitterLimit(0.2).shortest_silence(0.09)
+    assert limit.remedy(0.12) == (
+        "reduce the load of this computer or write 'silence: 0.3' "
+        "if the vehicles may move for so long without their host"
     )
 
 
 def test_no_silence_is_named_that_could_not_be_written():
-    assert Limit(10.0).told(6.0).endswith("it was late by 6.00 s and could keep none")
-    assert Limit(10.0, prompt=True).cure(7.0) == "free the computer"
+    assert JitterLimit(10.0).report(6.0).endswith("it was late by 6.00 s and supports none")
+    assert JitterLimit(10.0, prompt=True).remedy(7.0) == "reduce the load of this computer"
 
 
 # --- while it runs ------------------------------------------------------------------------------------
@@ -74,15 +82,15 @@ class Run:
 
     def __init__(self, silence=SILENCE):
         self.now = 1000.0
-        self.lateness = Lateness(Limit(silence))
+        self.lateness = JitterMonitor(JitterLimit(silence))
 
     def beat(self, late=0.0):
-        due = self.now + BEAT
+        due = self.now + HEARTBEAT_INTERVAL
         self.now = due + late
         return self.lateness.sample(due, self.now)
 
     def beats(self, seconds):
-        return [word for _ in range(round(seconds / BEAT)) if (word := self.beat())]
+        return [word for _ in range(round(seconds / HEARTBEAT_INTERVAL)) if (word := self.beat())]
 
 
 def test_beats_in_time_say_nothing():
@@ -93,29 +101,29 @@ def test_beats_in_time_say_nothing():
 
 
 def test_a_beat_that_comes_early_is_not_late():
-    lateness = Lateness(Limit(SILENCE))
-    assert lateness.sample(5.0, 4.9) == ""
+    lateness = JitterMonitor(JitterLimit(SILENCE))
+    assert lateness.sample(5.0, 4.9) is None
     assert lateness.longest == 0.0
 
 
 def test_a_lateness_near_the_limit_is_warned_of_with_what_happens_then():
     run = Run()
-    assert run.beat(0.07) == ""
+    assert run.beat(0.07) is None
     assert run.beat(0.08) == (
-        "this computer was late by 80 ms (longest so far: 80 ms): free it; "
-        "at 0.15 s guards take this host for dead and make its devices safe"
+        "heartbeats to the guards late by 80 ms (longest so far 80 ms): this computer is overloaded; reduce "
+        "its load, since guards make their devices safe at 0.15 s"
     )
 
 
 def test_it_warns_once_a_minute_and_again_when_it_gets_worse():
     run = Run()
     assert run.beat(0.08)
-    assert [run.beat(0.08) for _ in range(100)] == [""] * 100
-    assert run.beat(0.11) == ""
+    assert [run.beat(0.08) for _ in range(100)] == [None] * 100
+    assert run.beat(0.11) is None
     assert "late by 0.13 s" in run.beat(0.13)
-    assert run.beat(0.14) == ""
-    run.beats(MINUTE)
-    assert "late by 80 ms (longest so far: 0.14 s)" in run.beat(0.08)
+    assert run.beat(0.14) is None
+    run.beats(WINDOW)
+    assert "late by 80 ms (longest so far 0.14 s)" in run.beat(0.08)
 
 
 def test_the_figure_of_the_last_minute_forgets_and_the_longest_ever_does_not():
@@ -140,37 +148,43 @@ def test_the_figures_are_those_of_all_samples_and_warnings_are_few(steps):
         kept.append((run.now, run.now - due))
         if run.lateness.sample(due, run.now):
             warned.append(kept[-1])
-        recent = [length for when, length in kept if when >= run.now - MINUTE]
+        recent = [length for when, length in kept if when >= run.now - WINDOW]
         assert run.lateness.last_minute(run.now) == max(recent)
         assert run.lateness.longest == max(length for _, length in kept)
-    assert all(length > run.lateness.limit.allowed for _, length in warned)
+    assert all(length > run.lateness.limit.max_jitter for _, length in warned)
     for (when, length), (later, longer) in pairwise(warned):
-        assert later - when >= MINUTE or longer >= 1.5 * length
-    assert warned or all(length <= run.lateness.limit.allowed for _, length in kept)
+        assert later - when >= WINDOW or longer >= 1.5 * length
+    assert warned or all(length <= run.lateness.limit.max_jitter for _, length in kept)
 
 
 def test_a_silence_is_the_computers_fault_and_never_the_vehicles():
     run = Run()
     run.beat(0.31)
-    assert run.lateness.answers_for(run.now, run.now + BEAT) == "this computer was late by 0.31 s"
+    assert (
+        run.lateness.explain_silence(run.now, run.now + HEARTBEAT_INTERVAL)
+        == "this computer was late by 0.31 s"
+    )
     run.beats(30.0)
-    assert run.lateness.answers_for(run.now, run.now + BEAT) == "this computer was late to wake its guard"
+    assert (
+        run.lateness.explain_silence(run.now, run.now + HEARTBEAT_INTERVAL)
+        == "this computer was late to wake its guard"
+    )
 
 
 def test_a_guard_may_tell_of_a_silence_before_the_late_beat_has_gone():
-    pulse = Pulse(Lateness(Limit(SILENCE)))
-    assert [pulse.beat(when) for when in (5.0, 5.05, 5.1)] == ["", "", ""]
+    pulse = HeartbeatJitter(JitterMonitor(JitterLimit(SILENCE)))
+    assert [pulse.on_heartbeat(when) for when in (5.0, 5.05, 5.1)] == [None, None, None]
     silent = "the host was silent for over 200 ms"
-    assert pulse.explained(silent, 5.65) == f"{silent}, since this computer was late by 0.50 s"
-    assert pulse.explained("the setpoint's time-to-live of 1 s is over", 5.65).endswith("is over")
-    assert "late by 0.50 s" in pulse.beat(5.65)
-    assert pulse.explained(silent, 5.66) == f"{silent}, since this computer was late by 0.50 s"
+    assert pulse.explain(silent, 5.65) == f"{silent}, since this computer was late by 0.50 s"
+    assert pulse.explain("the setpoint has expired (time-to-live 1 s)", 5.65).endswith("(time-to-live 1 s)")
+    assert "late by 0.50 s" in pulse.on_heartbeat(5.65)
+    assert pulse.explain(silent, 5.66) == f"{silent}, since this computer was late by 0.50 s"
 
 
 def test_beats_that_were_not_to_be_are_not_late():
-    pulse = Pulse(lateness := Lateness(Limit(SILENCE)))
-    pulse.beat(5.0)
+    pulse = HeartbeatJitter(lateness := JitterMonitor(JitterLimit(SILENCE)))
+    pulse.on_heartbeat(5.0)
     pulse.pause()
-    assert pulse.beat(9.0) == ""
+    assert pulse.on_heartbeat(9.0) is None
     assert lateness.longest == 0.0
-    assert "late by 0.45 s" in pulse.beat(9.5)
+    assert "late by 0.45 s" in pulse.on_heartbeat(9.5)

@@ -1,20 +1,22 @@
-"""Writing what devices must keep: kept before it is written, and put back the last first."""
+"""Settings of devices: the old values are in a file first, and are restored to the same device only."""
 
 from __future__ import annotations
 
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import asynccontextmanager
 
 import pytest
 
-from lfield.clock import ManualClock
-from lfield.devices import back
-from lfield.devices.back import look_back, put_back
-from lfield.devices.kept import Change, Entry, Kept
-from lfield.devices.setup import Found, set_up
+from lfield.devices.device_setup import FoundDevice, write_settings
+from lfield.devices.parameter_backup import (
+    BackupEntry,
+    ParameterChange,
+    newest_backup,
+    read_backup,
+    write_backup,
+)
+from lfield.devices.parameter_restore import apply_restore, plan_restore
 from lfield.driver import DeviceBinding, DeviceError, Setting
-from lfield.driver.known import KnownDrivers
 from lfield.errors import DevicesError, InputFileError
 
 
@@ -31,7 +33,7 @@ class Lamp:
 
     def found(self):
         kept = [Setting(name, self.kept[name], self.wanted[name], "it is seen") for name in self.kept]
-        return Found(self, "a lamp", kept, self.serial)
+        return FoundDevice(self, "a lamp", kept, self.serial)
 
     def check_idle(self):
         if self.in_use:
@@ -47,145 +49,99 @@ class Lamp:
         pass
 
 
-@pytest.fixture
-def kept(tmp_path):
-    return Kept(tmp_path / "own" / "setup.json")
+OLD = {"LEVEL": 1.0, "COLOUR": 2.0}
 
 
 @pytest.fixture
-def restore(kept, monkeypatch):
-    """Puts everything back on lamps; what could not be."""
-
-    def run(*lamps, meanwhile=lambda: None):
-        @asynccontextmanager
-        async def reached(drivers, bindings, clock, tell):
-            found = [lamp.found() for lamp in lamps if lamp.binding in bindings]
-            if not found:
-                raise DevicesError(["not there"])
-            yield found
-
-        async def look_and_put_back():
-            known, clock = KnownDrivers({}), ManualClock()
-            steps, problems = await look_back(kept.entries(), known, clock, print)
-            meanwhile()
-            return problems + await put_back(steps, kept, known, clock, print)
-
-        monkeypatch.setattr(back, "reached", reached)
-        return asyncio.run(look_and_put_back())
-
-    return run
+def folder(tmp_path):
+    return tmp_path / "own"
 
 
-def test_what_was_there_is_kept_before_the_first_write(kept, restore):
+def set_up(folder, *lamps):
+    asyncio.run(write_settings([lamp.found() for lamp in lamps], folder, "then", print))
+    return read_backup(newest_backup(folder))
+
+
+def restore(entry, lamp):
+    """The names of the settings that are written, and the problems."""
+    plan = plan_restore(entry, lamp.found())
+    return [change.name for change in plan.writes], asyncio.run(apply_restore(plan, print))
+
+
+def test_old_values_are_in_a_file_before_the_first_write(folder):
     lamp, other = Lamp(writes=1), Lamp("other")
     with pytest.raises(DevicesError, match=r"^lamp\.l: it is gone$"):
-        asyncio.run(set_up([lamp.found(), other.found()], kept, "now", print))
+        set_up(folder, lamp, other)
     # Only one of two was written, and the other device all the same.
     assert lamp.kept == {"LEVEL": 5.0, "COLOUR": 2.0}
     assert other.kept == other.wanted
-    assert [entry.changes[1] for entry in kept.entries()] == [Change("COLOUR", 2.0, 6.0)] * 2
+    entries = read_backup(folder / "setup-1.json")
+    assert [entry.changes[1] for entry in entries] == [ParameterChange("COLOUR", 2.0, 6.0)] * 2
     lamp.writes = 10
-    assert restore(lamp, other) == []
-    assert lamp.kept == other.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
-    assert kept.entries() == []
-    assert not kept.path.exists()
+    assert [restore(*pair) for pair in zip(entries, (lamp, other), strict=True)] == [
+        (["LEVEL"], []), (["LEVEL", "COLOUR"], [])
+    ]  # fmt: skip
+    assert lamp.kept == other.kept == OLD
+    assert restore(entries[0], lamp) == ([], [])
 
 
-def test_the_last_is_put_back_first_and_what_is_not_there_stays_kept(kept, restore):
+def test_a_run_never_overwrites_the_file_of_another(folder):
+    def add(name):
+        return [write_backup(folder, [BackupEntry(name, name, [], Lamp(name).binding)]) for _ in range(3)]
+
+    with ThreadPoolExecutor() as pool:
+        paths = [path for some in pool.map(add, "abcdefgh") for path in some]
+    assert len(set(paths)) == 24
+    assert sorted(read_backup(path)[0].identity for path in paths) == sorted("abcdefgh" * 3)
+    assert newest_backup(folder) == folder / "setup-24.json"
+
+
+@pytest.mark.parametrize("serial", ["no 8", ""])
+def test_nothing_is_restored_to_another_device(folder, serial):
+    mine, other = Lamp(), Lamp(serial=serial)
+    (entry,) = set_up(folder, mine)
+    other.kept = dict(mine.kept)
+    writes, (problem,) = restore(entry, other)
+    assert writes == []
+    assert problem.startswith(f"lamp.l: a lamp{serial and ', '}{serial} is now at lamp, not a lamp, no 7")
+    assert other.kept == mine.kept
+
+
+def test_a_setting_that_was_changed_since_is_left_alone(folder):
+    lamp = Lamp(serial="")
+    (entry,) = set_up(folder, lamp)
+    lamp.kept["LEVEL"] = 9.0
+    writes, (problem,) = restore(entry, lamp)
+    assert writes == ["COLOUR"]
+    assert problem.startswith("lamp.l: LEVEL is 9, ")
+    assert lamp.kept == {"LEVEL": 9.0, "COLOUR": 2.0}
+
+
+def test_a_failed_write_is_reported(folder):
     lamp = Lamp()
-    asyncio.run(set_up([lamp.found()], kept, "one", print))
-    lamp.wanted = {"LEVEL": 8.0, "COLOUR": 6.0}
-    asyncio.run(set_up([lamp.found()], kept, "two", print))
-    assert restore() == ["not there", "not there"]
-    assert [entry.when for entry in kept.entries()] == ["one", "two"]
-    assert restore(lamp) == []
-    assert lamp.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
+    (entry,) = set_up(folder, lamp)
+    lamp.writes = 1
+    assert restore(entry, lamp) == (["LEVEL", "COLOUR"], ["lamp.l: it is gone"])
 
 
-def test_what_was_kept_of_one_is_not_put_back_to_another_in_its_place(kept, restore):
-    mine, other = Lamp(), Lamp(serial="no 8")
-    other.kept = {"LEVEL": 9.0, "COLOUR": 2.0}
-    asyncio.run(set_up([mine.found()], kept, "one", print))
-    asyncio.run(set_up([other.found()], kept, "two", print))
-    stays = "lamp.l: at lamp is a lamp, no 8 now, and not a lamp, no 7: what that had before stays kept"
-    assert restore(other) == [stays]
-    assert other.kept == {"LEVEL": 9.0, "COLOUR": 2.0}
-    assert [entry.when for entry in kept.entries()] == ["one"]
-    # One that says nothing of itself today is not taken for it either.
-    other.serial = ""
-    assert restore(other) == [stays.replace(", no 8 now", " now")]
-    assert restore(mine) == []
-    assert mine.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
-    assert kept.entries() == []
-
-
-def test_of_one_without_a_number_what_does_not_fit_stays_kept(kept, restore):
-    mine, other = Lamp(serial=""), Lamp(serial="")
-    other.kept = {"LEVEL": 9.0, "COLOUR": 2.0}
-    asyncio.run(set_up([mine.found()], kept, "one", print))
-    asyncio.run(set_up([other.found()], kept, "two", print))
-    assert restore(other) == [
-        "lamp.l: LEVEL is 9: left alone; what was set up had 1 before; it may be another device, "
-        "and it stays kept"
-    ]
-    assert other.kept == {"LEVEL": 9.0, "COLOUR": 2.0}
-    # Also where nothing is to be written: the other one may have had the same.
-    other.kept = {"LEVEL": 1.0, "COLOUR": 2.0}
-    assert restore(other) == ["lamp.l: whether it is the device of one cannot be known: that stays kept"]
-    assert [entry.when for entry in kept.entries()] == ["one"]
-    assert restore(mine) == []
-    assert mine.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
-    assert kept.entries() == []
-
-
-def test_what_was_never_written_needs_no_yes_and_is_kept_no_more(kept, restore):
-    lamp = Lamp(writes=0)
-    with pytest.raises(DevicesError):
-        asyncio.run(set_up([lamp.found()], kept, "one", print))
-    assert restore(lamp) == []
-    assert lamp.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
-    assert kept.entries() == []
-
-
-def test_what_has_changed_since_it_was_looked_at_is_not_written(kept, restore):
-    lamp, other = Lamp(), Lamp(serial="no 8")
-    asyncio.run(set_up([lamp.found()], kept, "one", print))
-    other.kept = dict(lamp.kept)
-    changed = restore(lamp, meanwhile=lambda: lamp.kept.update(LEVEL=3.0))
-    assert changed == ["lamp.l: it has changed since it was looked at: nothing was written"]
-    assert lamp.kept == {"LEVEL": 3.0, "COLOUR": 6.0}
-    (stays,) = restore(lamp, meanwhile=lambda: setattr(lamp, "serial", "no 8"))[1:]
-    assert stays.startswith("lamp.l: at lamp is a lamp, no 8 now")
-    assert [entry.when for entry in kept.entries()] == ["one"]
-
-
-def test_nothing_is_kept_or_written_while_one_of_them_is_in_use(kept):
+def test_nothing_is_written_while_a_device_is_in_use(folder):
     lamp, shining = Lamp(), Lamp("shining", in_use=True)
     with pytest.raises(DevicesError, match=r"shining\.l: nothing was written: it shines"):
-        asyncio.run(set_up([lamp.found(), shining.found()], kept, "now", print))
-    assert lamp.kept == {"LEVEL": 1.0, "COLOUR": 2.0}
-    assert not kept.path.exists()
+        set_up(folder, lamp, shining)
+    assert lamp.kept == OLD
+    assert newest_backup(folder) is None
+    shining.in_use = False
+    (entry,) = set_up(folder, shining)
+    shining.in_use = True
+    assert restore(entry, shining)[1] == ["shining.l: nothing was written: it shines"]
+    assert shining.kept == shining.wanted
 
 
-def test_several_at_a_time_lose_no_entry(kept):
-    def add_and_remove(name):
-        for number in range(5):
-            mine = Entry(str(number), name, [], Lamp(name).binding)
-            Kept(kept.path).add([mine])
-            if number % 2:
-                Kept(kept.path).remove(mine)
-
-    with ThreadPoolExecutor() as together:
-        list(together.map(add_and_remove, "abcdefgh"))
-    assert sorted(entry.identity + entry.when for entry in kept.entries()) == [
-        name + when for name in "abcdefgh" for when in "024"
-    ]
-
-
-@pytest.mark.parametrize("text", ["", "{}", '{"version": 2, "entries": []}', "[" * 10000])
-def test_a_file_that_cannot_be_read_is_not_overwritten(kept, text):
-    kept.path.parent.mkdir(mode=0o700)
-    kept.path.write_text(text)
-    with pytest.raises(InputFileError, match=r"setup\.json"):
-        asyncio.run(set_up([Lamp().found()], kept, "now", print))
-    assert kept.path.read_text() == text
+@pytest.mark.parametrize("text", ["", "{}", '{"version": 1, "entries": []}', "[" * 10000])
+def test_a_file_that_cannot_be_read_is_reported(folder, text):
+    folder.mkdir(mode=0o700)
+    path = folder / "setup-1.json"
+    path.write_text(text)
+    with pytest.raises(InputFileError, match=r"setup-1\.json"):
+        read_backup(path)
+    assert write_backup(folder, []) == folder / "setup-2.json"

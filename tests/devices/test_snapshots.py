@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.devices.snapshots import LOST_AFTER, Snapshots
+from lfield.devices.telemetry_snapshots import SILENCE_LIMIT, Snapshots
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import discover
-from lfield.guard.messages import Snapshot
+from lfield.guard.messages import TelemetrySnapshot
 
 TYPES = [(found, name) for found in discover().by_driver.values() for name in found.manifests]
 
@@ -25,10 +25,10 @@ def test_a_device_that_has_fallen_silent_is_lost_soon(installed, device_type):
         safe_state=installed.manifests[device_type].device.safe_states[0],
     )
     snapshots = Snapshots(installed, [binding], clock)
-    assert snapshots.lost_since("a.thing") is None
-    snapshots.take(Snapshot("a.thing", {}, clock.now))
+    assert snapshots.silent_since("a.thing") is None
+    snapshots.on_snapshot(TelemetrySnapshot("a.thing", {}, clock.now))
     heard = clock.monotonic()
-    clock.advance(LOST_AFTER - 0.1)
-    assert snapshots.lost_since("a.thing") is None
+    clock.advance(SILENCE_LIMIT - 0.1)
+    assert snapshots.silent_since("a.thing") is None
     clock.advance(2.2)
-    assert snapshots.lost_since("a.thing") == heard
+    assert snapshots.silent_since("a.thing") == heard

@@ -11,9 +11,9 @@ from lfield.clock import SystemClock
 from lfield.driver.plugins import discover
 from lfield.errors import BindingError
 from lfield.mission import bundle
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.operator.doctor import Finding, endpoints
+from lfield.operator.diagnostics import DiagnosticFinding, endpoints
 
 ROOT = Path(__file__).parents[2]
 #: `driver/file.L` of every shipped resource.
@@ -40,7 +40,7 @@ def stock_mission(folder: Path, include: str) -> Mission:
 @pytest.mark.few(4)
 @pytest.mark.parametrize("include", STOCK)
 def test_it_opens_on_a_fake_of_its_kind(tmp_path: Path, include: str) -> None:
-    found: list[Finding] = []
+    found: list[DiagnosticFinding] = []
     devices = stock_mission(tmp_path, include).bindings.all
     asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
     assert [finding.what for finding in found if finding.state != "ok"] == []
@@ -64,7 +64,7 @@ def test_a_bundle_knows_it_too(tmp_path: Path) -> None:
         (
             "Boat",
             "Mavlink",
-            "one.d: nothing tells what a Boat is, so it is simulated with kind copter; "
+            "one.d: the kind of a Boat is not known, so it is simulated with kind copter; "
             "a devices file chooses another",
         ),
         (
@@ -92,4 +92,4 @@ def test_what_only_a_binding_can_know_is_asked_for(tmp_path: Path) -> None:
     program = "resource Jaw { CanSignals jaw; init(string[] arg) { } }\n"
     with pytest.raises(BindingError) as told:
         mission(tmp_path, program, "Jaw")
-    assert str(told.value) == "one.jaw (CanSignals) needs dbc also on a fake: bind it in a devices file"
+    assert str(told.value) == "one.jaw (CanSignals) needs dbc also when simulated: bind it in a devices file"

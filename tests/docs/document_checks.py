@@ -17,16 +17,16 @@ import yaml as parsed
 from document_blocks import Block, shell_lines
 from msgspec import structs
 
-from lfield.capability.reading.reader import check_files
+from lfield.capability.registry_reader.registry_files import check_files
 from lfield.cli.main import COMMANDS, MODULES
 from lfield.clock import SystemClock
 from lfield.driver.binding import SIMULATED, DeviceBinding
 from lfield.driver.plugins import discover
 from lfield.errors import BindingError, LfieldError, ProgramError
 from lfield.lang.deployment import read_deployment
-from lfield.mission.load import ACCESS, compile_file, load_mission
-from lfield.mission.one_device import devices_in_file
-from lfield.operator.doctor import Finding, endpoints
+from lfield.mission.device_selection import devices_in_file
+from lfield.mission.loader import ACCESS, compile_file, load_mission
+from lfield.operator.diagnostics import DiagnosticFinding, endpoints
 
 Problems = list[str]
 Check = Callable[[Block, Path], Problems]
@@ -148,7 +148,7 @@ def _bound(path: Path) -> list[DeviceBinding]:
 
 def opened(devices: list[DeviceBinding]) -> Problems:
     """What stands against opening these devices, which are on fakes: a watchdog that is too slow, say."""
-    found: list[Finding] = []
+    found: list[DiagnosticFinding] = []
     asyncio.run(endpoints(discover(), devices, SystemClock(), found.append))
     return [f"{finding.what}" for finding in found if finding.state == "problem"]
 

@@ -1,4 +1,4 @@
-"""The walks of the architecture's page lead through files that are there; its rooms are those drawn."""
+"""The architecture page names files and functions that exist; its packages are those of the diagram."""
 
 from __future__ import annotations
 
@@ -13,12 +13,18 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "lfield" / "docs" / "architecture.md"
-PICTURE = PAGE.with_name("rooms.svg")
+PICTURE = PAGE.with_name("packages.svg")
 
 WALKS = ("Text to running", "A hop", "An instruction to wire bytes and back", "A question to an offer")
 
 _STEP = re.compile(r"(\d+)\. \[`([^`]+)`\]\(([^)]+)\) `([^`]+)`: \S")
-_ROOM = re.compile(r"\| `(\w+)` \|")
+_PACKAGE = re.compile(r"\| `(\w+)` \|")
+
+
+#: A row of the table of places: topic, module with link, class or method.
+_PLACE = re.compile(r"\| [^|]+ \| \[`([^`]+)`\]\(([^)]+)\) \| `([^`]+)` \| [^|]+ \|")
+#: What a reader must find there.
+_TOPICS = ("**hop**", "**stop**", "**lease**", "**revocation**", "**journal write**")
 
 
 class Step(NamedTuple):
@@ -85,19 +91,34 @@ def test_a_walk_leads_through_files_that_are_there(walk: str) -> None:
     assert unknown == []
 
 
+def test_the_table_of_places_names_what_exists() -> None:
+    table = section("Where is it implemented?")
+    rows = [row for row in table.splitlines() if row.startswith("| ")][1:]
+    places = [_PLACE.fullmatch(row) for row in rows]
+    assert [row for row, place in zip(rows, places, strict=True) if place is None] == []
+    wrong = [
+        place[0]
+        for place in places
+        if place
+        and ((PAGE.parent / place[2]).resolve() != ROOT / place[1] or not says(ROOT / place[1], place[3]))
+    ]
+    assert wrong == []
+    assert [topic for topic in _TOPICS if topic not in table] == []
+
+
 def test_there_are_no_other_walks() -> None:
     headings = re.findall(r"^### (.+)$", section("Four walks"), re.MULTILINE)
     assert headings == list(WALKS)
 
 
-def test_the_table_has_the_rooms_of_the_picture() -> None:
-    listed = _ROOM.findall(section("The rooms"))
+def test_the_table_has_the_packages_of_the_diagram() -> None:
+    listed = _PACKAGE.findall(section("Packages"))
     drawn = re.findall(r"<text[^>]*>([^<]+)</text>", PICTURE.read_text(encoding="utf-8"))
     assert sorted(listed) == sorted(drawn)
 
 
-def test_the_page_shows_the_picture() -> None:
-    assert f"]({PICTURE.name})" in section("The rooms")
+def test_the_page_shows_the_diagram() -> None:
+    assert f"]({PICTURE.name})" in section("Packages")
 
 
 def test_names_are_looked_for_where_they_are_defined(tmp_path: Path) -> None:

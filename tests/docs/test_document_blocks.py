@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import io
 import os
+import shlex
 import shutil
 import signal
 import subprocess
 import sys
 import tempfile
-from contextlib import suppress
+from contextlib import redirect_stderr, redirect_stdout, suppress
 from pathlib import Path
 
 import pytest
@@ -17,8 +19,9 @@ from document_checks import missing_lines, opened, problems_of, wanted_status
 from document_exceptions import EXCEPTIONS, FILES
 from msgspec import structs
 
+from lfield.cli.main import main
 from lfield.driver.binding import DeviceBinding
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 
 pytestmark = pytest.mark.process
@@ -28,6 +31,14 @@ BLOCKS = blocks_by_page()
 REAL = sorted((ROOT / "sim-adapters/real").rglob("*.devices.yaml"))
 #: Seconds for a line to end.
 PATIENCE = 60.0
+#: Subcommands that start no process: they run in this one.
+IN_PROCESS = frozenset({"build", "capabilities", "check", "inspect", "keys", "query", "sign"})
+_RUNS: dict[str, tuple[int | str, str]] = {}
+#: Pages whose lines run a mission in processes. The same missions run on virtual time beside their pages, and
+#: the README runs that of examples/10-client-server in processes.
+REAL_TIME = {
+    f"examples/{name}/README.md" for name in ("11-multiple-tiers", "12-peer-to-peer", "15-tuple-space")
+}
 #: What commands of the documents name, from the root of the repository.
 NAMED = ("examples", "deploy", "capabilities")
 
@@ -52,7 +63,34 @@ def prepare(page: str, folder: Path) -> None:
 
 
 def run(line: str, folder: Path) -> tuple[int | str, str]:
-    """Run a command line; its status and all that it prints. What it leaves behind is ended with it."""
+    """Run a command line; its status and all that it prints."""
+    commands = [shlex.split(each, comments=True) for each in line.split(" && ")]
+    if all(words[0] == "lfield" and words[1] in IN_PROCESS for words in commands):
+        return run_here(commands, folder)
+    # What depends on no file of the page is run once, for all pages that show it.
+    known = without_comment(line)
+    if not known.startswith("lfield up --deploy examples/"):
+        return run_in_shell(line, folder)
+    if known not in _RUNS:
+        _RUNS[known] = run_in_shell(line, folder)
+    return _RUNS[known]
+
+
+def run_here(commands: list[list[str]], folder: Path) -> tuple[int | str, str]:
+    """Run commands of lfield in this process, until one fails."""
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(said), redirect_stderr(said):
+        patch.chdir(folder)
+        patch.setenv("HOME", str(folder))
+        patch.setenv("XDG_CONFIG_HOME", str(folder / ".config"))
+        for _, *words in commands:
+            if status := main([str(Path(word).expanduser()) for word in words]):
+                break
+    return status, said.getvalue()
+
+
+def run_in_shell(line: str, folder: Path) -> tuple[int | str, str]:
+    """Run a command line in a shell. What it leaves behind is ended with it."""
     path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
     with tempfile.TemporaryFile() as said:
         shell = subprocess.Popen(
@@ -108,11 +146,24 @@ def test_every_block_is_what_it_says(page: str, scratch: Path) -> None:
     assert not problems, "\n".join(problems)
 
 
-@pytest.mark.parametrize("page", [page for page, blocks in BLOCKS.items() if any(map(lines_of, blocks))])
-def test_every_line_runs(page: str, scratch: Path) -> None:
-    prepare(page, scratch)
-    problems = played(page, scratch)
+PLAYED = [page for page, blocks in BLOCKS.items() if any(map(lines_of, blocks))]
+
+
+def play(page: str, folder: Path) -> None:
+    prepare(page, folder)
+    problems = played(page, folder)
     assert not problems, "\n".join(problems)
+
+
+@pytest.mark.parametrize("page", [page for page in PLAYED if page not in REAL_TIME])
+def test_every_line_runs(page: str, scratch: Path) -> None:
+    play(page, scratch)
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("page", sorted(REAL_TIME))
+def test_every_line_of_a_mission_in_real_time_runs(page: str, scratch: Path) -> None:
+    play(page, scratch)
 
 
 @pytest.mark.parametrize("page", EXCEPTIONS)

@@ -6,10 +6,10 @@ from pathlib import Path
 import pytest
 
 import lfield
-from lfield.host.sight import budget, stream, watcher
-from lfield.host.watching import watchers
+from lfield.host.events import event_log, event_rate_limit, event_subscription
+from lfield.host.subscriptions import subscription_server
 from lfield.wire.events import KINDS, TELEMETRY
-from lfield.wire.watching import MAX_RATE, WINDOW
+from lfield.wire.subscription_messages import MAX_RATE, WINDOW
 
 PAGE = Path(lfield.__file__).parent.joinpath("docs", "events.md").read_text(encoding="utf-8")
 
@@ -32,7 +32,7 @@ def test_the_page_has_every_kind_with_its_fields(section, kinds):
 
 def test_the_page_says_what_is_kept_apart():
     apart = PAGE.split("very often (")[1].split(")")[0]
-    assert {KINDS[kind] for kind in re.findall(r"`(\w+)`", apart)} == stream.OFTEN
+    assert {KINDS[kind] for kind in re.findall(r"`(\w+)`", apart)} == event_log.FREQUENT
 
 
 def told(allowance):
@@ -42,19 +42,19 @@ def told(allowance):
 
 def test_the_bounds_of_the_page_are_those_of_the_code():
     bounds = PAGE.split("## Bounds\n")[1]
-    assert budget.HOPS == budget.PORTALS
+    assert event_rate_limit.MIGRATIONS == event_rate_limit.PORTALS
     for bound in (
-        f"| {stream.MOST_EVENTS}, and {stream.MOST_BYTES >> 20} MiB",
-        f"| {stream.SELDOM_EVENTS}, and {stream.SELDOM_BYTES >> 20} MiB",
-        f"| {WINDOW}, of {watcher.BATCH_BYTES >> 10} KiB",
-        f"not read for {watcher.PATIENCE:g} s",
-        f"one host | {watchers.MOST};",
-        f"| prints | {told(budget.PRINTS)}; one longer than {budget.PIECE} characters",
-        f"| hops, and portal calls, while watched | {told(budget.HOPS)} of each |",
-        f"| hops while nobody watches | {told(budget.HOPS_UNWATCHED)} |",
-        f"| instructions to devices | {told(budget.INSTRUCTIONS)} |",
+        f"| {event_log.MAX_FREQUENT_EVENTS}, and {event_log.MAX_FREQUENT_BYTES >> 20} MiB",
+        f"| {event_log.RARE_EVENTS}, and {event_log.RARE_BYTES >> 20} MiB",
+        f"| {WINDOW}, of {event_subscription.BATCH_BYTES >> 10} KiB",
+        f"not read for {event_subscription.READ_TIMEOUT:g} s",
+        f"one host | {subscription_server.MAX_SUBSCRIPTIONS};",
+        f"| prints | {told(event_rate_limit.PRINTS)}; one longer than {event_rate_limit.PIECE} characters",
+        f"| hops, and portal calls, while watched | {told(event_rate_limit.MIGRATIONS)} of each |",
+        f"| hops without subscribers | {told(event_rate_limit.MIGRATIONS_UNOBSERVED)} |",
+        f"| instructions to devices | {told(event_rate_limit.INSTRUCTIONS)} |",
     ):
         assert bound in bounds
     assert f"at most {MAX_RATE:g} times a second" in PAGE
-    assert f"{1 / watcher.LEAST:g} times a second at most" in PAGE
-    assert f"for {watchers.LINGER:g} s after the last" in PAGE
+    assert f"{1 / event_subscription.MIN_INTERVAL:g} times a second at most" in PAGE
+    assert f"for {subscription_server.LINGER:g} s after the last" in PAGE

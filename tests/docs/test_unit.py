@@ -8,12 +8,12 @@ from configparser import RawConfigParser
 from document_blocks import ROOT
 from document_checks import understand
 
-from lfield import exits
+from lfield import exit_status
 from lfield.driver.binding import longest_rest
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 
 #: A host that ended so may find it mended at the next start, or goes on from what it has kept.
-AGAIN = {exits.UNAVAILABLE, exits.SOFTWARE, exits.INPUT_OUTPUT}
+AGAIN = {exit_status.UNAVAILABLE, exit_status.SOFTWARE, exit_status.INPUT_OUTPUT}
 
 
 def unit() -> RawConfigParser:
@@ -27,9 +27,9 @@ def unit() -> RawConfigParser:
 def test_only_what_a_restart_may_mend_is_restarted():
     service = unit()["Service"]
     assert service["Restart"] == "on-failure"
-    every = {value for name, value in vars(exits).items() if name.isupper() and isinstance(value, int)}
+    every = {value for name, value in vars(exit_status).items() if name.isupper() and isinstance(value, int)}
     kept_down = {int(word) for word in service["RestartPreventExitStatus"].split()}
-    assert kept_down == every - AGAIN - {exits.DONE}
+    assert kept_down == every - AGAIN - {exit_status.DONE}
 
 
 def test_restarts_that_do_not_help_come_to_an_end():

@@ -11,7 +11,7 @@ from lfield.driver import Device, DeviceBinding
 from lfield.driver.device import check_methods
 from lfield.driver.manifest_file import load_manifest
 from lfield.errors import PluginError
-from lfield.testing.reports import KeptReports
+from lfield.testing.kept_reports import KeptReports
 
 MANIFEST = load_manifest(
     "lamp.yaml",
@@ -73,7 +73,7 @@ class Shade(Neck):
 @pytest.mark.parametrize(
     ("parts", "words"),
     [
-        ((Neck, Neck), "Neck and Neck both define do_turn: 'turn' must be carried out in one place"),
+        ((Neck, Neck), "Neck and Neck both define do_turn: 'turn' must be implemented once"),
         ((Shade,), "Lamp and Shade both define do_release"),
     ],
 )

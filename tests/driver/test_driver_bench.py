@@ -6,7 +6,6 @@ import asyncio
 import os
 import subprocess
 import sys
-from functools import partial
 from importlib import import_module
 from pathlib import Path
 
@@ -43,7 +42,9 @@ def lamp(project, monkeypatch):
     monkeypatch.syspath_prepend(str(project))
     monkeypatch.syspath_prepend(str(project / "tests"))
     yield import_module("test_lamp")
-    for name in [name for name in sys.modules if name.split(".")[0] in ("test_lamp", "lfield_lamp")]:
+    for name in [
+        name for name in sys.modules if name.split(".")[0] in ("test_lamp", "memory_wire", "lfield_lamp")
+    ]:
         del sys.modules[name]
 
 
@@ -55,10 +56,8 @@ def fake(lamp):
 @pytest.fixture
 def make_bench(lamp, fake):
     def make(*fields, fakes=(fake.live,), **given):
-        bindings = [bind(lamp.PLUGIN, field=field, endpoint="tcp:memory:1", **given) for field in fields]
-        return DriverBench(
-            lamp.PLUGIN, *bindings, make=partial(lamp.LampDriver, connect=fake.connect), fakes=fakes
-        )
+        bindings = [bind(lamp.PLUGIN, field=field, endpoint=fake.ENDPOINT, **given) for field in fields]
+        return DriverBench(lamp.PLUGIN, *bindings, make=fake.driver, fakes=fakes)
 
     return make
 
@@ -127,7 +126,7 @@ def test_what_does_not_become_so_is_told_with_what_was_seen(make_bench):
         await bench.until(lambda: bench.values["value"] > 1.0, 5.0)
 
     with pytest.raises(
-        AssertionError, match=r"not so within 5 s: {'bench.device': {'value': 0.0, 'moving': "
+        AssertionError, match=r"did not hold within 5 s: {'bench.device': {'value': 0.0, 'moving': "
     ):
         bench.run(story)
 
@@ -142,7 +141,7 @@ def test_a_driver_that_breaks_where_nobody_waits_has_failed(make_bench):
         bench.driver.spawn(stumble())
         await asyncio.sleep(1.0)
 
-    with pytest.raises(AssertionError, match=r"broken meanwhile: ValueError\('stumbled'\)"):
+    with pytest.raises(AssertionError, match=r"failed meanwhile: ValueError\('stumbled'\)"):
         bench.run(story)
 
 
@@ -190,7 +189,7 @@ def test_a_fake_as_a_process_and_its_device_in_real_time_and_behind_a_guard():
                 assert await wrist.reads("torqueOn", lambda on: on is False) is False
                 assert fake.fault("hot@arm.wrist=true")["devices"] == {"1": "arm.wrist"}
                 with pytest.raises(CheckFailed, match=r"waited 0\.1 s for the note 'nobody says this'"):
-                    await wrist.told("nobody says this", 0.1)
+                    await wrist.until_note("nobody says this", 0.1)
                 assert wrist.guard_pid > 0
 
         asyncio.run(story())

@@ -10,8 +10,8 @@ import pytest
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.kit import run_kit
-from lfield.driver.kit_checks import endpoint_check
 from lfield.driver.plugin import Plugin, load_plugin
+from lfield.driver.standard_checks import endpoint_check
 from lfield.errors import DeviceError, PluginError
 
 ENDPOINTS = {
@@ -126,9 +126,9 @@ class Open:
 @pytest.mark.parametrize(
     ("function", "endpoint", "outcome", "seen"),
     [
-        ("parse", "thing:1", "passed", "what is none is told before anything is opened"),
-        ("parse", "other:1", "failed", "it is open, and told to be none: write thing:NUMBER"),
-        ("anything", "thing:1", "failed", "it takes '' for an endpoint"),
+        ("parse", "thing:1", "passed", "invalid endpoints are refused before anything is opened"),
+        ("parse", "other:1", "failed", "it is open, but its endpoint is refused: write thing:NUMBER"),
+        ("anything", "thing:1", "failed", "it accepts '' as an endpoint"),
     ],
 )
 def test_the_kit_asks_it(function, endpoint, outcome, seen):

@@ -8,8 +8,8 @@ import pytest
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.kit import CheckFailed, Kit, run_kit
-from lfield.driver.kit_checks import KIT as STANDARD
 from lfield.driver.manifest_file import load_manifest
+from lfield.driver.standard_checks import KIT as STANDARD
 from lfield.errors import DeviceError
 
 MANIFEST = load_manifest(
@@ -88,7 +88,7 @@ def test_a_device_that_keeps_its_promises_passes_everything():
     found = findings(Pretended())
     assert {finding.outcome for finding in found.values()} == {"passed"}
     assert found["identity"].seen == "a servo at here"
-    assert found["telemetry"].seen == "1 quantities (not heat), heard 250 ms ago"
+    assert found["telemetry"].seen == "1 quantities (not heat), last message 250 ms ago"
 
 
 @pytest.mark.parametrize(
@@ -96,12 +96,12 @@ def test_a_device_that_keeps_its_promises_passes_everything():
     [
         ("telemetry", "telemetry", "it does not report angle"),
         ("type", "telemetry", "'north' is not a real"),
-        ("nan", "what is no number is refused", "turn(nan) was carried out"),
-        ("latch", "the safe state is latched until release", "turn(0.0) was carried out"),
-        ("release", "the safe state is latched until release", "waited for the latch to be off"),
+        ("nan", "non-finite numbers are refused", "turn(nan) was executed"),
+        ("latch", "the safe state is latched until release", "turn(0.0) was executed"),
+        ("release", "the safe state is latched until release", "waited for the latch to be released"),
         ("rest", "it comes to rest in its safe state", "it was not at rest within 120 s: turning"),
-        ("death", "a guard that dies comes back safe", "waited for 'off' to be confirmed"),
-        ("silence", "a host that hangs", "waited for 'off' to be confirmed"),
+        ("death", "the safe state follows the death of a guard", "waited for 'off' to be confirmed"),
+        ("silence", "a host that stops responding", "waited for 'off' to be confirmed"),
     ],
 )
 def test_each_broken_promise_is_told(breaks, check, words):

@@ -8,19 +8,19 @@ from types import SimpleNamespace
 
 import pytest
 
-from lfield.driver.known import (
+from lfield.driver.driver_index import (
     GROUP,
-    KnownDriver,
-    KnownDrivers,
+    DriverIndex,
+    DriverInfo,
     ManifestFile,
-    installed_here,
+    installed_drivers,
 )
 from lfield.driver.plugin import check_same
 from lfield.driver.plugins import discover
 from lfield.errors import PluginError
 
-SERVO = KnownDriver("servo", "lfield_servo:PLUGIN", {}, {}, "lfield-servo 1.2")
-KNOWN = KnownDrivers({"servo": SERVO})
+SERVO = DriverInfo("servo", "lfield_servo:PLUGIN", {}, {}, "lfield-servo 1.2")
+KNOWN = DriverIndex({"servo": SERVO})
 
 
 def entry(name: str, reference: str) -> EntryPoint:
@@ -28,7 +28,7 @@ def entry(name: str, reference: str) -> EntryPoint:
 
 
 def here(*entries: EntryPoint) -> str:
-    return installed_here(KNOWN, ["servo"], entries).by_driver["servo"].reference
+    return installed_drivers(KNOWN, ["servo"], entries).by_driver["servo"].reference
 
 
 def test_a_driver_is_found_by_its_name_and_else_by_where_it_was() -> None:
@@ -38,26 +38,26 @@ def test_a_driver_is_found_by_its_name_and_else_by_where_it_was() -> None:
 
 
 def test_a_driver_that_is_not_installed_says_what_to_install() -> None:
-    with pytest.raises(PluginError, match=r"driver 'servo' is not installed here: install lfield-servo 1\.2"):
+    with pytest.raises(PluginError, match=r"driver 'servo' is not installed: install lfield-servo 1\.2"):
         here(entry("winch", "lfield_winch:PLUGIN"))
 
 
 def test_drivers_that_no_device_here_needs_are_not_looked_for() -> None:
-    assert installed_here(KNOWN, [], [entry("servo", "x:Y")]).by_driver == {}
+    assert installed_drivers(KNOWN, [], [entry("servo", "x:Y")]).by_driver == {}
 
 
 def test_what_is_known_of_the_installed_drivers() -> None:
     can = discover().by_driver["can"]
     assert can.distribution.startswith("lfield ")
-    assert can.only({"CanAxis"}).manifests.keys() == can.only({"CanAxis"}).files.keys() == {"CanAxis"}
+    assert (
+        can.for_types({"CanAxis"}).manifests.keys() == can.for_types({"CanAxis"}).files.keys() == {"CanAxis"}
+    )
     assert can.files["CanAxis"].name == "axis.yaml"
     check_same(can, can.plugin)
 
 
 def test_a_driver_with_another_manifest_is_refused() -> None:
-    known = KnownDriver("servo", "x:Y", {}, {"Servo": ManifestFile("servo.yaml", bytes(32))}, "")
+    known = DriverInfo("servo", "x:Y", {}, {"Servo": ManifestFile("servo.yaml", bytes(32))}, "")
     check_same(known, SimpleNamespace(manifest_digest=lambda file: bytes(32)))
-    with pytest.raises(
-        PluginError, match=r"\(servo.yaml differs\): install the package of x:Y here, or build"
-    ):
+    with pytest.raises(PluginError, match=r"\(servo.yaml differs\): install the package of x:Y, or build"):
         check_same(known, SimpleNamespace(manifest_digest=lambda file: b"\1" * 32))

@@ -97,11 +97,16 @@ def test_what_a_driver_for_a_team_needs_besides():
         (b"type: Servo", b"type: servo", "m.yaml:2:7: error[Y113]: 'servo' cannot be a name in L here"),
         (b"[hold, off]", b"[]", "error[Y110]: a manifest needs at least one safe state"),
         (b"  turn:", b"  Turn:", "m.yaml:10:3: error[Y113]: 'Turn' cannot be a name in L here"),
-        (b"type: real, unit: rad}}", b"type: float}}", "error[Y113]: 'type' is one of boolean, int, real"),
+        (
+            b"type: real, unit: rad}}",
+            b"type: float}}",
+            "error[Y113]: 'type' must be one of boolean, int, real",
+        ),
+        (b"type: real, unit: rad}}", b"type: real, unit: banana}}", "Y113]: 'banana' is not a unit"),
         (
             b"blocking: true, meaning: turns",
             b"blockin: true",
-            "m.yaml:10:56: error[Y111]: 'turn' takes no 'blockin'",
+            "m.yaml:10:56: error[Y111]: 'turn' has no key 'blockin'",
         ),
         (
             b"  angle: {type: real, unit: rad, max",
@@ -109,19 +114,19 @@ def test_what_a_driver_for_a_team_needs_besides():
             "'turn' is already an instruction",
         ),
         (b"  push:", b"  release:", "'release' is already an instruction of this device type"),
-        (b"effect: query, blocking: true", b"effect: query", "'ask' is a query that asks nobody"),
-        (b", cancel: stop", b"", "m.yaml:10:3: error[Y110]: 'turn' does not say what a cancel of it does"),
+        (b"effect: query, blocking: true", b"effect: query", "'ask' is a query that does not ask the device"),
+        (b", cancel: stop", b"", "m.yaml:10:3: error[Y110]: 'turn' does not declare the effect of a cancel"),
         (b"cancel: stop", b"cancel: halt", "m.yaml:10:96: error[Y113]: there is no other instruction 'halt'"),
         (b"cancel: stop", b"cancel: turn", "there is no other instruction 'turn'"),
-        (b"cancel: stop", b"cancel: push", "'push' has parameters, and nobody knows which to give it"),
+        (b"cancel: stop", b"cancel: push", "'push' has parameters"),
         (b"cancel: stop", b"cancel: angle", "there is no other instruction 'angle'"),
-        (b"cancel: stop", b"cancel: look", "'look' does not act and wait until that is done"),
-        (b"cancel: stop", b"cancel: dim", "'dim' is of the channel light, and 'turn' of motion"),
-        (b"result: int,", b"result: int, cancel: never,", "'ask' has nothing to cancel: only what blocks"),
-        (b"{torque: {type: real, unit: N m}}", b"{}, cancel: leave", "'push' has nothing to cancel"),
+        (b"cancel: stop", b"cancel: look", "'look' is not a blocking instruction that acts"),
+        (b"cancel: stop", b"cancel: dim", "'dim' is on channel light, but 'turn' is on motion"),
+        (b"result: int,", b"result: int, cancel: never,", "'ask' cannot be cancelled: only a blocking"),
+        (b"{torque: {type: real, unit: N m}}", b"{}, cancel: leave", "'push' cannot be cancelled"),
         (b"max_age: 0.5", b"max_age: 0", "'max_age' must be at least 0.001, not 0"),
-        (b"unit: rad/s}", b"unit: rad/s, min: 1}", "'speed' takes no 'min'"),
-        (b"limits:\n", b"fakes: {any: {id: 3, wings: 2}}\nlimits:\n", "'any' takes no 'wings'"),
+        (b"unit: rad/s}", b"unit: rad/s, min: 1}", "'speed' has no key 'min'"),
+        (b"limits:\n", b"fakes: {any: {id: 3, wings: 2}}\nlimits:\n", "'any' has no key 'wings'"),
     ],
 )
 def test_mistakes_are_drawn_at_their_place(old, new, drawn):
@@ -181,9 +186,9 @@ def test_a_pure_sensor_needs_no_safe_state(written):
 
 
 def test_what_acts_needs_one():
-    with pytest.raises(PluginError, match=r"at least one safe state, since dim\(\) acts") as error:
+    with pytest.raises(PluginError, match=r"at least one safe state because dim\(\) acts") as error:
         load_manifest(
             "m.yaml",
             EYE.replace(b"  ask:", b"  dim: {effect: idempotent, blocking: true, cancel: never}\n  ask:"),
         )
-    assert "a sensor needs none" in str(error.value)
+    assert "only if all instructions are queries" in str(error.value)

@@ -84,7 +84,7 @@ def test_broken_plugins_do_not_stop_the_others(plugin_at):
         "error[Y101]",
         "has the manifest of 'p'",
         "not_there",
-        "is not a lfield.driver.Plugin",
+        "is not an lfield.driver.Plugin",
     ):
         assert words in told
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import grp
 import os
 import pty
 import sys
@@ -47,7 +48,7 @@ def far(tmp_path):
 
 
 async def until(condition) -> None:
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while not condition():
             await asyncio.sleep(0.002)
 
@@ -85,7 +86,7 @@ def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
             line.send(b"x")
         far.plug()
         await until(lambda: len(far.notes) == 2)
-        assert far.notes[1] == f"{far.path} is open again"
+        assert far.notes[1] == f"serial port {far.path} open again"
         os.write(far.master, b"again\n")
         await until(lambda: far.frames == [b"again"])
         line.close()
@@ -110,12 +111,12 @@ def test_a_port_has_one_owner(far):
 
 @pytest.mark.parametrize("endpoint", ["serial:/dev/x", "serial::9600", "tcp:a:1", "serial:/dev/x:0", ""])
 def test_endpoints_that_are_none(endpoint):
-    with pytest.raises(DeviceError, match="is not an endpoint; write serial:PATH:BAUD"):
+    with pytest.raises(DeviceError, match="is not a serial endpoint; write serial:PATH:BAUD"):
         parse_serial_endpoint(endpoint)
 
 
 @pytest.mark.parametrize(
-    ("path", "words"), [("/dev/nothing-there", "No such file"), ("/dev/null", "it is no serial port")]
+    ("path", "words"), [("/dev/nothing-there", "No such file"), ("/dev/null", "it is not a serial port")]
 )
 def test_what_cannot_be_opened(path, words):
     async def opened():
@@ -123,6 +124,26 @@ def test_what_cannot_be_opened(path, words):
 
     with pytest.raises(DeviceError, match=f"cannot open serial:{path}:9600: {words}"):
         asyncio.run(opened())
+
+
+def test_no_permission_names_the_group_the_command_and_the_new_login(tmp_path, monkeypatch):
+    path = tmp_path / "ttyUSB0"
+    path.touch()
+    group = grp.getgrgid(path.stat().st_gid).gr_name
+
+    def refused(*_args, **_options):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("lfield.driver.serial.serial_port._pyserial", lambda: refused)
+
+    async def opened():
+        SerialPort(str(path), 9600, None).open()
+
+    with pytest.raises(DeviceError) as error:
+        asyncio.run(opened())
+    assert "no permission" in error.value.reason
+    assert f"sudo usermod -aG {group} $USER" in error.value.reason
+    assert "log in again" in error.value.reason
 
 
 def test_without_pyserial_the_extra_is_named(monkeypatch):
@@ -144,12 +165,12 @@ def test_what_keeps_a_port_from_being_opened_again_is_logged_once(far, monkeypat
         rival.open()
         await until(lambda: any("in use by another program" in note for note in far.notes))
         rival.close()
-        await until(lambda: far.notes[-1] == f"{far.path} is open again")
+        await until(lambda: far.notes[-1] == f"serial port {far.path} open again")
         os.write(far.master, b"hello\n")
         await until(lambda: far.frames == [b"hello"])
         line.close()
 
-    monkeypatch.setattr("lfield.driver.serial.port.AGAIN", 0.01)
+    monkeypatch.setattr("lfield.driver.serial.serial_port.REOPEN_INTERVAL", 0.01)
     asyncio.run(story())
     assert sum("No such file" in note for note in far.notes) == 1
     assert sum("in use" in note for note in far.notes) == 1

@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from lfield.clock import ManualClock
 from lfield.driver import Device, DeviceBinding, DeviceError, Placement, Pose
-from lfield.driver.frame import turned
+from lfield.driver.frame import rotated
 from lfield.driver.manifest_file import load_manifest
 from lfield.errors import PluginError
-from lfield.testing.reports import KeptReports
+from lfield.testing.kept_reports import KeptReports
 
 MANIFEST = b"""
 driver: cart
@@ -93,7 +93,7 @@ def test_a_pose_changes_no_distance(pose, one, other):
 
 @given(way=ways, heading=st.floats(-math.tau, math.tau))
 def test_who_turns_sees_a_way_turned_by_as_much(way, heading):
-    north, east, down = turned(way, heading)
+    north, east, down = rotated(way, heading)
     assert math.hypot(north, east) == pytest.approx(math.hypot(*way[:2]), abs=1e-8)
     assert down == way[2]
     if math.hypot(north, east) > 1e-3:
@@ -146,9 +146,7 @@ def test_who_does_not_know_where_it_is_tells_no_place_and_goes_to_none():
     cart = Cart(Placement())
     cart.publish(position=[0.0, 0.0, 0.0], heading=0.0, battery=0.5)
     assert cart.kept.values == {"battery": 0.5}
-    with pytest.raises(
-        DeviceError, match=r"goTo refused: it does not know yet where it is in the team's frame"
-    ):
+    with pytest.raises(DeviceError, match=r"goTo refused: the position in the team's frame is not known yet"):
         run(cart, "goTo", 0.0, 0.0)
     assert cart.told is None
     assert run(cart, "wait", 2.5) == (2.5,)
@@ -156,9 +154,9 @@ def test_who_does_not_know_where_it_is_tells_no_place_and_goes_to_none():
 
 def test_only_numbers_can_be_about_a_frame():
     wrong = MANIFEST.replace(b"battery: {type: real}", b"battery: {type: int, frame: place}")
-    with pytest.raises(PluginError, match="a int is no place"):
+    with pytest.raises(PluginError, match="the type int cannot be a place"):
         load_manifest("cart.yaml", wrong)
-    with pytest.raises(PluginError, match="'frame' is one of place, direction, heading"):
+    with pytest.raises(PluginError, match="'frame' must be one of place, direction, heading"):
         load_manifest("cart.yaml", MANIFEST.replace(b"frame: heading", b"frame: hedding"))
 
 

@@ -81,7 +81,7 @@ def test_a_pulled_plug_is_told_once_and_it_comes_back_still(desk, chain, run):
         # Longer than its watchdog: the servo has stopped by itself when the plug is back.
         await asyncio.sleep(1.5)
         chain.fault("unplug=false")
-        await bench.until(lambda: any("answers again" in note for note in bench.notes))
+        await bench.until(lambda: any("responding again" in note for note in bench.notes))
         assert sum("is gone" in note for note in bench.notes) == 1
         assert any("torque on, stopped by its watchdog" in note for note in bench.notes)
         await servo.execute("release", [])

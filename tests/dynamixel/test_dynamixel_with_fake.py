@@ -65,8 +65,8 @@ def test_two_drivers_for_one_port(chain):
     ("endpoint", "match"),
     [
         ("serial:/dev/nothing-there:57600", "cannot open serial:/dev/nothing-there:57600: No such file"),
-        ("serial:/dev/null:fast", "is not an endpoint; write serial:PATH:BAUD"),
-        ("tcp:localhost:1", "is not an endpoint"),
+        ("serial:/dev/null:fast", "is not a serial endpoint; write serial:PATH:BAUD"),
+        ("tcp:localhost:1", "is not a serial endpoint"),
     ],
 )
 def test_an_endpoint_that_is_none(endpoint, match):

@@ -1,9 +1,15 @@
-"""Each golden program on the reference engine, and on two that take turns and are compared at every exit."""
+"""Each golden program on two engines that take turns and are compared; or on the reference engine."""
 
 from __future__ import annotations
 
 import pytest
+from parametrized_cases import engines
 
-from lfield.testing.engines import either_engine
+from switching_engine import either_engine
 
-engine = pytest.fixture(autouse=True, params=["reference", "both"])(either_engine)
+engine = pytest.fixture(autouse=True)(either_engine)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "engine" in metafunc.fixturenames:
+        metafunc.parametrize("engine", engines(metafunc.config), indirect=True)

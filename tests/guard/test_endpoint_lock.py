@@ -12,7 +12,7 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield.guard import endpoint_lock
-from lfield.guard.endpoint_lock import EndpointLock, Place, places
+from lfield.guard.endpoint_lock import EndpointLock, EndpointTarget, endpoint_targets
 
 #: Takes a lock, says so, and keeps it until it is killed.
 HOLDER = """
@@ -20,7 +20,7 @@ import asyncio, sys
 from lfield.guard.endpoint_lock import EndpointLock
 async def main():
     lock = EndpointLock()
-    await lock.take(sys.argv[1])
+    await lock.acquire(sys.argv[1])
     print("held", flush=True)
     await asyncio.sleep(1000)
 asyncio.run(main())
@@ -30,32 +30,32 @@ asyncio.run(main())
 @pytest.mark.parametrize(
     ("endpoint", "expected"),
     [
-        ("udp:10.0.0.1:14550", [Place("udp", "10.0.0.1", 14550)]),
-        ("udpin:0.0.0.0:14550", [Place("udpin", "0.0.0.0", 14550)]),
-        ("tcp:[::1]:5760", [Place("tcp", "::1", 5760)]),
-        ("serial:/dev/ttyUSB0:57600", [Place("device", "/dev/ttyUSB0")]),
-        ("slcan:/dev/ttyUSB0@115200?bitrate=500000", [Place("device", "/dev/ttyUSB0")]),
-        ("serial:/dev/serial/by-id/usb-1:2:57600", [Place("device", "/dev/serial/by-id/usb-1:2")]),
-        ("socketcan:can0?fd=True", [Place("socketcan", "can0")]),
-        ("socketcand:10.0.0.1:29536/can0", [Place("socketcand", "10.0.0.1", 29536, "/can0")]),
-        ("pcan:PCAN_USBBUS1", [Place("pcan", "PCAN_USBBUS1")]),
+        ("udp:10.0.0.1:14550", [EndpointTarget("udp", "10.0.0.1", 14550)]),
+        ("udpin:0.0.0.0:14550", [EndpointTarget("udpin", "0.0.0.0", 14550)]),
+        ("tcp:[::1]:5760", [EndpointTarget("tcp", "::1", 5760)]),
+        ("serial:/dev/ttyUSB0:57600", [EndpointTarget("device", "/dev/ttyUSB0")]),
+        ("slcan:/dev/ttyUSB0@115200?bitrate=500000", [EndpointTarget("device", "/dev/ttyUSB0")]),
+        ("serial:/dev/serial/by-id/usb-1:2:57600", [EndpointTarget("device", "/dev/serial/by-id/usb-1:2")]),
+        ("socketcan:can0?fd=True", [EndpointTarget("socketcan", "can0")]),
+        ("socketcand:10.0.0.1:29536/can0", [EndpointTarget("socketcand", "10.0.0.1", 29536, "/can0")]),
+        ("pcan:PCAN_USBBUS1", [EndpointTarget("pcan", "PCAN_USBBUS1")]),
         ("virtual:bus", []),
         (
             "udp:10.0.0.1:14550, serial:/dev/ttyUSB0:57600",
-            [Place("udp", "10.0.0.1", 14550), Place("device", "/dev/ttyUSB0")],
+            [EndpointTarget("udp", "10.0.0.1", 14550), EndpointTarget("device", "/dev/ttyUSB0")],
         ),
         ("nonsense", []),
         ("", []),
     ],
 )
 def test_what_an_endpoint_leads_to(endpoint, expected):
-    assert places(endpoint) == expected
+    assert endpoint_targets(endpoint) == expected
 
 
 async def refusal(endpoint: str) -> str:
     lock = EndpointLock()
     try:
-        await lock.take(endpoint)
+        await lock.acquire(endpoint)
     except DeviceError as error:
         return error.reason
     finally:
@@ -65,8 +65,8 @@ async def refusal(endpoint: str) -> str:
 
 @pytest.fixture
 def impatient(monkeypatch):
-    monkeypatch.setattr(endpoint_lock, "PATIENCE", 0.05)
-    monkeypatch.setattr(endpoint_lock, "AGAIN", 0.01)
+    monkeypatch.setattr(endpoint_lock, "LOCK_TIMEOUT", 0.05)
+    monkeypatch.setattr(endpoint_lock, "RETRY_AFTER", 0.01)
 
 
 @pytest.fixture
@@ -94,9 +94,9 @@ def port(tmp_path):
 def test_one_place_has_one_owner(held, wanted, refused):
     async def story() -> None:
         lock = EndpointLock()
-        await lock.take(held)
+        await lock.acquire(held)
         said = await refusal(wanted)
-        assert (f"{wanted} is in use by process {os.getpid()}, which" in said) is refused
+        assert (f"{wanted} is in use by process {os.getpid()}, started by" in said) is refused
         lock.release()
         assert await refusal(wanted) == ""
 
@@ -107,7 +107,7 @@ def test_one_place_has_one_owner(held, wanted, refused):
 def test_a_device_is_the_same_under_every_name(port):
     async def story() -> None:
         lock = EndpointLock()
-        await lock.take(f"serial:{port[0]}:57600")
+        await lock.acquire(f"serial:{port[0]}:57600")
         assert "is in use by process" in await refusal(f"slcan:{port[1]}@115200")
         lock.release()
 
@@ -121,12 +121,12 @@ def test_another_process_is_named_and_its_death_frees_the_endpoint(hangs, monkey
     with subprocess.Popen([sys.executable, "-c", HOLDER, endpoint], stdout=subprocess.PIPE) as holder:
         try:
             assert holder.stdout.readline() == b"held\n"
-            monkeypatch.setattr(endpoint_lock, "PATIENCE", 0.2)
+            monkeypatch.setattr(endpoint_lock, "LOCK_TIMEOUT", 0.2)
             if hangs:
                 holder.send_signal(signal.SIGSTOP)
             for _ in range(3):
                 said = asyncio.run(refusal(endpoint))
-                assert f"process {holder.pid}, which process {os.getpid()} has started" in said
+                assert f"process {holder.pid}, started by process {os.getpid()}" in said
         finally:
             holder.kill()
     assert asyncio.run(refusal(endpoint)) == ""

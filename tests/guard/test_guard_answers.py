@@ -11,23 +11,23 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import RELEASE
 from lfield.driver.device import Device
 from lfield.guard.messages import (
-    Allow,
-    Call,
-    Cancel,
-    Done,
+    CallDone,
+    CancelInstruction,
+    ClearStop,
+    GuardCall,
     Latched,
     LockedOut,
-    Open,
+    OpenDevices,
     Refused,
     Released,
-    Safe,
-    Snapshot,
+    RequestSafeState,
+    TelemetrySnapshot,
     encode,
 )
 from lfield.guard.shell import BACKLOG
 from lfield.guard.telemetry import RATE
 from lfield.manifest import Instruction, Quantity
-from lfield.simulate.time import JumpingLoop, LoopClock
+from lfield.simulate.jumping_loop import JumpingLoop, LoopClock
 
 HEIGHT = Quantity("height", "real")
 NAMES = ("rise", "answer", "fail", "crash", "reject", "overshoot", "hover", "tumble")
@@ -93,13 +93,13 @@ def _written(*names, wait=0.0, then=(), unread=0):
         output = Output()
         shell = guard_of(Lift, output)
         shell.data_received(
-            encode(Open([binding], "", 9.0, known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))))
+            encode(OpenDevices([binding], "", 9.0, known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))))
         )
         await asyncio.sleep(2 / RATE)
         output.writes.clear()
         for token, name in enumerate(names, 1):
             now = LoopClock().monotonic()
-            shell.data_received(encode(Call(token, "alpha.thing", name, [], now, now + 9.0)))
+            shell.data_received(encode(GuardCall(token, "alpha.thing", name, [], now, now + 9.0)))
             await asyncio.sleep(0.001)
         output.unread = unread
         for message in then:
@@ -115,13 +115,13 @@ def _written(*names, wait=0.0, then=(), unread=0):
 
 def test_what_a_call_has_changed_comes_before_its_answer_and_with_it():
     ((snapshot, done),) = _written("rise")
-    assert isinstance(snapshot, Snapshot)
+    assert isinstance(snapshot, TelemetrySnapshot)
     assert snapshot.values["height"].value == 2.0
-    assert done == Done(1, None)
+    assert done == CallDone(1, None)
 
 
 def test_that_a_device_has_answered_waits_for_its_turn():
-    assert _written("answer", "answer", "answer") == [[Done(n, None)] for n in (1, 2, 3)]
+    assert _written("answer", "answer", "answer") == [[CallDone(n, None)] for n in (1, 2, 3)]
     *answers, (snapshot,) = _written("answer", "answer", wait=2 / RATE)
     assert len(answers) == 2
     assert (snapshot.device, snapshot.values) == ("alpha.thing", {})
@@ -130,26 +130,28 @@ def test_that_a_device_has_answered_waits_for_its_turn():
 @pytest.mark.parametrize("name", ["fail", "crash", "reject", "overshoot"])
 def test_what_caused_an_exception_comes_before_it_and_with_it(name):
     (snapshot, refused, *rest), *_ = _written(name)
-    assert isinstance(snapshot, Snapshot)
+    assert isinstance(snapshot, TelemetrySnapshot)
     assert snapshot.values["height"].value == 1.0
     assert isinstance(refused, Refused)
     assert all(isinstance(latched, Latched) for latched in rest)
     assert bool(rest) == (name in ("crash", "overshoot"))
 
 
-@pytest.mark.parametrize("end", [Safe("alpha.thing", "somebody says so"), Cancel(1, 0.0)])
+@pytest.mark.parametrize(
+    "end", [RequestSafeState("alpha.thing", "somebody says so"), CancelInstruction(1, 0.0)]
+)
 def test_a_call_that_others_end_has_its_telemetry_first(end):
     writes = _written("hover", then=[end])
     kinds = [type(message) for write in writes for message in write]
-    assert kinds.index(Snapshot) < kinds.index(Refused)
+    assert kinds.index(TelemetrySnapshot) < kinds.index(Refused)
 
 
 def test_a_host_that_does_not_read_gets_the_telemetry_of_an_exception_all_the_same():
     """Periodic telemetry waits, and its newest is not lost; the cause of an exception does not wait."""
-    safe = Safe("alpha.thing", "somebody says so")
+    safe = RequestSafeState("alpha.thing", "somebody says so")
     writes = _written("hover", then=[safe], unread=BACKLOG, wait=3 / RATE)
     told = [message for write in writes for message in write]
-    snapshots = [message for message in told if isinstance(message, Snapshot)]
+    snapshots = [message for message in told if isinstance(message, TelemetrySnapshot)]
     assert [snapshot.values["height"].value for snapshot in snapshots] == [1.0]
     assert told.index(snapshots[0]) < [type(message) for message in told].index(Refused)
 
@@ -165,19 +167,19 @@ def test_a_lock_out_is_kept_until_an_operator_ends_it():
         output = Output()
         shell = guard_of(Lift, output)
         thing = known_thing(*CALLS, RELEASE, telemetry=(HEIGHT,))
-        shell.data_received(encode(Open([_binding()], "", 99.0, thing)))
+        shell.data_received(encode(OpenDevices([_binding()], "", 99.0, thing)))
         await asyncio.sleep(2 / RATE)
         for token, name in enumerate(("tumble", "release", "rise"), 1):
             sent = now().monotonic()
-            shell.data_received(encode(Call(token, "alpha.thing", name, [], sent, sent + 9.0)))
+            shell.data_received(encode(GuardCall(token, "alpha.thing", name, [], sent, sent + 9.0)))
             await asyncio.sleep(0.1)
-        before = len(output.told)
-        shell.data_received(encode(Allow()))
+        before = len(output.received)
+        shell.data_received(encode(ClearStop()))
         sent = now().monotonic()
-        shell.data_received(encode(Call(9, "alpha.thing", "release", [], sent, sent + 9.0)))
+        shell.data_received(encode(GuardCall(9, "alpha.thing", "release", [], sent, sent + 9.0)))
         await asyncio.sleep(0.1)
         await shell.close()
-        return output.told[:before], output.told[before:]
+        return output.received[:before], output.received[before:]
 
     with asyncio.Runner(loop_factory=JumpingLoop) as runner:
         told, after = runner.run(story())
@@ -186,4 +188,4 @@ def test_a_lock_out_is_kept_until_an_operator_ends_it():
     assert refused.keys() == {1, 2, 3}
     assert [token for token in refused if "estop --lift" in refused[token]] == [2, 3], refused
     assert Released("alpha.thing") in after
-    assert Done(9, None) in after
+    assert CallDone(9, None) in after

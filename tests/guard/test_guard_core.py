@@ -6,9 +6,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
 from lfield.clock import ManualClock
-from lfield.guard.core import AGAIN, QUIET_BY, GuardCore
-from lfield.guard.effects import Execute, Exit, Interrupt, LeaveOff, Look, MakeSafe, Quiet, Tell
-from lfield.guard.messages import Call, Done, Latched, Moving, Note, Refused, Released, Stopped
+from lfield.guard.core import MUTE_AFTER, REPEAT, GuardCore
+from lfield.guard.effects import Abandon, CheckRest, Execute, Exit, Interrupt, MakeSafe, Mute, Notify
+from lfield.guard.messages import CallDone, GuardCall, Latched, Moving, Note, Refused, Released, Stopped
 from lfield.manifest import NEVER, DeviceManifest, Instruction, Parameter
 
 TTL, SILENCE, WITHIN = 0.5, 0.2, 120.0
@@ -37,11 +37,11 @@ class Rig:
         self.clock = ManualClock()
         made = [(d, MANIFEST, TTL, WITHIN) for d in devices or ("a",)]
         self.core = GuardCore(made, self.clock, silence=SILENCE)
-        self.core.opened("")
+        self.core.on_opened("")
         self.token = 0
 
     def beat(self):
-        return self.core.beat(self.clock.monotonic())
+        return self.core.on_beat(self.clock.monotonic())
 
     def wait(self, seconds: float, *, beating: bool = True):
         effects = []
@@ -53,11 +53,13 @@ class Rig:
     def call(self, instruction: str, *arguments: float, device: str = "a", age: float = 0.0):
         self.token += 1
         sent = self.clock.monotonic() - age
-        return self.core.call(Call(self.token, device, instruction, list(arguments), sent, sent + TTL))
+        return self.core.on_call(
+            GuardCall(self.token, device, instruction, list(arguments), sent, sent + TTL)
+        )
 
 
 def told(effects, kind):
-    return [e.message for e in effects if isinstance(e, Tell) and isinstance(e.message, kind)]
+    return [e.message for e in effects if isinstance(e, Notify) and isinstance(e.message, kind)]
 
 
 def made_safe(effects):
@@ -68,8 +70,8 @@ def test_a_call_is_carried_out_and_answered():
     rig = Rig()
     effects = rig.call("go", 1.0)
     assert [e.call.instruction for e in effects if isinstance(e, Execute)] == ["go"]
-    assert told(rig.core.finished(1, None), Done) == [Done(1, None)]
-    assert told(rig.core.finished(1, None), Done) == []
+    assert told(rig.core.on_finished(1, None), CallDone) == [CallDone(1, None)]
+    assert told(rig.core.on_finished(1, None), CallDone) == []
 
 
 @pytest.mark.parametrize(
@@ -84,11 +86,11 @@ def test_what_does_not_exist_is_refused(instruction, arguments, words):
 def test_a_setpoint_that_is_not_renewed_ends_in_the_safe_state():
     rig = Rig()
     rig.call("steer", 1.0)
-    rig.core.finished(1, None)
+    rig.core.on_finished(1, None)
     assert made_safe(rig.wait(0.45)) == []
     effects = rig.wait(0.1)
     assert made_safe(effects) == ["a"]
-    assert "time-to-live of 0.5 s is over" in told(effects, Latched)[0].reason
+    assert "has expired (time-to-live 0.5 s)" in told(effects, Latched)[0].reason
 
 
 def test_a_setpoint_lives_from_when_the_device_took_it_and_a_call_under_way_has_as_long():
@@ -97,7 +99,7 @@ def test_a_setpoint_lives_from_when_the_device_took_it_and_a_call_under_way_has_
     for _ in range(5):
         rig.call("steer", 1.0)
         assert made_safe(rig.wait(0.4)) == []
-        rig.core.finished(rig.token, None)
+        rig.core.on_finished(rig.token, None)
         assert made_safe(rig.wait(0.4)) == []
     rig.call("steer", 1.0)
     assert made_safe(rig.wait(TTL + 0.05)) == ["a"]
@@ -108,27 +110,27 @@ def test_a_setpoint_that_is_renewed_goes_on():
     for _ in range(10):
         effects = rig.call("steer", 1.0)
         assert [e for e in effects if isinstance(e, Execute)]
-        rig.core.finished(rig.token, None)
+        rig.core.on_finished(rig.token, None)
         assert made_safe(rig.wait(0.4)) == []
 
 
 def test_a_blocking_call_replaces_a_setpoint():
     rig = Rig()
     rig.call("steer", 1.0)
-    rig.core.finished(1, None)
+    rig.core.on_finished(1, None)
     rig.call("go", 1.0)
     assert made_safe(rig.wait(5.0)) == []
-    rig.core.finished(2, None)
+    rig.core.on_finished(2, None)
     assert made_safe(rig.wait(5.0)) == []
 
 
 def test_a_blocking_call_that_is_refused_does_not_renew_the_setpoint():
     rig = Rig()
     rig.call("steer", 1.0)
-    rig.core.finished(1, None)
+    rig.core.on_finished(1, None)
     rig.call("go", 1.0)
     rig.wait(1.0)
-    rig.core.refused(2, "DeviceException", "no")
+    rig.core.on_refused(2, "DeviceException", "no")
     assert made_safe(rig.beat()) == ["a"]
 
 
@@ -137,7 +139,7 @@ def test_what_lay_in_the_pipe_too_long_is_not_begun(call):
     rig = Rig()
     effects = rig.call(*call, age=TTL)
     assert [e for e in effects if isinstance(e, Execute)] == []
-    reason = f"{call[0]}() was to begin within 0.5 s, and its guard got to it after 0.5 s: nothing was done"
+    reason = f"{call[0]}() had to start within 0.5 s, but reached its guard after 0.5 s: nothing was done"
     assert told(effects, Refused) == [Refused(1, "DeviceException", reason)]
 
 
@@ -149,9 +151,9 @@ def test_a_call_that_was_let_in_is_too_late_when_its_guard_stands_still_before_i
     rig = Rig()
     (execute,) = [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
     rig.clock.advance(TTL - 0.01)
-    assert rig.core.begins(execute.call) == ""
+    assert rig.core.mark_started(execute.call) == ""
     rig.clock.advance(0.02)
-    assert "its guard got to it after 0.51 s" in rig.core.begins(execute.call)
+    assert "reached its guard after 0.51 s" in rig.core.mark_started(execute.call)
 
 
 def test_silence_latches_what_was_moved_and_only_release_frees_it():
@@ -163,10 +165,10 @@ def test_silence_latches_what_was_moved_and_only_release_frees_it():
     assert "the host was silent" in told(effects, Refused)[0].reason
     rig.wait(5.0)
     (refused,) = told(rig.call("go", 1.0), Refused)
-    assert "held in its safe state because the host was silent" in refused.reason
+    assert "held in its safe state: the host was silent" in refused.reason
     (refused,) = told(rig.call("release"), Refused)
     assert "not confirmed yet" in refused.reason
-    assert told(rig.core.made_safe("a"), Latched)[0].confirmed
+    assert told(rig.core.on_safe("a"), Latched)[0].confirmed
     assert told(rig.call("release"), Released) == [Released("a")]
     assert [e for e in rig.call("go", 1.0) if isinstance(e, Execute)]
 
@@ -176,14 +178,14 @@ def test_a_beat_that_lay_in_the_pipe_does_not_excuse_silence():
     rig.call("go", 1.0)
     sent = rig.clock.monotonic()
     rig.clock.advance(10.0)
-    assert made_safe(rig.core.beat(sent + 9.99)) == ["a"]
+    assert made_safe(rig.core.on_beat(sent + 9.99)) == ["a"]
 
 
 def test_an_old_beat_does_not_count_as_new():
     rig = Rig()
     rig.call("go", 1.0)
     rig.clock.advance(0.15)
-    rig.core.beat(rig.clock.monotonic() - 0.14)
+    rig.core.on_beat(rig.clock.monotonic() - 0.14)
     rig.clock.advance(0.1)
     assert made_safe(rig.core.tick()) == ["a"]
 
@@ -201,28 +203,28 @@ def test_asking_disturbs_nothing_and_works_while_latched():
     rig.call("go", 1.0)
     effects = rig.call("ask")
     assert [type(e) for e in effects] == [Execute]
-    rig.core.safe("a", "asked to")
+    rig.core.latch("a", "asked to")
     assert [type(e) for e in rig.call("ask")] == [Execute]
 
 
 def test_a_driver_exception_makes_safe():
     rig = Rig()
     rig.call("go", 1.0)
-    effects = rig.core.crashed(1, "the driver failed")
+    effects = rig.core.on_crashed(1, "the driver failed")
     assert made_safe(effects) == ["a"]
     assert told(effects, Refused)[0].reason == "the driver failed"
 
 
 def test_a_safe_state_that_fails_is_tried_again():
     rig = Rig()
-    rig.core.safe("", "asked to")
-    rig.core.not_safe("a", "no answer")
+    rig.core.latch("", "asked to")
+    rig.core.on_safe_failed("a", "no answer")
     assert made_safe(rig.wait(0.95)) == []
     assert made_safe(rig.wait(0.1)) == ["a"]
 
 
 def looks(effects):
-    return [e.device for e in effects if isinstance(e, Look)]
+    return [e.device for e in effects if isinstance(e, CheckRest)]
 
 
 def exits(effects):
@@ -231,13 +233,13 @@ def exits(effects):
 
 def test_a_stop_ends_when_all_is_safe_and_at_rest():
     rig = Rig("a", "b")
-    assert made_safe(rig.core.stop("bye")) == ["a", "b"]
-    assert looks(rig.core.made_safe("a")) == ["a"]
-    assert told(rig.core.looked("a", "4 m up"), Moving) == [Moving("a", "4 m up")]
-    assert looks(rig.core.made_safe("b")) == ["b"]
-    rig.core.looked("b", "")
+    assert made_safe(rig.core.on_stop("bye")) == ["a", "b"]
+    assert looks(rig.core.on_safe("a")) == ["a"]
+    assert told(rig.core.on_motion_report("a", "4 m up"), Moving) == [Moving("a", "4 m up")]
+    assert looks(rig.core.on_safe("b")) == ["b"]
+    rig.core.on_motion_report("b", "")
     assert set(looks(rig.wait(10.0))) == {"a", "b"}
-    effects = rig.core.looked("a", "")
+    effects = rig.core.on_motion_report("a", "")
     assert told(effects, Stopped) == [Stopped({})]
     assert exits(effects) == [0]
     assert exits(rig.wait(200.0)) == []
@@ -245,17 +247,17 @@ def test_a_stop_ends_when_all_is_safe_and_at_rest():
 
 def test_who_is_not_safe_or_not_at_rest_when_the_time_of_a_stop_is_over_is_named():
     rig = Rig("a", "b", "c")
-    rig.core.stop("bye")
+    rig.core.on_stop("bye")
     for name, moving in (("a", ""), ("c", "4 m up")):
-        rig.core.made_safe(name)
-        rig.core.looked(name, moving)
+        rig.core.on_safe(name)
+        rig.core.on_motion_report(name, moving)
     effects = rig.wait(WITHIN - 0.1)
     assert exits(effects) == []
     effects = rig.wait(0.2)
     assert told(effects, Stopped) == [
         Stopped(
             {
-                "b": "its safe state was not seen",
+                "b": "its safe state was not confirmed",
                 "c": "it is in its safe state and not at rest: 4 m up",
             }
         )
@@ -265,106 +267,106 @@ def test_who_is_not_safe_or_not_at_rest_when_the_time_of_a_stop_is_over_is_named
 
 def test_a_second_word_ends_a_stop_at_once():
     rig = Rig()
-    rig.core.stop("bye")
-    rig.core.made_safe("a")
-    rig.core.looked("a", "4 m up")
-    effects = rig.core.stop("now", at_once=True)
+    rig.core.on_stop("bye")
+    rig.core.on_safe("a")
+    rig.core.on_motion_report("a", "4 m up")
+    effects = rig.core.on_stop("now", at_once=True)
     assert told(effects, Stopped) == [Stopped({"a": "it is in its safe state and not at rest: 4 m up"})]
-    effects = Rig().core.stop("now", at_once=True)
+    effects = Rig().core.on_stop("now", at_once=True)
     assert made_safe(effects) == ["a"], "also who is in a hurry makes everything safe"
-    assert told(effects, Stopped) == [Stopped({"a": "its safe state was not seen"})]
+    assert told(effects, Stopped) == [Stopped({"a": "its safe state was not confirmed"})]
 
 
 def test_without_a_host_a_guard_stays_until_its_devices_are_at_rest():
     rig = Rig()
-    assert made_safe(rig.core.gone("the host is gone")) == ["a"]
+    assert made_safe(rig.core.on_host_gone("the host is gone")) == ["a"]
     assert exits(rig.wait(1.0, beating=False)) == []
-    assert exits(rig.core.made_safe("a")) == []
-    assert exits(rig.core.looked("a", "4 m up")) == []
+    assert exits(rig.core.on_safe("a")) == []
+    assert exits(rig.core.on_motion_report("a", "4 m up")) == []
     assert exits(rig.wait(30.0, beating=False)) == []
-    assert exits(rig.core.looked("a", "")) == [0]
+    assert exits(rig.core.on_motion_report("a", "")) == [0]
 
 
 def test_without_a_host_and_on_a_quiet_bus_a_confirmed_safe_state_is_the_end():
     rig = Rig()
-    rig.core.gone("the host is gone")
-    assert quiets(rig.wait(SILENCE + QUIET_BY + 0.1, beating=False)) == [True]
+    rig.core.on_host_gone("the host is gone")
+    assert quiets(rig.wait(SILENCE + MUTE_AFTER + 0.1, beating=False)) == [True]
     assert exits(rig.wait(30.0, beating=False)) == []
-    assert exits(rig.core.made_safe("a")) == [0]
+    assert exits(rig.core.on_safe("a")) == [0]
 
 
 def test_a_host_that_goes_during_a_stop_changes_nothing():
     rig = Rig()
-    rig.core.stop("bye")
-    rig.core.made_safe("a")
-    assert exits(rig.core.looked("a", "4 m up")) == []
-    assert exits(rig.core.gone("the host is gone")) == []
-    assert exits(rig.core.looked("a", "")) == [0]
+    rig.core.on_stop("bye")
+    rig.core.on_safe("a")
+    assert exits(rig.core.on_motion_report("a", "4 m up")) == []
+    assert exits(rig.core.on_host_gone("the host is gone")) == []
+    assert exits(rig.core.on_motion_report("a", "")) == [0]
 
 
 def test_what_is_held_is_looked_at_until_it_is_released_and_told_when_it_changes():
     rig = Rig()
-    rig.core.safe("", "asked to")
+    rig.core.latch("", "asked to")
     assert looks(rig.wait(1.0)) == [], "not confirmed: there is nothing to look at yet"
-    assert looks(rig.core.made_safe("a")) == ["a"]
-    assert told(rig.core.looked("a", "4 m up"), Moving)
-    assert told(rig.core.looked("a", "4 m up"), Moving) == []
+    assert looks(rig.core.on_safe("a")) == ["a"]
+    assert told(rig.core.on_motion_report("a", "4 m up"), Moving)
+    assert told(rig.core.on_motion_report("a", "4 m up"), Moving) == []
     rig.wait(0.25)
-    assert told(rig.core.looked("a", "3 m up"), Moving) == [], "twice a second is enough"
+    assert told(rig.core.on_motion_report("a", "3 m up"), Moving) == [], "twice a second is enough"
     rig.wait(0.3)
-    assert told(rig.core.looked("a", "2 m up"), Moving) == [Moving("a", "2 m up")]
-    assert told(rig.core.looked("a", ""), Moving) == [Moving("a", "")], "the end is told at once"
+    assert told(rig.core.on_motion_report("a", "2 m up"), Moving) == [Moving("a", "2 m up")]
+    assert told(rig.core.on_motion_report("a", ""), Moving) == [Moving("a", "")], "the end is told at once"
     assert told(rig.call("release"), Released)
     assert looks(rig.wait(2.0)) == []
-    assert told(rig.core.looked("a", "2 m up"), Moving) == [], "an answer that comes too late"
+    assert told(rig.core.on_motion_report("a", "2 m up"), Moving) == [], "an answer that comes too late"
 
 
 def test_what_goes_on_moving_in_its_safe_state_is_commanded_again():
     rig = Rig()
-    rig.core.safe("", "asked to")
-    rig.core.made_safe("a")
-    rig.wait(AGAIN - 0.1)
-    assert made_safe(rig.core.looked("a", "4 m up")) == []
+    rig.core.latch("", "asked to")
+    rig.core.on_safe("a")
+    rig.wait(REPEAT - 0.1)
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == []
     rig.wait(0.2)
-    assert made_safe(rig.core.looked("a", "4 m up")) == ["a"]
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == ["a"]
     rig.wait(10.0)
-    assert made_safe(rig.core.looked("a", "4 m up")) == [], "the last one is still under way"
-    assert told(rig.core.made_safe("a"), Latched) == [], "it was told before"
-    assert made_safe(rig.core.looked("a", "4 m up")) == []
-    rig.wait(AGAIN + 0.1)
-    assert made_safe(rig.core.looked("a", "4 m up")) == ["a"]
-    assert [e for e in rig.core.not_safe("a", "no answer") if isinstance(e, Tell)] == []
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == [], "the last one is still under way"
+    assert told(rig.core.on_safe("a"), Latched) == [], "it was told before"
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == []
+    rig.wait(REPEAT + 0.1)
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == ["a"]
+    assert [e for e in rig.core.on_safe_failed("a", "no answer") if isinstance(e, Notify)] == []
     assert made_safe(rig.wait(10.0)) == [], "it is looked at first"
-    assert made_safe(rig.core.looked("a", "")) == []
-    assert made_safe(rig.core.looked("a", "led out")) == ["a"]
+    assert made_safe(rig.core.on_motion_report("a", "")) == []
+    assert made_safe(rig.core.on_motion_report("a", "led out")) == ["a"]
 
 
 def test_who_is_released_is_not_brought_into_its_safe_state_any_more():
     rig = Rig()
-    rig.core.safe("", "asked to")
-    rig.core.made_safe("a")
-    rig.wait(AGAIN + 0.1)
-    assert made_safe(rig.core.looked("a", "4 m up")) == ["a"]
+    rig.core.latch("", "asked to")
+    rig.core.on_safe("a")
+    rig.wait(REPEAT + 0.1)
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == ["a"]
     effects = rig.call("release")
-    assert [type(e) for e in effects] == [LeaveOff, Tell, Execute]
+    assert [type(e) for e in effects] == [Abandon, Notify, Execute]
     rig.wait(10.0)
-    assert made_safe(rig.core.looked("a", "4 m up")) == []
-    assert made_safe(rig.core.safe("", "asked again")) == ["a"]
+    assert made_safe(rig.core.on_motion_report("a", "4 m up")) == []
+    assert made_safe(rig.core.latch("", "asked again")) == ["a"]
 
 
 def test_being_commanded_again_gives_a_silent_host_no_more_time():
     rig = Rig()
     rig.call("go", 1.0)
     rig.wait(SILENCE + 0.5, beating=False)
-    rig.core.made_safe("a")
+    rig.core.on_safe("a")
     effects = []
     for _ in range(round(WITHIN + 20)):
-        effects += rig.core.looked("a", "it circles")
+        effects += rig.core.on_motion_report("a", "it circles")
         if made_safe(effects[-1:]):
-            rig.core.made_safe("a")
+            rig.core.on_safe("a")
         effects += rig.wait(1.0, beating=False)
     assert quiets(effects) == [True]
-    after = effects[next(n for n, e in enumerate(effects) if isinstance(e, Quiet)) :]
+    after = effects[next(n for n, e in enumerate(effects) if isinstance(e, Mute)) :]
     assert len(made_safe(effects)) > 10
     assert made_safe(after) == [], "what feeds its own watchdog"
 
@@ -372,7 +374,7 @@ def test_being_commanded_again_gives_a_silent_host_no_more_time():
 def test_a_restarted_guard_brings_its_devices_back_safe():
     clock = ManualClock()
     core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock)
-    effects = core.opened("its guard died")
+    effects = core.on_opened("its guard died")
     assert made_safe(effects) == ["a"]
     assert told(effects, Latched) == [Latched("a", "its guard died", False)]
 
@@ -382,7 +384,7 @@ def test_channels_run_side_by_side_and_stop_together():
     rig.call("go", 1.0)
     assert [type(e) for e in rig.call("grip")] == [Execute]
     assert told(rig.call("go", 2.0), Refused)[0].token == 1
-    effects = rig.core.safe("", "asked")
+    effects = rig.core.latch("", "asked")
     assert sorted(e.token for e in effects if isinstance(e, Interrupt)) == [2, 3]
     assert len(told(effects, Refused)) == 2
 
@@ -390,14 +392,14 @@ def test_channels_run_side_by_side_and_stop_together():
 def test_a_setpoint_is_not_ended_by_another_channel():
     rig = Rig()
     rig.call("steer", 1.0)
-    rig.core.finished(1, None)
+    rig.core.on_finished(1, None)
     rig.call("grip")
-    rig.core.finished(2, None)
+    rig.core.on_finished(2, None)
     assert made_safe(rig.wait(0.6)) == ["a"]
 
 
 def quiets(effects):
-    return [e.on for e in effects if isinstance(e, Quiet)]
+    return [e.on for e in effects if isinstance(e, Mute)]
 
 
 def test_a_silent_host_makes_the_bus_quiet_and_its_beat_ends_that():
@@ -412,18 +414,18 @@ def test_the_bus_is_not_quiet_before_the_device_is_at_rest():
     rig = Rig()
     rig.call("go", 1.0)
     assert quiets(rig.wait(SILENCE + 0.5, beating=False)) == []
-    assert quiets(rig.core.made_safe("a")) == []
-    assert quiets(rig.core.looked("a", "4 m up")) == []
+    assert quiets(rig.core.on_safe("a")) == []
+    assert quiets(rig.core.on_motion_report("a", "4 m up")) == []
     assert quiets(rig.wait(30.0, beating=False)) == []
-    assert quiets(rig.core.looked("a", "")) == [True]
+    assert quiets(rig.core.on_motion_report("a", "")) == [True]
 
 
 def test_the_bus_of_a_device_that_never_rests_is_quiet_when_its_time_is_over():
     rig = Rig()
     rig.call("go", 1.0)
     rig.wait(SILENCE + 0.5, beating=False)
-    rig.core.made_safe("a")
-    rig.core.looked("a", "it circles")
+    rig.core.on_safe("a")
+    rig.core.on_motion_report("a", "it circles")
     assert quiets(rig.wait(WITHIN - 0.1, beating=False)) == []
     assert quiets(rig.wait(0.2, beating=False)) == [True]
 
@@ -431,7 +433,7 @@ def test_the_bus_of_a_device_that_never_rests_is_quiet_when_its_time_is_over():
 def test_a_safe_state_that_nobody_confirms_keeps_no_watchdog_content():
     rig = Rig()
     rig.call("go", 1.0)
-    assert quiets(rig.wait(SILENCE + QUIET_BY - 0.1, beating=False)) == []
+    assert quiets(rig.wait(SILENCE + MUTE_AFTER - 0.1, beating=False)) == []
     assert quiets(rig.wait(0.2, beating=False)) == [True]
 
 
@@ -451,16 +453,16 @@ def test_a_silence_that_begins_between_two_looks_at_the_clock_is_not_missed(even
     clock = CreepingClock()
     core = GuardCore([("a", MANIFEST, TTL, WITHIN)], clock, silence=SILENCE)
     start = clock.monotonic()
-    core.opened("")
-    core.call(Call(1, "a", "go", [1.0], start, start + TTL))
-    core.finished(1, None)
+    core.on_opened("")
+    core.on_call(GuardCall(1, "a", "go", [1.0], start, start + TTL))
+    core.on_finished(1, None)
     last = clock.now
-    core.beat(last)
+    core.on_beat(last)
     clock.now = last + SILENCE - early * clock.STEP
     effects = {
         "tick": core.tick,
-        "ask": lambda: core.call(Call(2, "a", "ask", [], last, last)),
-        "beat": lambda: core.beat(last),
+        "ask": lambda: core.on_call(GuardCall(2, "a", "ask", [], last, last)),
+        "beat": lambda: core.on_beat(last),
     }[event]()
     while made_safe(effects) == [] and core.due() is not None:
         clock.now = max(clock.now, core.due())
@@ -480,19 +482,19 @@ def test_a_call_that_lay_in_the_pipe_of_a_silent_host_is_stopped():
 
 def test_who_is_barred_is_not_released_by_the_program():
     rig = Rig()
-    rig.core.safe("", "the emergency stop was pressed", barred=True)
-    rig.core.made_safe("a")
+    rig.core.latch("", "the emergency stop was pressed", lock=True)
+    rig.core.on_safe("a")
     (refused,) = told(rig.call("release"), Refused)
     assert "the emergency stop was pressed; 'lfield estop --lift' must come first" in refused.reason
-    rig.core.allow()
+    rig.core.clear_stop()
     assert told(rig.call("release"), Released)
 
 
 def test_a_device_that_was_safe_already_is_barred_all_the_same():
     rig = Rig()
-    rig.core.safe("a", "asked")
-    rig.core.made_safe("a")
-    assert told(rig.core.safe("a", "stop!", barred=True), Latched) == []
+    rig.core.latch("a", "asked")
+    rig.core.on_safe("a")
+    assert told(rig.core.latch("a", "stop!", lock=True), Latched) == []
     assert "stop!" in told(rig.call("release"), Refused)[0].reason
 
 
@@ -504,7 +506,7 @@ class GuardMachine(RuleBasedStateMachine):
         self.rig = Rig()
         self.latched = self.confirmed = self.moved = False
         self.making = 0
-        self.running: dict[int, Call] = {}
+        self.running: dict[int, GuardCall] = {}
         self.last_word = self.now
         self.setpoint_until: float | None = None
         self.answered: set[int] = set()
@@ -519,7 +521,7 @@ class GuardMachine(RuleBasedStateMachine):
                 self.making += 1
                 assert self.making == 1, "one at a time"
                 assert self.latched or not self.confirmed
-            elif isinstance(effect, LeaveOff):
+            elif isinstance(effect, Abandon):
                 self.making -= 1
             elif isinstance(effect, Interrupt):
                 self.running.pop(effect.token)
@@ -531,15 +533,15 @@ class GuardMachine(RuleBasedStateMachine):
                     assert self.now - call.sent < TTL, "a setpoint went out after its time-to-live"
                 self.running[call.token] = call
                 self.moved = self.moved or acts
-                assert self.rig.core.begins(call) == ""
-            elif isinstance(effect, Tell) and isinstance(effect.message, Done | Refused):
+                assert self.rig.core.mark_started(call) == ""
+            elif isinstance(effect, Notify) and isinstance(effect.message, CallDone | Refused):
                 assert effect.message.token not in self.answered, "a call was answered twice"
                 self.answered.add(effect.message.token)
-            elif isinstance(effect, Tell) and isinstance(effect.message, Latched):
+            elif isinstance(effect, Notify) and isinstance(effect.message, Latched):
                 if not effect.message.confirmed:
                     assert not self.latched
                     self.latched, self.confirmed, self.setpoint_until = True, False, None
-            elif isinstance(effect, Tell) and isinstance(effect.message, Released):
+            elif isinstance(effect, Notify) and isinstance(effect.message, Released):
                 assert self.confirmed, "released before its safe state was confirmed"
                 self.latched = self.confirmed = self.moved = False
 
@@ -571,7 +573,7 @@ class GuardMachine(RuleBasedStateMachine):
         self.rig.clock.advance(stopped)
         silent = self.moved and self.now >= self.last_word + SILENCE
         sent = self.now - age
-        self.see(self.rig.core.beat(sent))
+        self.see(self.rig.core.on_beat(sent))
         self.last_word = max(self.last_word, sent)
         assert self.latched or not silent, "a beat that came late excused the silence"
 
@@ -592,8 +594,8 @@ class GuardMachine(RuleBasedStateMachine):
         call = self.running[token]
         cancelled = token < 0
         arguments = {"finished": (None,), "refused": ("DeviceException", "no"), "crashed": ("boom",)}[how]
-        effects = getattr(self.rig.core, how)(token, *arguments)
-        if any(done.token == token for done in told(effects, Done)):
+        effects = getattr(self.rig.core, f"on_{how}")(token, *arguments)
+        if any(done.token == token for done in told(effects, CallDone)):
             if call.instruction == "steer":
                 self.setpoint_until = self.now + TTL
             elif call.instruction == "go":
@@ -611,7 +613,7 @@ class GuardMachine(RuleBasedStateMachine):
         """A cancelled motion is replaced by its end at once, unless the device has gone safe meanwhile."""
         token = data.draw(st.sampled_from(sorted(token for token in self.running if token > 0)))
         was = self.running[token]
-        self.see(self.rig.core.cancel(token, self.now - age))
+        self.see(self.rig.core.on_cancel(token, self.now - age))
         self.last_word = max(self.last_word, self.now - age)
         if was.instruction == "go":
             assert self.latched or self.running[-token].instruction == "halt"
@@ -621,19 +623,19 @@ class GuardMachine(RuleBasedStateMachine):
     def safety_answer(self, good):
         self.making -= 1
         if good:
-            self.see(self.rig.core.made_safe("a"))
+            self.see(self.rig.core.on_safe("a"))
             self.confirmed = True
         else:
-            self.see(self.rig.core.not_safe("a", "no answer"))
+            self.see(self.rig.core.on_safe_failed("a", "no answer"))
 
     @precondition(lambda self: self.confirmed)
     @rule(moving=st.sampled_from(["", "4 m up"]))
     def looked(self, moving):
-        self.see(self.rig.core.looked("a", moving))
+        self.see(self.rig.core.on_motion_report("a", moving))
 
     @rule()
     def asked_to_be_safe(self):
-        self.see(self.rig.core.safe("", "asked"))
+        self.see(self.rig.core.latch("", "asked"))
         assert self.latched
 
     @invariant()
@@ -659,43 +661,48 @@ def test_a_sensor_is_never_latched_nor_waited_for():
     """Nothing that it does could be made safe: it is at rest at once, and needs no release."""
     clock = ManualClock()
     core = GuardCore([("eye", SENSOR, TTL, WITHIN)], clock, silence=SILENCE)
-    assert [n.text for n in told(core.opened("its guard died"), Note)] == ["its guard died"]
-    assert made_safe(core.safe("", "somebody pressed it", barred=True)) == []
-    core.allow()
-    assert told(core.safe("eye", "the driver failed: x"), Note)
-    assert told(core.safe("eye", "the driver failed: x"), Note) == []
+    (note,) = told(core.on_opened("its guard died"), Note)
+    assert (note.code, note.text) == ("sensor-not-latched", "sensor has no safe state: its guard died")
+    assert made_safe(core.latch("", "somebody pressed it", lock=True)) == []
+    core.clear_stop()
+    assert told(core.latch("eye", "the driver failed: x"), Note)
+    assert told(core.latch("eye", "the driver failed: x"), Note) == []
     clock.advance(3 * SILENCE)
     assert told(core.tick(), Latched) == []
-    core.beat(clock.monotonic())
-    assert [e for e in core.call(Call(1, "eye", "ask", [], clock.monotonic(), 0.0)) if isinstance(e, Execute)]
-    over = core.stop("the host is stopping")
+    core.on_beat(clock.monotonic())
+    assert [
+        e
+        for e in core.on_call(GuardCall(1, "eye", "ask", [], clock.monotonic(), 0.0))
+        if isinstance(e, Execute)
+    ]
+    over = core.on_stop("the host is stopping")
     assert told(over, Stopped) == [Stopped({})]
     assert [e.status for e in over if isinstance(e, Exit)] == [0]
 
 
 def test_a_stop_waits_for_what_moves_beside_a_sensor():
     core = GuardCore([("eye", SENSOR, TTL, WITHIN), ("arm", MANIFEST, TTL, WITHIN)], ManualClock())
-    core.opened("")
-    assert made_safe(core.stop("the host is stopping")) == ["arm"]
-    assert told(core.made_safe("arm"), Stopped) == []
-    assert told(core.looked("arm", ""), Stopped) == [Stopped({})]
+    core.on_opened("")
+    assert made_safe(core.on_stop("the host is stopping")) == ["arm"]
+    assert told(core.on_safe("arm"), Stopped) == []
+    assert told(core.on_motion_report("arm", ""), Stopped) == [Stopped({})]
 
 
 def test_another_safe_state_is_commanded_also_of_a_device_that_is_held_already():
     rig = Rig()
-    rig.core.safe("a", "the host was silent")
-    effects = rig.core.safe("a", "nobody flies it", state="lie down")
-    assert [e for e in effects if isinstance(e, LeaveOff | MakeSafe)] == [
-        LeaveOff("a"),
+    rig.core.latch("a", "the host was silent")
+    effects = rig.core.latch("a", "nobody flies it", state="lie down")
+    assert [e for e in effects if isinstance(e, Abandon | MakeSafe)] == [
+        Abandon("a"),
         MakeSafe("a", "lie down"),
     ]
     assert told(effects, Latched) == [Latched("a", "nobody flies it", False, "lie down")]
-    rig.core.not_safe("a", "no answer")
+    rig.core.on_safe_failed("a", "no answer")
     assert [e for e in rig.wait(1.1) if isinstance(e, MakeSafe)] == [MakeSafe("a", "lie down")]
-    (confirmed,) = told(rig.core.made_safe("a"), Latched)
+    (confirmed,) = told(rig.core.on_safe("a"), Latched)
     assert confirmed == Latched("a", "nobody flies it", True, "lie down")
-    assert rig.core.safe("a", "once more", state="lie down") == []
-    assert rig.core.safe("a", "the usual one", state="") == []
+    assert rig.core.latch("a", "once more", state="lie down") == []
+    assert rig.core.latch("a", "the usual one", state="") == []
     rig.call("release")
-    effects = rig.core.safe("a", "the host was silent")
+    effects = rig.core.latch("a", "the host was silent")
     assert [e for e in effects if isinstance(e, MakeSafe)] == [MakeSafe("a")]

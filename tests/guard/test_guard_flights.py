@@ -11,7 +11,7 @@ from test_guard_process import BRISK, binding
 from lfield.driver import DeviceError
 from lfield.testing.desk import Desk
 
-AGAIN = "its guard died and was started again"
+AGAIN = "its guard died and was restarted"
 
 
 @pytest.fixture
@@ -44,7 +44,7 @@ def test_a_setpoint_that_is_over_latches_the_safe_state(fly):
     async def story(flight):
         await up(flight, 3.0)
         await flight.call("setVelocity", 2.0, 0.0, 0.0)
-        await flight.told("is in its safe state 'hold': the setpoint's time-to-live of 1 s is over")
+        await flight.until_note("in safe state 'hold': the setpoint has expired (time-to-live 1 s)")
         with pytest.raises(DeviceError, match=r"call release\(\) first"):
             await flight.call("goTo", 0.0, 0.0, -3.0)
         assert flight.latched
@@ -63,7 +63,7 @@ def test_closing_lands_what_flies(desk, fly):
 
     fly(story)
     (flight,) = flights
-    assert "alpha.fc: is in its safe state 'land': the host is stopping" in flight.notes
+    assert "alpha.fc in safe state 'land': the host is stopping" in flight.notes
 
     async def look(again):
         await again.reads("armed", lambda now: now is False)
@@ -107,10 +107,10 @@ def test_what_the_program_flies_is_landed_in_any_mode(desk, fly, flown):
             dead = flight.guard_pid
             desk.kill(dead)
             await flight.until(lambda dead=dead: flight.guard_pid not in (0, dead), 20.0, "the next guard")
-        await flight.told(f"is in its safe state 'land': {AGAIN}")
+        await flight.until_note(f"in safe state 'land': {AGAIN}")
         await mode_is(flight, "LAND")
         await flight.reads("armed", lambda now: now is False)
-        assert not any("left to them" in note for note in flight.notes)
+        assert not any("no command sent: it is in" in note for note in flight.notes)
 
     fly(story)
 
@@ -127,7 +127,7 @@ def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
             # Each guard must be back at work before the next one dies: without its heartbeats for 2 s the
             # autopilot's own failsafe lands.
             await flight.until(
-                lambda already=already: sum("left to them" in note for note in flight.notes) > already,
+                lambda already=already: sum("no command sent: " in note for note in flight.notes) > already,
                 20.0,
                 "the next guard",
             )
@@ -136,7 +136,7 @@ def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
         await flight.until(lambda: (flight.moving or "").startswith(by_a_pilot_still), 20.0, "who flies it")
         await asyncio.sleep(3.0)
         assert flight.query("mode") == "LOITER"
-        assert any("left to them" in note for note in flight.notes)
+        assert any("no command sent: it is in" in note for note in flight.notes)
 
     fly(story, rest_within=2.0)
 
@@ -148,7 +148,7 @@ def test_what_was_given_back_to_the_program_is_landed(desk, fly):
         await mode_is(flight, "LOITER")
         await flight.call("release")
         desk.kill(flight.guard_pid)
-        await flight.told(f"is in its safe state 'land': {AGAIN}")
+        await flight.until_note(f"in safe state 'land': {AGAIN}")
         await mode_is(flight, "LAND")
 
     fly(story)

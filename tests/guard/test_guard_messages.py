@@ -7,11 +7,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.contract import STANDARD, Manifest, Option
-from lfield.driver.known import KnownDriver, ManifestFile
-from lfield.driver.values import conform
+from lfield.driver.contract import STANDARD_INSTRUCTIONS, Manifest, Option
+from lfield.driver.driver_index import DriverInfo, ManifestFile
+from lfield.driver.value_types import conform
 from lfield.errors import WireError
-from lfield.guard.messages import MESSAGES, Call, Done, MessageReader, Open, Snapshot, encode
+from lfield.guard.messages import (
+    MESSAGES,
+    CallDone,
+    GuardCall,
+    MessageReader,
+    OpenDevices,
+    TelemetrySnapshot,
+    encode,
+)
 from lfield.manifest import DeviceManifest, Observation, Quantity
 
 BINDING = DeviceBinding(
@@ -25,15 +33,17 @@ BINDING = DeviceBinding(
     options={"id": 3},
 )
 MANIFEST = Manifest(
-    DeviceManifest("T", "d", STANDARD, (Quantity("angle", "real", "rad"),), ("off",)),
+    DeviceManifest("T", "d", STANDARD_INSTRUCTIONS, (Quantity("angle", "real", "rad"),), ("off",)),
     (Option("id", "int", 1), Option("gear", "real", 1.0)),
 )
-DRIVER = KnownDriver("d", "lfield_d:PLUGIN", {"T": MANIFEST}, {"T": ManifestFile("t.yaml", bytes(32))}, "d 1")
+DRIVER = DriverInfo("d", "lfield_d:PLUGIN", {"T": MANIFEST}, {"T": ManifestFile("t.yaml", bytes(32))}, "d 1")
 SAMPLES = [
-    Open([BINDING], "again", 0.2, DRIVER, ["a.f"]),
-    Call(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25, 12.75),
-    Done(7, [1.0, 2.0]),
-    Snapshot("a.f", {"mode": Observation("GUIDED", 7.9), "armed": Observation(True, 7.8)}, 7.95, True),
+    OpenDevices([BINDING], "again", 0.2, DRIVER, ["a.f"]),
+    GuardCall(7, "a.f", "go", [1.5, True, "text", [1, 2], [0.5], None, -3], 12.25, 12.75),
+    CallDone(7, [1.0, 2.0]),
+    TelemetrySnapshot(
+        "a.f", {"mode": Observation("GUIDED", 7.9), "armed": Observation(True, 7.8)}, 7.95, True
+    ),
 ]
 
 
@@ -90,7 +100,7 @@ def test_values_of_another_type_are_refused(value, kind):
 
 def test_a_member_without_a_number_survives_the_pipe():
     values = {"positions": Observation([0.5, math.nan], 1.0), "missing": Observation([2], 1.0)}
-    (arrived,) = MessageReader().feed(encode(Snapshot("arm.joints", values, 1.0)))
+    (arrived,) = MessageReader().feed(encode(TelemetrySnapshot("arm.joints", values, 1.0)))
     assert arrived.values["missing"].value == [2]
     assert arrived.values["positions"].value[0] == 0.5
     assert math.isnan(arrived.values["positions"].value[1])

@@ -14,9 +14,9 @@ import pytest
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import Manifest, Option
-from lfield.driver.known import KnownDriver
-from lfield.guard.confine import abi, strength
-from lfield.guard.reach import NOTHINGS, SYSTEM, reach
+from lfield.driver.driver_index import DriverInfo
+from lfield.guard.sandbox import describe_sandbox, landlock_abi
+from lfield.guard.sandbox_policy import PSEUDO_DEVICES, SYSTEM, policy_for
 from lfield.manifest import DeviceManifest
 from lfield.testing.driver_bench import bind, guarded, running_fake
 from lfield_dynamixel import PLUGIN
@@ -24,7 +24,7 @@ from lfield_dynamixel import PLUGIN
 MANIFEST = Manifest(
     DeviceManifest("Lamp", "lamp", ()), options=(Option("key", "path", ""), Option("id", "int", 1))
 )
-KNOWN = KnownDriver("lamp", "lfield_lamp:PLUGIN", {"Lamp": MANIFEST}, {}, "")
+KNOWN = DriverInfo("lamp", "lfield_lamp:PLUGIN", {"Lamp": MANIFEST}, {}, "")
 
 
 def needed(*endpoints, **options):
@@ -40,21 +40,21 @@ def needed(*endpoints, **options):
         )
         for at, endpoint in enumerate(endpoints)
     ]
-    return reach(devices, KNOWN, ["/code"], "/scratch")
+    return policy_for(devices, KNOWN, ["/code"], "/scratch")
 
 
 def test_a_port_of_the_board_is_the_one_file_that_it_writes():
     found = needed("serial:/dev/ttyAMA0:57600")
-    assert set(found.writes) == {*NOTHINGS, "/dev/ttyAMA0"}
-    assert (found.folders, found.ports, found.internet, found.runs) == ((), (), False, False)
-    assert found.reads == (*SYSTEM, "/code")
+    assert set(found.writable) == {*PSEUDO_DEVICES, "/dev/ttyAMA0"}
+    assert (found.folders, found.ports, found.has_internet, found.may_execute) == ((), (), False, False)
+    assert found.readable == (*SYSTEM, "/code")
 
 
 def test_what_can_be_unplugged_comes_back_as_another_file_of_its_folder(tmp_path):
     (tmp_path / "by-id").symlink_to("/dev/ttyUSB7")
     for endpoint in ("slcan:/dev/ttyACM0@115200?bitrate=500000", f"serial:{tmp_path}/by-id:57600"):
         found = needed(endpoint)
-        assert (found.folders, found.internet) == (("/dev",), False)
+        assert (found.folders, found.has_internet) == (("/dev",), False)
 
 
 @pytest.mark.parametrize(
@@ -69,38 +69,38 @@ def test_what_can_be_unplugged_comes_back_as_another_file_of_its_folder(tmp_path
 )
 def test_the_network_as_far_as_the_endpoint_says(endpoint, ports, internet):
     found = needed(endpoint)
-    assert (found.ports, found.internet, found.runs, found.folders) == (ports, internet, False, ())
+    assert (found.ports, found.has_internet, found.may_execute, found.folders) == (ports, internet, False, ())
 
 
 def test_what_an_endpoint_of_an_unknown_kind_needs_nobody_knows():
     found = needed("process:")
-    assert (found.ports, found.internet, found.runs, found.folders) == (
+    assert (found.ports, found.has_internet, found.may_execute, found.folders) == (
         None,
         True,
         True,
         ("/dev", "/scratch"),
     )
-    assert "/code" in found.reads
+    assert "/code" in found.readable
 
 
 def test_a_file_of_an_option_is_read_and_its_folder_written_where_this_user_may(tmp_path):
     found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
-    assert str(tmp_path / "signing.key") in found.reads
+    assert str(tmp_path / "signing.key") in found.readable
     assert found.folders == (str(tmp_path),)
     assert needed("serial:/dev/ttyS0:57600", key="/no/such/folder/key").folders == ()
     (tmp_path / "keys").mkdir()
     found = needed("serial:/dev/ttyS0:57600", key=str(tmp_path / "signing.key"))
-    assert (found.reads[-1], found.folders) == (str(tmp_path / "signing.key"), ())
+    assert (found.readable[-1], found.folders) == (str(tmp_path / "signing.key"), ())
 
 
 TRIES = """
 import json, os, socket, sys
-from lfield.guard.confine import confine
-from lfield.guard.reach import Reach
+from lfield.guard.sandbox import apply_sandbox
+from lfield.guard.sandbox_policy import SandboxPolicy
 
 folder = sys.argv[1]
 code = ("/usr", "/lib", "/proc", *filter(None, sys.path), sys.prefix, sys.base_prefix)
-confine(Reach(code, ("/dev/null", f"{folder}/own"), (f"{folder}/mine",)))
+apply_sandbox(SandboxPolicy(code, ("/dev/null", f"{folder}/own"), (f"{folder}/mine",)))
 
 def tried(what):
     try:
@@ -131,7 +131,9 @@ print(json.dumps({
 """
 
 
-@pytest.mark.skipif(abi() < 6, reason="this kernel's Landlock is older than the facts that are tried")
+@pytest.mark.skipif(
+    landlock_abi() < 6, reason="this kernel's Landlock is older than the facts that are tried"
+)
 def test_a_confined_process_touches_what_it_may_and_nothing_else(tmp_path):
     for name in ("own", "other", "host.key"):
         (tmp_path / name).write_bytes(b"secret")
@@ -144,11 +146,11 @@ def test_a_confined_process_touches_what_it_may_and_nothing_else(tmp_path):
     assert {what for what, became in found.items() if became == "done"} == may, found
     assert found["internet"] == "OSError"
     assert (tmp_path / "other").read_bytes() == b"secret"
-    assert strength()[1] == ""
+    assert describe_sandbox()[1] == ""
 
 
 @pytest.mark.process
-@pytest.mark.skipif(not abi(), reason="this kernel has no Landlock")
+@pytest.mark.skipif(not landlock_abi(), reason="this kernel has no Landlock")
 def test_a_guard_has_no_file_of_its_host_and_no_internet_for_a_serial_port(tmp_path):
     (tmp_path / "host.key").write_text("secret")
     with running_fake("dynamixel") as fake, (tmp_path / "host.key").open() as held:

@@ -8,9 +8,9 @@ from thing_guard import Output, guard_of, known_thing
 
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.device import Device
-from lfield.guard.messages import Beat, Call, Latched, Open, encode
+from lfield.guard.messages import Beat, GuardCall, Latched, OpenDevices, encode
 from lfield.manifest import Instruction
-from lfield.simulate.time import JumpingLoop, LoopClock
+from lfield.simulate.jumping_loop import JumpingLoop, LoopClock
 
 SILENCE = 0.2
 GO = Instruction("go", (), effect="actuate", blocking=True)
@@ -53,16 +53,16 @@ def test_what_comes_when_the_timer_is_almost_due_breaks_nothing():
     async def story():
         clock, output = LoopClock(), Output()
         shell = guard_of(Thing, output)
-        shell.data_received(encode(Open([binding], "", SILENCE, known_thing(GO))))
+        shell.data_received(encode(OpenDevices([binding], "", SILENCE, known_thing(GO))))
         await asyncio.sleep(0.01)
         start = clock.monotonic()
-        shell.data_received(encode(Call(1, "alpha.thing", "go", [], start, start + 9.0)))
+        shell.data_received(encode(GuardCall(1, "alpha.thing", "go", [], start, start + 9.0)))
         await asyncio.sleep(SILENCE - 0.002)
         while clock.monotonic() < start + SILENCE - 0.0003:
             await asyncio.sleep(0)
         for _ in range(3):
             shell.data_received(encode(Beat(start)))
-        while not any(isinstance(message, Latched) for message in output.told):
+        while not any(isinstance(message, Latched) for message in output.received):
             assert clock.monotonic() < start + SILENCE + 0.001
             await asyncio.sleep(0)
         await shell.close()

@@ -6,24 +6,24 @@ from types import SimpleNamespace
 
 from lfield.driver.contract import Manifest
 from lfield.driver.device import Driver
-from lfield.driver.known import KnownDriver, ManifestFile
+from lfield.driver.driver_index import DriverInfo, ManifestFile
 from lfield.guard.messages import MessageReader
 from lfield.guard.shell import Shell
 from lfield.manifest import DeviceManifest
-from lfield.simulate.time import LoopClock
+from lfield.simulate.jumping_loop import LoopClock
 
 
 class Output:
     """The pipe to the host: keeps what is told."""
 
     def __init__(self):
-        self._reader, self.told, self.writes = MessageReader(), [], []
+        self._reader, self.received, self.writes = MessageReader(), [], []
         #: Bytes that the host has not read.
         self.unread = 0
 
     def write(self, data):
         self.writes.append(list(self._reader.feed(data)))
-        self.told += self.writes[-1]
+        self.received += self.writes[-1]
 
     def is_closing(self):
         return False
@@ -53,4 +53,4 @@ def known_thing(*instructions, telemetry=()):
     """What the host knows of that driver."""
     manifest = Manifest(DeviceManifest("Thing", "thing", instructions, telemetry, safe_states=("off",)))
     files = {"Thing": ManifestFile("manifest.yaml", bytes(32))}
-    return KnownDriver("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")
+    return DriverInfo("thing", "lfield_thing:PLUGIN", {"Thing": manifest}, files, "")

@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from memory_network import MemoryNetwork
 
+from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.surroundings import Options
 from lfield.manifest import Observation
 from lfield.mission.bindings import MissionStart
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import ON_GROUND, Mission
-from lfield.simulate.disk import JournalDisk
-from lfield.simulate.network import MemoryNetwork
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.simulate.journal_disk import JournalDisk
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 
 #: Seconds of the jumping clock in which anything must have happened.
 PATIENCE = 60.0
@@ -91,7 +91,7 @@ class Fleet:
         if options.pop("keeps", False):
             disk = self.disks.setdefault(name, JournalDisk(random.Random(name)))
             options["journal"] = disk.open(LoopClock(), err.write)
-        made = Options(listen, clock=LoopClock(), **options)
+        made = HostOptions(listen, clock=options.pop("clock", None) or LoopClock(), **options)
         transport = self.network.transport(name)
         running = Running(Host(mission, name, transport, Logbook(out, err), made), out, err)
         self.running.append(running)
@@ -127,7 +127,7 @@ class Fleet:
             outcomes[:] = [
                 known.outcome
                 for running in self.running
-                for known in running.host.mobility.knowledge()
+                for known in running.host.mobility.known_states()
                 if known.agent == agent and known.state == "EXITED"
             ]
             return bool(outcomes)

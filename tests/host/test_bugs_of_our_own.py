@@ -6,25 +6,25 @@ import asyncio
 
 import pytest
 
-from lfield import exits
+from lfield import exit_status
 from lfield.host.core import HostCore
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.process.run import live
-from lfield.host.process.stop_words import StopWords
-from lfield.host.team.world import HostWorld
-from lfield.mobility.core import Mobility
-from lfield.net.peers import Peers, Session
-from lfield.vm import portals
+from lfield.host.process.host_process import run_until_exit
+from lfield.host.process.shutdown_signals import ShutdownSignals
+from lfield.host.team.host_services import HostServices
+from lfield.net.link_manager import LinkManager, Session
+from lfield.replication.transfer.core import Mobility
+from lfield.vm import portal_calls
 from lfield.vm.agent import Agent
+from lfield.vm.host_calls import HostCallDispatcher
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import W_ID
 from lfield.vm.memory.liveness import Liveness
-from lfield.vm.outside import Outsiders
-from lfield.vm.reference import Engine
+from lfield.vm.reference import ReferenceEngine
+from lfield.vm.run_queue import RunQueue
 from lfield.vm.scheduler import Scheduler
-from lfield.vm.turns import Turns
 
 # Everything that leaves the engine, by one coordinator and its resource, and by another pair.
 PROGRAM = """
@@ -71,16 +71,18 @@ MINE = ("victim", "vnear", "vfar")
 
 IN_A_TURN = [
     (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
-    (Engine, "run"), (Engine, "complete"), (Engine, "throw"),
-    (Scheduler, "complete"), (Scheduler, "with_room"), (Scheduler, "open"),
-    (Scheduler, "throw"), (Scheduler, "standing"), (portals, "new_thread"), (Scheduler, "flush"),
-    (Scheduler, "forget"), (Scheduler, "give_back"), (Scheduler, "uncaught"), (Scheduler, "freeze"),
-    (Outsiders, "carry_out"), (Outsiders, "_yield"), (Outsiders, "_sleep"), (Outsiders, "_now"),
-    (Outsiders, "_random"), (Outsiders, "_random_int"), (Outsiders, "_find"), (Outsiders, "_find_all"),
-    (Outsiders, "_pcall"), (Outsiders, "_write"),
-    (Turns, "last"), (Turns, "next"), (Turns, "soon"), (Turns, "sleep"),
-    (portals, "call"), (portals, "begin"), (portals, "finish"), (portals, "fail"),
-    (HostWorld, "write"), (HostWorld, "log"), (HostWorld, "depart"), (Liveness, "clear_dead"),
+    (ReferenceEngine, "run"), (ReferenceEngine, "complete"), (ReferenceEngine, "throw"),
+    (Scheduler, "complete"), (Scheduler, "run_with_collection"), (Scheduler, "open"),
+    (Scheduler, "throw"), (Scheduler, "instruction_of"), (portal_calls, "new_thread"), (Scheduler, "flush"),
+    (Scheduler, "forget"), (Scheduler, "release_monitor"), (Scheduler, "uncaught"), (Scheduler, "freeze"),
+    (HostCallDispatcher, "dispatch"), (HostCallDispatcher, "_yield"), (HostCallDispatcher, "_sleep"),
+    (HostCallDispatcher, "_now"),
+    (HostCallDispatcher, "_random"), (HostCallDispatcher, "_random_int"), (HostCallDispatcher, "_find"),
+    (HostCallDispatcher, "_find_all"),
+    (HostCallDispatcher, "_pcall"), (HostCallDispatcher, "_write"),
+    (RunQueue, "push_back"), (RunQueue, "push_front"), (RunQueue, "push_ready_front"), (RunQueue, "sleep"),
+    (portal_calls, "call"), (portal_calls, "start_call"), (portal_calls, "finish"), (portal_calls, "fail"),
+    (HostServices, "write"), (HostServices, "log"), (HostServices, "depart"), (Liveness, "clear_dead"),
 ]  # fmt: skip
 
 
@@ -111,7 +113,7 @@ def whose(value):
     return value.string(value.w[W_ID]) if isinstance(value, Block) and value.w[W_ID] else None
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("after", [0, 7])
 @pytest.mark.parametrize(("owner", "name"), IN_A_TURN, ids=names(IN_A_TURN))
 def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(fleet, monkeypatch, owner, name, after):
@@ -129,19 +131,26 @@ def test_a_bug_in_the_turn_of_an_agent_ends_that_agent_only(fleet, monkeypatch, 
         assert await team.ended("victim") == "died"
         assert alpha.host.failure is None
         assert bravo.host.failure is None
-        assert alpha.host.turn()
+        assert alpha.host.step()
 
     fleet(story)
 
 
 OF_THE_HOST = [
-    (HostCore, "start_resources"), (HostCore, "start_coordinators"), (HostCore, "run"), (HostCore, "take"),
-    (HostCore, "linked"), (HostCore, "unlinked"), (HostCore, "arrived"), (HostCore, "received"),
-    (Machine, "run"), (Machine, "release"), (Turns, "wake"), (Turns, "pause"),
-    (Mobility, "linked"), (Mobility, "arrive"), (Mobility, "receive"),
-    (Mobility, "tick"), (Mobility, "unlinked"),
-    (Peers, "send"), (Peers, "send_transfer"), (Peers, "gone"), (Host, "_carry_out"),
+    (HostCore, "start_resources"), (HostCore, "start_coordinators"), (HostCore, "run"),
+    (HostCore, "drain_effects"),
+    (HostCore, "on_linked"), (HostCore, "on_unlinked"), (HostCore, "on_transfer"), (HostCore, "on_message"),
+    (Machine, "run"), (Machine, "release"), (RunQueue, "pop_due"), (RunQueue, "seconds_until_due"),
+    (Mobility, "on_linked"), (Mobility, "on_transfer"), (Mobility, "on_message"),
+    (Mobility, "tick"), (Mobility, "on_unlinked"),
+    (LinkManager, "send"), (LinkManager, "send_transfer"), (LinkManager, "on_link_closed"),
+    (Host, "_execute"),
 ]  # fmt: skip
+
+
+def lines_of_core(running):
+    """The log without that of the links: until its process ends, a failed host dials others at any time."""
+    return [line for line in running.log.splitlines() if " unreachable at " not in line]
 
 
 @pytest.mark.parametrize(("owner", "name"), OF_THE_HOST, ids=names(OF_THE_HOST))
@@ -154,7 +163,7 @@ def test_a_bug_of_the_host_ends_the_host_and_it_feeds_no_guard(fleet, monkeypatc
 
         def unhandled(loop, context):
             for host in hosts:
-                host.unhandled(loop, context)
+                host.on_unhandled(loop, context)
 
         plant(monkeypatch, owner, name)
         await asyncio.gather(*(host.start() for host in hosts))
@@ -167,15 +176,12 @@ def test_a_bug_of_the_host_ends_the_host_and_it_feeds_no_guard(fleet, monkeypatc
         for running in failed:
             assert isinstance(running.host.failure.cause, ZeroDivisionError)
             assert running.host.failed.is_set()
-            assert not running.host.turn(), "a beat would be given"
-            assert (
-                f"{running.host.name} ends because of a bug in lfield itself: ZeroDivisionError"
-                in running.log
-            )
-            assert running.log.count("ends because of") == 1
-            said = running.log
+            assert not running.host.step(), "a beat would be given"
+            assert f"{running.host.name} stopped: bug in lfield: ZeroDivisionError" in running.log
+            assert running.log.count("stopped: bug in lfield") == 1
+            said = lines_of_core(running)
             await asyncio.sleep(5.0)
-            assert running.log == said, "nothing more is done"
+            assert lines_of_core(running) == said, "nothing more is done"
 
     fleet(story)
 
@@ -184,10 +190,10 @@ def test_a_bug_in_a_task_of_the_links_ends_the_host(fleet, monkeypatch):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         alpha = team.make(mission, "alpha")
-        asyncio.get_running_loop().set_exception_handler(alpha.host.unhandled)
+        asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
         await alpha.host.start()
         # What the task that keeps links alive sleeps for is no time at all.
-        monkeypatch.setattr("lfield.net.peers.PING_EVERY", "a second")
+        monkeypatch.setattr("lfield.net.link_manager.PING_EVERY", "a second")
         await asyncio.sleep(5.0)
         assert alpha.host.failure is not None
 
@@ -202,21 +208,21 @@ def test_a_bug_in_the_log_does_not_keep_the_host_from_ending(fleet, monkeypatch,
         def planted(*given):
             raise RuntimeError("planted")
 
-        asyncio.get_running_loop().set_exception_handler(alpha.host.unhandled)
+        asyncio.get_running_loop().set_exception_handler(alpha.host.on_unhandled)
         monkeypatch.setattr(Logbook, name, planted)
         await asyncio.sleep(2.0)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(5.0)
         failed = [running for running in (alpha, bravo) if running.host.failed.is_set()]
         assert failed
-        assert not any(running.host.turn() for running in failed)
+        assert not any(running.host.step() for running in failed)
         monkeypatch.undo()
 
     fleet(story)
 
 
 @pytest.mark.parametrize("error", [ConnectionResetError, OSError, ZeroDivisionError])
-@pytest.mark.parametrize("place", ["on_message", "on_transfer", "_taken"])
+@pytest.mark.parametrize("place", ["on_message", "on_transfer", "_on_accepted"])
 def test_what_a_callback_of_a_link_raises_is_no_lost_connection(fleet, monkeypatch, place, error):
     """The loops take an OSError there for the end of the connection, and say nothing."""
 
@@ -225,7 +231,7 @@ def test_what_a_callback_of_a_link_raises_is_no_lost_connection(fleet, monkeypat
 
         def unhandled(loop, context):
             for running in (alpha, bravo):
-                running.host.unhandled(loop, context)
+                running.host.on_unhandled(loop, context)
 
         asyncio.get_running_loop().set_exception_handler(unhandled)
 
@@ -247,17 +253,17 @@ coordinator Walker { init(string[] arg) { sleep(0.1); %s } }
 @pytest.mark.parametrize(
     ("does", "planted", "status"),
     [
-        ("print(1);", False, exits.DONE),
-        ("print(arg[7]);", False, exits.FAILED),
-        ("print(1);", True, exits.SOFTWARE),
+        ("print(1);", False, exit_status.DONE),
+        ("print(arg[7]);", False, exit_status.FAILED),
+        ("print(1);", True, exit_status.SOFTWARE),
     ],
 )
 def test_until_done_ends_with_what_a_coordinator_died_of(fleet, monkeypatch, does, planted, status):
     if planted:
-        plant(monkeypatch, Outsiders, "_sleep")
+        plant(monkeypatch, HostCallDispatcher, "_sleep")
 
     async def story(team):
         alpha = team.make(team.mission(LONELY % does, "//Walker:walker@alpha"), "alpha")
-        assert await live(alpha.host, StopWords(alpha.host.clock), 30.0) == status
+        assert await run_until_exit(alpha.host, ShutdownSignals(alpha.host.clock), 30.0) == status
 
     fleet(story)

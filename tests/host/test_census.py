@@ -9,9 +9,9 @@ from itertools import combinations
 
 import pytest
 
-from lfield.host.process import leash
-from lfield.host.process.leash import Leash
-from lfield.host.process.until_done import until_done
+from lfield.host.process import parent_pipe
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.host.process.parent_pipe import ParentPipe
 
 PROGRAM = """
 resource Post {
@@ -28,7 +28,7 @@ DEPLOYMENT = "//Post:a@alpha\n//Post:b@bravo\n//Post:c@carol\n//Guest:guest@brav
 
 async def fates_of(running, lost_after: float):
     """The fates that each host tells; as in a process, it stops then."""
-    (fate,) = await until_done(running.host, lost_after)
+    (fate,) = await wait_until_done(running.host, lost_after)
     await running.host.stop()
     return fate
 
@@ -38,6 +38,7 @@ async def all_fates(hosts, lost_after: float = 5.0):
         return await asyncio.gather(*(fates_of(running, lost_after) for running in hosts))
 
 
+@pytest.mark.few(5)
 @pytest.mark.parametrize("way", ["c", "a&c", "c&a", "b", "a&c&b"])
 @pytest.mark.parametrize("edge", list(combinations(HOSTS, 2)), ids="-".join)
 def test_one_edge_cut_with_the_coordinator_alive_is_no_loss(fleet, edge, way):
@@ -63,7 +64,7 @@ def test_a_host_that_nobody_hears_any_more_is_named_with_the_seconds(fleet, way)
             team.network.partition("alpha", other)
         alpha, *others = await all_fates(hosts)
         assert alpha.outcome == "unheard"
-        assert re.search("bravo has not been heard for [56] s$", alpha.detail)
+        assert re.search("bravo has been unreachable for [56] s$", alpha.detail)
         assert [fate.outcome for fate in others] == ["done", "done"]
 
     fleet(story)
@@ -76,10 +77,10 @@ def test_a_host_that_was_reaped_is_proof_at_once(fleet):
         await carol.host.stop()
         began = asyncio.get_running_loop().time()
         for running in (alpha, bravo):
-            running.host.reaped("carol")
+            running.host.on_host_exited("carol")
         fates = await all_fates([alpha, bravo], lost_after=1000.0)
         assert {(fate.outcome, fate.detail) for fate in fates} == {
-            ("lost", "it went to carol (transfer 1), which is gone")
+            ("lost", "it moved to carol (transfer 1), which is gone")
         }
         assert asyncio.get_running_loop().time() - began < 5.0
 
@@ -132,7 +133,7 @@ def on_leash(story) -> Heard:
         heard = Heard()
         near, far = os.pipe()
         try:
-            Leash(near, heard.lines.append, heard.let_go.set)
+            ParentPipe(near, heard.lines.append, heard.let_go.set)
             await story(far)
             async with asyncio.timeout(30.0):
                 await heard.let_go.wait()
@@ -145,7 +146,7 @@ def on_leash(story) -> Heard:
 
 def test_lines_are_news_and_the_end_means_stop():
     async def story(far: int) -> None:
-        data = leash.news("bravo") + b"something else\n" + leash.news("cärol")
+        data = parent_pipe.exit_line("bravo") + b"something else\n" + parent_pipe.exit_line("cärol")
         for at in range(len(data)):
             os.write(far, data[at : at + 1])
             await asyncio.sleep(0)

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from lfield.errors import NoEngine, UsageError
-from lfield.host import engines
-from lfield.host.engines import compiled, engines_for
-from lfield.testing.engines import NEEDED
+from lfield.errors import EngineUnavailable, UsageError
+from lfield.host import engine_provider
+from lfield.host.engine_provider import compile_in_process, select_engine
 from lfield.testing.golden import compile_text
-from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference import ReferenceEngine as Reference
+from switching_engine import NEEDED
 
 pytestmark = pytest.mark.process
 PROGRAM = compile_text("resource R { init(string[] arg) { print(arg.length() + 1); } }")
@@ -28,14 +28,14 @@ Ends = Callable[[str], None]
 def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty cache folder, and no code in this process, which refuses to compile."""
     wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
-    from lfield.vm.wasm import code
+    from lfield.vm.wasm import machine_code
 
     def refuse(*_: object) -> None:
         raise AssertionError("the host itself compiles")
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(wasmtime.Module, "__init__", refuse)
-    code._recent.clear()
+    machine_code._recent.clear()
 
 
 @pytest.fixture
@@ -64,18 +64,18 @@ def started(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 def engine_of(notes: list[str], choice: str = "auto") -> object:
-    return engines_for(choice, notes.append)(PROGRAM, float)
+    return select_engine(choice, notes.append)(PROGRAM, float)
 
 
 def test_one_process_compiles_program_and_runtime_and_none_what_is_kept(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from lfield.vm.wasm import code
+    from lfield.vm.wasm import machine_code
 
     commands, notes = started(monkeypatch), []
     assert not isinstance(engine_of(notes), Reference)
     assert len(commands) == 1
-    code._recent.clear()
+    machine_code._recent.clear()
     assert not isinstance(engine_of(notes), Reference)
     assert len(commands) == 1
     assert notes == []
@@ -84,6 +84,7 @@ def test_one_process_compiles_program_and_runtime_and_none_what_is_kept(
 def test_without_a_folder_it_goes_by_the_pipe_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", "")
+    monkeypatch.setattr(os, "getuid", lambda: 54321)  # no user of this computer
     commands, notes = started(monkeypatch), []
     assert not isinstance(engine_of(notes), Reference)
     assert len(commands) == 1
@@ -124,13 +125,13 @@ def test_where_it_cannot_begin_the_reference_engine_serves(
 
 def test_a_start_does_not_hang_on_it(ends: Ends) -> None:
     ends("exec sleep 600")
-    with pytest.raises(NoEngine, match=r"its process that compiles took longer than 0\.1 s"):
-        compiled(["(module)"], WHOLE, 0.1)
+    with pytest.raises(EngineUnavailable, match=r"its process that compiles took longer than 0\.1 s"):
+        compile_in_process(["(module)"], WHOLE, 0.1)
 
 
 def test_what_no_compiler_takes_is_told_with_its_reason() -> None:
-    with pytest.raises(NoEngine, match="ended with status 1: "):
-        compiled(["(module (nonsense))"], WHOLE)
+    with pytest.raises(EngineUnavailable, match="ended with status 1: "):
+        compile_in_process(["(module (nonsense))"], WHOLE)
 
 
 def test_what_lies_in_the_working_folder_compiles_nothing(
@@ -138,7 +139,7 @@ def test_what_lies_in_the_working_folder_compiles_nothing(
 ) -> None:
     (tmp_path / "wasmtime.py").write_text("raise SystemExit('a stranger')")
     monkeypatch.chdir(tmp_path)
-    (code,) = compiled(["(module)"], WHOLE)
+    (code,) = compile_in_process(["(module)"], WHOLE)
     assert code.startswith(b"\x7fELF")
 
 
@@ -153,7 +154,7 @@ time.sleep(600)
 
 def test_it_ends_with_its_host() -> None:
     """However that ends. Its input stays open, so it is not that which tells it."""
-    command = [sys.executable, "-c", _HOST, engines._COMPILER]
+    command = [sys.executable, "-c", _HOST, engine_provider._COMPILER]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as host:
         assert host.stdout is not None
         while not Path(f"/proc/{host.pid}/task/{host.pid}/children").read_text():

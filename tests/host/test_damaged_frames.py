@@ -6,11 +6,11 @@ import asyncio
 from collections.abc import Callable
 
 import pytest
+from memory_network import MemoryLink
 
 from lfield.errors import LfieldError
-from lfield.simulate.network import MemoryLink
 from lfield.wire.codec import CONTROL, TRANSFER, decode
-from lfield.wire.coordinators import Accepted
+from lfield.wire.coordinator_messages import TransferAccepted
 from lfield.wire.framing import HEADER_SIZE
 
 WALK = """
@@ -42,7 +42,7 @@ def is_answer(link: MemoryLink, data: bytes) -> bool:
     """Whether it is bravo's answer to such a hop."""
     if (link.machine, link.other.machine) != ("bravo", "alpha") or data[HEADER_SIZE - 1] != CONTROL:
         return False
-    return isinstance(decode(CONTROL, data[HEADER_SIZE:]), Accepted)
+    return isinstance(decode(CONTROL, data[HEADER_SIZE:]), TransferAccepted)
 
 
 #: Every bit of the header and the first words is tried, and then one of each byte, in turn.
@@ -80,18 +80,19 @@ class Damage:
         return bytes(damaged)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("wanted", "rounds"), [(is_hop, 900), (is_answer, 500)], ids=["hop", "answer"])
 def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds):
     damage, write = Damage(wanted), MemoryLink.write
     monkeypatch.setattr(MemoryLink, "write", lambda link, data: write(link, damage(link, bytes(data))))
-    finished, ended = MemoryLink.finished, []
+    finished, ended = MemoryLink.on_eof, []
 
     def note_end(link: MemoryLink, error: LfieldError | None) -> None:
         if link.machine == "alpha":
             ended.append(link.peer)
         finished(link, error)
 
-    monkeypatch.setattr(MemoryLink, "finished", note_end)
+    monkeypatch.setattr(MemoryLink, "on_eof", note_end)
     logs: dict[str, str] = {}
 
     async def story(team):

@@ -6,17 +6,18 @@ import asyncio
 
 import pytest
 
-from lfield.devices.guards import Guards
+from lfield.devices.device_guards import DeviceGuards
 from lfield.errors import AddressError
-from lfield.host.process.until_done import until_done
-from lfield.operator.ask import STATUS, ask_all
-from lfield.operator.observing import ask
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.operator.client import SNAPSHOT, ask_all
+from lfield.operator.observer_link import send_request
 from lfield.wire.codec import decode, encode
-from lfield.wire.fields import MAX_NUMBERS, MAX_TEXT, OLDEST
+from lfield.wire.coordinator_messages import Locate
+from lfield.wire.fields import MAX_DURATION, MAX_NUMBERS, MAX_TEXT
 from lfield.wire.framing import HEADER_SIZE
 from lfield.wire.messages import Hello
-from lfield.wire.observing import LinkStatus, Status, StatusRequest
-from lfield.wire.watching import Events, Watch
+from lfield.wire.observer_messages import LinkStatus
+from lfield.wire.subscription_messages import EventBatch, Subscribe
 
 PROGRAM = """
 resource Post {
@@ -36,7 +37,8 @@ def test_the_status_shows_agents_hops_portals_and_heap(fleet):
         home, away = await team.up(mission)
         await team.until(lambda: away.holds("guest"))
         await asyncio.sleep(1.0)
-        status = await ask(team.network.transport("desk"), "away:8181", STATUS)
+        batch = await send_request(team.network.transport("desk"), "away:8181", SNAPSHOT)
+        status = batch.snapshot
         assert status.host == "away"
         assert status.address == "away:8181"
         assert status.links == [LinkStatus("home", None, 0.0)]
@@ -63,14 +65,14 @@ def test_the_status_shows_agents_hops_portals_and_heap(fleet):
 def test_whatever_devices_tell_the_status_can_be_read(fleet, monkeypatch):
     told = {"one.fc": {"mode": "x" * 9999, "scan": (0.5,) * 9999, "n": 1, "on": True}, "two.fc": {}}
     heard = {"one.fc": -1e12}
-    for name, value in {"telemetry": told, "heard": heard, "latched": {"two.fc": "y" * 9999}}.items():
-        monkeypatch.setattr(Guards, name, property(lambda self, value=value: value))
+    for name, value in {"telemetry": told, "last_contact": heard, "latched": {"two.fc": "y" * 9999}}.items():
+        monkeypatch.setattr(DeviceGuards, name, property(lambda self, value=value: value))
 
     async def story(team):
         (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
-        frame = encode(home.host.status())
-        one, two = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]).devices
-        assert (one.name, one.silent, one.latched) == ("one.fc", OLDEST, "")
+        frame = encode(home.host._observers.subscriptions.snapshot_batch())
+        one, two = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]).snapshot.devices
+        assert (one.name, one.silent, one.latched) == ("one.fc", MAX_DURATION, "")
         assert (two.name, two.silent, len(two.latched)) == ("two.fc", None, MAX_TEXT)
         assert len(one.telemetry.pop("mode")) == MAX_TEXT
         assert one.telemetry == {"scan": [0.5] * MAX_NUMBERS, "n": 1, "on": True}
@@ -97,17 +99,17 @@ def test_a_coordinator_whose_fate_is_unknown_stays_frozen_and_is_told(fleet):
         home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home"), None
         away = team.make(home[0].host.mission, "away")
         # The transfer is taken from the link, and no answer ever leaves.
-        away.host.arrived = lambda host, header, block: None
+        away.host.on_transfer = lambda host, header, block: None
         await away.host.start()
         await team.until(lambda: team.network.sent["Transfer"] == 1)
-        await team.until(lambda: "guest is in doubt: away has not said within 10 s" in home[0].log)
+        await team.until(lambda: "guest in doubt: away has not confirmed within 10 s" in home[0].log)
         (record,) = home[0].host.status().coordinators
         assert (record.state, record.where) == ("IN DOUBT", "away")
         await away.host.stop()
-        (fate,) = await until_done(home[0].host, 15.0)
+        (fate,) = await wait_until_done(home[0].host, 15.0)
         # It may have taken the transfer, and it may come back: silence is no proof.
         assert fate.outcome == "unheard"
-        assert fate.detail.startswith("it went to away (transfer 1), and away has not been heard for 1")
+        assert fate.detail.startswith("it moved to away (transfer 1), and away has been unreachable for 1")
 
     fleet(story)
 
@@ -116,9 +118,27 @@ def test_a_host_that_does_not_answer_is_an_error_among_the_answers(fleet):
     async def story(team):
         await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
         transport = team.network.transport("desk")
-        answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"}, STATUS)
-        assert answers["home"].host == "home"
+        answers = await ask_all(transport, {"home": "home:8181", "away": "away:8181"}, SNAPSHOT)
+        assert answers["home"].snapshot.host == "home"
         assert isinstance(answers["away"], AddressError)
+
+    fleet(story)
+
+
+def test_hosts_locate_coordinators_of_each_other_and_send_no_snapshot_to_a_host(fleet):
+    async def story(team):
+        mission = team.mission(PROGRAM, DEPLOYMENT)
+        home, away = await team.up(mission, "home", "away")
+        await team.until(lambda: away.holds("guest"))
+        await asyncio.sleep(1.0)
+        away.host.peers.send("home", Subscribe(once=True))
+        away.host.peers.send("home", Locate())
+        await team.until(lambda: "home" in away.host.core.locator.answers)
+        await asyncio.sleep(1.0)
+        assert team.network.sent["Subscribe"] == 1
+        assert team.network.sent["EventBatch"] == 0
+        assert away.host.core.locator.answers["home"] == home.host.status().coordinators
+        assert away.host.core.locator.answers["home"] != []
 
     fleet(story)
 
@@ -132,9 +152,9 @@ def test_whoever_asks_again_and_again_gets_one_answer_for_many(fleet):
             def on_message(self, link, message):
                 answers.append(message)
                 if isinstance(message, Hello):
-                    link.greeted("host")
+                    link.accept_role("host")
                     for _ in range(1000):
-                        link.send(StatusRequest())
+                        link.send(Subscribe(once=True))
 
             def on_closed(self, link, error):
                 pass
@@ -142,7 +162,7 @@ def test_whoever_asks_again_and_again_gets_one_answer_for_many(fleet):
         link = await team.network.transport("desk").connect("home:8181", Asker())
         link.send(Hello("observer", "observer", 0))
         await asyncio.sleep(1.0)
-        assert 1 <= sum(isinstance(answer, Status) for answer in answers) <= 3
+        assert 1 <= sum(isinstance(answer, EventBatch) for answer in answers) <= 3
         assert home.host.status().host == "home"
 
     fleet(story)
@@ -165,9 +185,9 @@ def test_a_question_that_nobody_answers_ends(fleet):
         await transport.listen("silent:1", lambda link: Silent())
         await transport.listen("rude:1", lambda link: Rude())
         with pytest.raises(AddressError, match="no answer within 2 s"):
-            await ask(transport, "silent:1", STATUS)
+            await send_request(transport, "silent:1", SNAPSHOT)
         with pytest.raises(AddressError, match="without an answer"):
-            await ask(transport, "rude:1", STATUS)
+            await send_request(transport, "rude:1", SNAPSHOT)
 
     fleet(story)
 
@@ -179,8 +199,8 @@ def test_whoever_looks_goes_without_a_line_in_the_log(fleet):
         class Watching:
             def on_message(self, link, message):
                 if isinstance(message, Hello):
-                    link.greeted(message.role)
-                    link.send(Watch())
+                    link.accept_role(message.role)
+                    link.send(Subscribe())
                 else:
                     heard.append(message)
 
@@ -191,11 +211,11 @@ def test_whoever_looks_goes_without_a_line_in_the_log(fleet):
         link = await team.network.transport("desk").connect("home:8181", Watching())
         link.send(Hello("observer", "observer", 0))
         await team.until(lambda: heard)
-        assert isinstance(heard[0], Events)
+        assert isinstance(heard[0], EventBatch)
         team.network.cut("desk", "home")
         await team.until(lambda: len(heard) > 1)
         await asyncio.sleep(3.0)
-        assert "closed a link" not in home.log
+        assert "link from " not in home.log
 
     fleet(story)
 
@@ -214,7 +234,7 @@ def test_whoever_never_greets_is_shown_out(fleet):
         (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
         await team.network.transport("desk").connect("home:8181", Idle())
         await team.until(lambda: closed)
-        assert "closed a link from desk: it has not greeted within 10 s" in home.log
+        assert "link from desk closed: it has not greeted within 10 s" in home.log
 
     fleet(story)
 
@@ -224,9 +244,9 @@ def test_a_host_that_has_not_come_up_yet_is_not_given_up_before_portal_calls_to_
     async def story(team):
         (away,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "away")
         started = asyncio.get_running_loop().time()
-        (fate,) = await until_done(away.host, lost_after)
+        (fate,) = await wait_until_done(away.host, lost_after)
         assert fate.outcome == "unheard"
-        assert fate.detail.startswith("it starts on home, and home has not been heard for ")
+        assert fate.detail.startswith("it starts on home, and home has been unreachable for ")
         assert asyncio.get_running_loop().time() - started >= max(10.0, lost_after) - 1.5
 
     fleet(story)

@@ -8,7 +8,7 @@ import pytest
 
 from lfield.bytecode.encoding import encode
 from lfield.errors import ProgramError
-from lfield.mission.load import check_file, compile_file, load_mission
+from lfield.mission.loader import check_file, compile_file, load_mission
 
 CRANE = """
 resource Crane {

@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 
-from lfield.capability.directory.news import Trouble
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.directory.directory_delta import Unavailability
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.errors import ConstraintError
-from lfield.host.directory import LOOK_EVERY
+from lfield.host.team_directory import SAMPLE_EVERY
 from lfield.manifest import Observation
-from lfield.wire.messages import AgentReport, FactReport, Report
+from lfield.wire.messages import AgentUpdate, AttributeUpdate, DirectoryUpdate
 
 #: A coordinator that has reserved nothing.
 ASKER = SimpleNamespace(id="foreman")
@@ -81,7 +81,7 @@ def known(running, agent):
 
 
 def offered(running, constraint=None):
-    found = running.host.core.world.offers(ASKER, "Lift", constraint)
+    found = running.host.core.services.offers(ASKER, "Lift", constraint)
     return [offer.agent for offer in found]
 
 
@@ -95,17 +95,17 @@ def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(fl
         await team.until(lambda: "battery" in known(alpha, "far").facts)
         assert known(alpha, "far").facts["battery"].value == 0.75
         assert 0.1 <= known(alpha, "far").facts["battery"].age <= 1.2
-        sent = team.network.sent["Report"]
+        sent = team.network.sent["DirectoryUpdate"]
         await asyncio.sleep(20.0)
-        assert team.network.sent["Report"] == sent
+        assert team.network.sent["DirectoryUpdate"] == sent
         # It has not changed for 20 s, and is fresh all the same: its host lives and would have said so.
         assert known(alpha, "far").facts["battery"].age <= 1.2
         devices.values["far.fc", "battery"] = (0.752, 0.1)
         await asyncio.sleep(3.0)
-        assert team.network.sent["Report"] == sent
+        assert team.network.sent["DirectoryUpdate"] == sent
         devices.values["far.fc", "battery"] = (0.7, 0.1)
         await asyncio.sleep(3.0)
-        assert team.network.sent["Report"] == sent + 1
+        assert team.network.sent["DirectoryUpdate"] == sent + 1
         assert known(alpha, "far").facts["battery"].value == 0.7
         assert offered(alpha, "battery >= 0.7") == offered(bravo, "battery >= 0.7") == ["far"]
 
@@ -115,12 +115,12 @@ def test_live_values_come_from_their_hosts_and_are_told_only_when_they_change(fl
 def test_however_often_something_changes_a_host_tells_it_at_a_bounded_rate(fleet):
     async def story(team):
         _, bravo, _, devices = await two_hosts(team)
-        before = team.network.sent["Report"]
+        before = team.network.sent["DirectoryUpdate"]
         for step in range(500):
             devices.values["far.fc", "battery"] = (step / 500, 0.0)
-            bravo.host.core.world.offers(ASKER, "Lift", None)
+            bravo.host.core.services.offers(ASKER, "Lift", None)
             await asyncio.sleep(0.02)
-        assert team.network.sent["Report"] - before <= 10.0 / LOOK_EVERY + 1
+        assert team.network.sent["DirectoryUpdate"] - before <= 10.0 / SAMPLE_EVERY + 1
 
     fleet(story)
 
@@ -145,16 +145,16 @@ coordinator Foreman {
     async def story(team):
         alpha, *_ = await two_hosts(team, program)
         await asyncio.sleep(4.9)
-        alpha.host.core.world.offers(ASKER, "Lift", None)
+        alpha.host.core.services.offers(ASKER, "Lift", None)
         before = team.network.sent.copy()
         sent = {}
-        writes = alpha.host.core.world.log
+        writes = alpha.host.core.services.log
 
         def log(agent, text):
             sent.update(team.network.sent - before)
             writes(agent, text)
 
-        alpha.host.core.world.log = log
+        alpha.host.core.services.log = log
         await team.until(lambda: "2000 offers" in alpha.log)
         said = alpha.log.replace("1.0 <", "1 <")
         assert "2000 offers, 0 hops; there are 2 offers, by 2 agents\n    small: payload 1 < 2.0" in said
@@ -166,19 +166,19 @@ coordinator Foreman {
 def test_why_an_agent_is_not_offered(fleet):
     async def story(team):
         alpha, bravo, near, far = await two_hosts(team)
-        near.troubles["near.fc"] = Trouble("fc: in its safe state hold: the host was silent")
-        far.troubles["far.fc"] = Trouble("fc: not heard", asyncio.get_running_loop().time() - 3.0)
+        near.troubles["near.fc"] = Unavailability("fc: in its safe state hold: the host was silent")
+        far.troubles["far.fc"] = Unavailability("fc: not heard", asyncio.get_running_loop().time() - 3.0)
         assert sorted(offered(alpha)) == ["far", "small"]
-        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.world.explain(
+        assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.services.explain(
             ASKER, "Lift", None
         )
         await asyncio.sleep(1.5)
         assert offered(alpha) == offered(bravo) == ["small"]
-        assert "far: fc: not heard for 4.5 s" in alpha.host.core.world.explain(ASKER, "Lift", None)
+        assert "far: fc: not heard for 4.5 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(12.0)
         assert offered(alpha) == []
-        assert "small: unreachable for 12 s" in alpha.host.core.world.explain(ASKER, "Lift", None)
+        assert "small: unreachable for 12 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
         del far.troubles["far.fc"]
         team.network.heal("alpha", "bravo")
         await asyncio.sleep(3.0)
@@ -198,7 +198,7 @@ def test_a_resource_that_died_is_not_offered(fleet):
         assert "far" in offered(alpha)
         await asyncio.sleep(5.0)
         assert "far" not in offered(alpha)
-        assert "far: died of " in alpha.host.core.world.explain(ASKER, "Lift", None)
+        assert "far: died of " in alpha.host.core.services.explain(ASKER, "Lift", None)
 
     fleet(story)
 
@@ -212,10 +212,10 @@ def test_a_host_that_was_away_knows_all_after_one_exchange(fleet):
         near.values["near.fc", "battery"] = (0.25, 0.0)
         await asyncio.sleep(5.0)
         team.network.heal("alpha", "bravo")
-        before = team.network.sent["Report"]
+        before = team.network.sent["DirectoryUpdate"]
         await team.until(lambda: alpha.host.peers.incarnations and bravo.host.peers.incarnations)
         await asyncio.sleep(0.1)
-        assert team.network.sent["Report"] - before == 2
+        assert team.network.sent["DirectoryUpdate"] - before == 2
         assert known(alpha, "far").facts["battery"].value == 0.5
         assert known(bravo, "near").facts["battery"].value == 0.25
 
@@ -229,7 +229,7 @@ def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
         alpha, _, near, far = await two_hosts(team, program)
         near.values["near.fc", "battery"] = (0.5, 0.0)
         await asyncio.sleep(10.0)
-        assert team.network.sent["Report"] == 0
+        assert team.network.sent["DirectoryUpdate"] == 0
         assert near.asked == far.asked == 0
         # Whether they can be called is known all the same.
         assert [(t.agent, t.refusal, t.facts) for t in alpha.host.status().directory] == [
@@ -247,7 +247,7 @@ ARMED, BATTERY = NAMES.index("armed"), NAMES.index("battery")
 
 
 def far_report(*facts, agent=3, unknown=()):
-    return [AgentReport(agent, "", None, list(facts), list(unknown))]
+    return [AgentUpdate(agent, "", None, list(facts), list(unknown))]
 
 
 @pytest.mark.parametrize(
@@ -256,20 +256,29 @@ def far_report(*facts, agent=3, unknown=()):
         (far_report(agent=0), "bravo reports on agent 0, which is none of its"),
         (far_report(agent=1), "bravo reports on agent 1, which is none of its"),
         (far_report(agent=77), "bravo reports on agent 77, which is none of its"),
-        (far_report(FactReport(999, 1.0, 0.0, True)), f"attribute 999 of far, and there are {len(NAMES)}"),
-        (far_report(unknown=[(999, "no")]), f"attribute 999 of far, and there are {len(NAMES)}"),
-        (far_report(FactReport(ARMED, 1.0, 0.0, True)), "says 1.0 for armed of far, which is no boolean"),
-        (far_report(FactReport(BATTERY, True, 0.0, True)), "says True for battery of far, which is no real"),
         (
-            far_report(FactReport(BATTERY, "full", 0.0, True)),
+            far_report(AttributeUpdate(999, 1.0, 0.0, True)),
+            f"attribute 999 of far, and there are {len(NAMES)}",
+        ),
+        (far_report(unknown=[(999, "no")]), f"attribute 999 of far, and there are {len(NAMES)}"),
+        (
+            far_report(AttributeUpdate(ARMED, 1.0, 0.0, True)),
+            "says 1.0 for armed of far, which is no boolean",
+        ),
+        (
+            far_report(AttributeUpdate(BATTERY, True, 0.0, True)),
+            "says True for battery of far, which is no real",
+        ),
+        (
+            far_report(AttributeUpdate(BATTERY, "full", 0.0, True)),
             "says 'full' for battery of far, which is no real",
         ),
         (
-            far_report(FactReport(BATTERY, float("nan"), 0.0, True)),
+            far_report(AttributeUpdate(BATTERY, float("nan"), 0.0, True)),
             "says nan for battery of far, which is no real",
         ),
         (
-            far_report(FactReport(BATTERY, float("inf"), 0.0, True)),
+            far_report(AttributeUpdate(BATTERY, float("inf"), 0.0, True)),
             "says inf for battery of far, which is no real",
         ),
     ],
@@ -281,9 +290,9 @@ def test_a_report_that_its_host_cannot_make_is_left_out_and_told_once(fleet, age
         await asyncio.sleep(2.0)
         before = known(alpha, "far")
         for sequence in (1000, 1001):
-            bravo.host.peers.send("alpha", Report(bravo.host.core.incarnation, 0, sequence, agents))
+            bravo.host.peers.send("alpha", DirectoryUpdate(bravo.host.core.incarnation, 0, sequence, agents))
         await asyncio.sleep(0.5)
-        assert alpha.log.count("ignored a report: ") == 1
+        assert alpha.log.count("status report ignored: ") == 1
         assert why in alpha.log
         assert known(alpha, "far").facts.keys() == before.facts.keys()
         assert alpha.host.peers.incarnations
@@ -341,8 +350,8 @@ def test_a_condition_that_cannot_be_read_is_an_error_with_its_mistakes(fleet):
     async def story(team):
         alpha, *_ = await two_hosts(team)
         with pytest.raises(ConstraintError):
-            alpha.host.core.world.offers(ASKER, "Lift", "paylod >= 2.0")
+            alpha.host.core.services.offers(ASKER, "Lift", "paylod >= 2.0")
         with pytest.raises(ConstraintError):
-            alpha.host.core.world.explain(ASKER, "Lift", "payload >=")
+            alpha.host.core.services.explain(ASKER, "Lift", "payload >=")
 
     fleet(story)

@@ -6,25 +6,26 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from lfield.driver.binding import DeviceBinding, WithoutPolicy
-from lfield.host.effects import MakeSafe
-from lfield.host.team.policy import ASKED_AT_ONCE, Policies
-from lfield.mobility.effects import Send
-from lfield.mobility.fates import Absent
-from lfield.wire.coordinators import Known
-from lfield.wire.observing import StatusRequest
+from lfield.driver.binding import DeviceBinding, OrphanPolicy
+from lfield.host.effects import MakeDeviceSafe
+from lfield.host.team.orphaned_devices import MAX_PARALLEL_QUERIES, DeadmanMonitor
+from lfield.replication.locate.outcomes import UnavailableHosts
+from lfield.replication.transfer.effects import Send
+from lfield.wire.coordinator_messages import CoordinatorState, Locate
 
 AFTER = 20.0
 
 
-def binding(name: str, without: WithoutPolicy | None) -> DeviceBinding:
+def binding(name: str, without: OrphanPolicy | None) -> DeviceBinding:
     return DeviceBinding(
         agent="a", field=name, type="T", driver="d", endpoint="e", safe_state="stop", without_policy=without
     )
 
 
-def at(host: str, sequence: int, state: str = "MOVED", agent: str = "pilot", outcome: str = "") -> Known:
-    return Known(agent, 1, sequence, sequence, state, "" if state == "RUN" else host, outcome)
+def at(
+    host: str, sequence: int, state: str = "MOVED", agent: str = "pilot", outcome: str = ""
+) -> CoordinatorState:
+    return CoordinatorState(agent, 1, sequence, sequence, state, "" if state == "RUN" else host, outcome)
 
 
 @dataclass
@@ -37,36 +38,39 @@ class Rig:
 
     links: list[str] = field(default_factory=list)
     hearsay: list[str] = field(default_factory=list)
-    own: list[Known] = field(default_factory=list)
-    has: dict[str, list[Known]] = field(default_factory=dict)
+    own: list[CoordinatorState] = field(default_factory=list)
+    has: dict[str, list[CoordinatorState]] = field(default_factory=dict)
     now: float = 100.0
 
     def __post_init__(self) -> None:
-        land, brake = WithoutPolicy(AFTER, "land"), WithoutPolicy(2 * AFTER, "brake")
-        self.core = Policies([binding("fc", land), binding("winch", brake), binding("lamp", None)])
+        land, brake = OrphanPolicy(AFTER, "land"), OrphanPolicy(2 * AFTER, "brake")
+        self.core = DeadmanMonitor([binding("fc", land), binding("winch", brake), binding("lamp", None)])
         self.asked: list[tuple[float, str]] = []
-        self.gone: list[tuple[float, MakeSafe]] = []
+        self.gone: list[tuple[float, MakeDeviceSafe]] = []
 
-    def absent(self, answered: object, now: float, lost_after: float, unmet: float) -> Absent:
-        return Absent(elsewhere=[*self.links, *self.hearsay])
+    def unavailable_hosts(
+        self, answered: object, now: float, lost_after: float, unmet: float
+    ) -> UnavailableHosts:
+        return UnavailableHosts(reachable_by_others=[*self.links, *self.hearsay])
 
     def wait(self, seconds: float) -> None:
         """Let time pass; who is asked and is well answers at once."""
         end = self.now + seconds
         while self.core.due is not None and self.core.due <= end:
             self.now = max(self.now, self.core.due)
-            for effect in self.core.look("here", self.own, self, self.now):
+            for effect in self.core.check("here", self.own, self, self.now):
                 if isinstance(effect, Send):
-                    assert isinstance(effect.message, StatusRequest)
+                    assert isinstance(effect.message, Locate)
+                    assert effect.message.agents
                     self.asked.append((self.now, effect.host))
                     if effect.host in self.has:
-                        self.core.told(effect.host, self.has[effect.host], self.now)
+                        self.core.on_states(effect.host, self.has[effect.host], self.now)
                 else:
                     self.gone.append((self.now, effect))
         self.now = end
 
     def use(self, device: str = "a.fc", coordinator: str = "pilot") -> None:
-        self.core.used(device, coordinator, self.now)
+        self.core.on_used(device, coordinator, self.now)
 
 
 def test_a_device_that_nobody_has_used_or_whose_binding_says_nothing_depends_on_nobody():
@@ -90,8 +94,8 @@ def test_one_that_ended_here_leaves_its_devices_the_time_of_each():
     rig.own = [at("here", 0, "EXITED", outcome="done")]
     rig.wait(100.0)
     (first, fc), (second, winch) = rig.gone
-    reason = "no coordinator that used it (pilot, done) has been heard of for 20 s"
-    assert fc == MakeSafe("a.fc", "land", reason, ("pilot",))
+    reason = "no coordinator that used it (pilot, done) has been confirmed alive for 20 s"
+    assert fc == MakeDeviceSafe("a.fc", "land", reason, ("pilot",))
     assert (winch.device, winch.state) == ("a.winch", "brake")
     assert (first, second) == (pytest.approx(170.0, abs=1.01), pytest.approx(190.0, abs=1.01))
     assert rig.core.due is None
@@ -117,7 +121,7 @@ def test_when_the_host_that_has_it_is_restarted_without_it_the_device_does_not_w
     rig.has = {"b": []}
     rig.wait(AFTER + AFTER / 4.0 + 1.0)
     ((_, gone),) = rig.gone
-    assert "(pilot, last known at b) has been heard of for 20 s" in gone.reason
+    assert "(pilot, last known at b) has been confirmed alive for 20 s" in gone.reason
 
 
 def test_a_cut_link_changes_nothing_while_others_hear_the_host_behind_it():
@@ -154,7 +158,7 @@ def test_of_many_hosts_some_are_asked_at_a_time_and_all_in_turn():
     rig.use()
     rig.wait(AFTER)
     moments = [when for when, _ in rig.asked]
-    assert max(map(moments.count, moments)) <= ASKED_AT_ONCE
+    assert max(map(moments.count, moments)) <= MAX_PARALLEL_QUERIES
     assert {host for _, host in rig.asked} == set(hosts)
 
 

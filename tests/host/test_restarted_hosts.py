@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from lfield.host.process.until_done import until_done
-from lfield.journal.pages import Key
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.journal.records import RecordKey
 
 PROGRAM = """
 resource Post {
@@ -40,7 +40,7 @@ def test_a_coordinator_that_is_alive_elsewhere_is_not_started_again(fleet, deplo
         await home.host.stop()
         await asyncio.sleep(2.0)
         (again,) = await team.up(mission, "home")
-        assert "guest is alive on another host: not started again" in again.log
+        assert "guest not started again: it is alive on another host" in again.log
         assert not again.holds("guest")
         assert await team.ended("guest") == "done"
         assert away.output == ["arrived", "done"]
@@ -70,7 +70,7 @@ def test_a_coordinator_that_died_with_a_host_that_is_back_at_once_is_lost(fleet)
         await team.until(lambda: away.output == ["arrived"])
         await away.host.stop()
         await team.up(mission, "away")
-        (fate,) = await until_done(home.host, lost_after=1000.0)
+        (fate,) = await wait_until_done(home.host, lost_after=1000.0)
         assert fate.outcome == "lost"
         assert fate.detail.endswith("which was restarted")
 
@@ -116,7 +116,7 @@ def test_a_start_that_arrives_where_a_later_one_runs_ends_it_first(fleet):
         team.network.partition("home", "carol")
         await home.host.stop()
         await asyncio.sleep(10.0)
-        team.disks["home"].damage(Key("copy", "guest", 1))
+        team.disks["home"].damage(RecordKey("copy", "guest", 1))
         again = team.make(mission, "home", keeps=True)
         await again.host.start()
         await team.until(lambda: again.output)
@@ -148,7 +148,7 @@ ONE_VISIT = "//Post:post@away\n//Guest:guest@home?post\n"
 async def life(running) -> str:
     """A host with --until-done, from its start to its end; how the guest ended."""
     await running.host.start()
-    (fate,) = await until_done(running.host, lost_after=15.0)
+    (fate,) = await wait_until_done(running.host, lost_after=15.0)
     await running.host.stop()
     return fate.outcome
 
@@ -193,7 +193,7 @@ def test_a_start_that_fails_leaves_the_run_as_it_was(fleet):
         await team.make(mission, "home", keeps=True).host.stop()
         last = team.make(mission, "home", keeps=True)
         await last.host.start()
-        assert "guest has ended (done) in the run that goes on here" in last.log
+        assert "guest not started again: it has ended (done) in the current run" in last.log
         assert away.output == ["visited"]
 
     fleet(story)
@@ -212,7 +212,7 @@ def test_the_loader_of_the_language_document_goes_on_after_a_restart(fleet):
         await asyncio.sleep(1.0)
         await away.host.stop()
         (again,) = await team.up(mission, "away", keeps=True)
-        assert "loader: away was started again; this call may have begun (winch.lower)" in again.log
+        assert "loader: away restarted; this call may have begun (winch.lower)" in again.log
         assert await team.ended("loader") == "done"
         assert "loader: lowered to 1.5" in again.log
         assert not home.holds("loader")
@@ -244,11 +244,11 @@ coordinator Guest {
         await asyncio.sleep(1.0)
         await away.host.stop()
         (again,) = await team.up(mission, "away", keeps=True)
-        assert "away was started again; this call may have begun (post.mark) from post" in again.log
+        assert "away restarted; this call may have begun (post.mark) from post" in again.log
         assert await team.ended("guest") == "done"
 
     fleet(story)
 
 
 def _ended(running) -> bool:
-    return any(row.state == "EXITED" for row in running.host.mobility.knowledge())
+    return any(row.state == "EXITED" for row in running.host.mobility.known_states())

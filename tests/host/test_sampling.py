@@ -7,18 +7,18 @@ import math
 
 import pytest
 
-from lfield.capability.directory.news import SILENCE, Trouble
-from lfield.capability.model import Attribute, Live
+from lfield.capability.directory.directory_delta import UNCHANGED, Unavailability
+from lfield.capability.model import Attribute, LiveAttribute
 from lfield.clock import ManualClock
-from lfield.devices.keeper import Guard
-from lfield.devices.lateness import Lateness, Limit
-from lfield.devices.snapshots import LOST_AFTER, Snapshots
+from lfield.devices.guard_process import GuardProcess
+from lfield.devices.scheduling_jitter import JitterLimit, JitterMonitor
+from lfield.devices.telemetry_snapshots import SILENCE_LIMIT, Snapshots
 from lfield.driver.plugins import Plugins
-from lfield.guard.messages import Latched, Snapshot
-from lfield.host.telling.sampling import Sampler
+from lfield.guard.messages import Latched, TelemetrySnapshot
+from lfield.host.directory_updates.agent_sampler import AgentSampler
 from lfield.manifest import Observation
 from lfield.mission.bindings_file import read_bindings
-from lfield.text.source import Source, Span
+from lfield.text.source_text import Source, Span
 
 SPAN = Span(Source("test.yaml", ""), 0, 0)
 TYPES = {"battery": "real", "north": "real", "steps": "int", "armed": "boolean", "mode": "text"}
@@ -26,7 +26,7 @@ ATTRIBUTES = {name: Attribute(name, kind, SPAN, live=True) for name, kind in TYP
 
 
 def live(name, quantity="", **how):
-    return Live(name, "fc", quantity or name, SPAN, **how)
+    return LiveAttribute(name, "fc", quantity or name, SPAN, **how)
 
 
 class Guards:
@@ -60,7 +60,7 @@ def guards():
 @pytest.fixture
 def sampler(guards):
     fields = {"arm": ["fc", "hand"], "gone": []}
-    return Sampler(ATTRIBUTES, {"arm": Running()}, fields, guards, guards, guards.clock)
+    return AgentSampler(ATTRIBUTES, {"arm": Running()}, fields, guards, guards, guards.clock)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +88,7 @@ def test_telemetry_becomes_a_value_of_its_attribute(sampler, guards, source, tol
 
 def test_of_whom_nothing_is_told_nothing_ever_changes(sampler):
     """The very same object: a directory goes by that, and looks at nobody again of a team that is still."""
-    assert sampler.condition("arm", {}) is SILENCE
+    assert sampler.condition("arm", {}) is UNCHANGED
 
 
 @pytest.mark.parametrize(
@@ -115,13 +115,13 @@ def test_what_is_no_value_is_unknown_with_the_reason(sampler, guards, source, to
 
 def test_an_agent_has_the_trouble_of_its_devices_and_its_own(sampler, guards):
     assert sampler.condition("arm", {}).trouble is None
-    guards.troubles["other.hand"] = Trouble("not ours")
+    guards.troubles["other.hand"] = Unavailability("not ours")
     assert sampler.condition("arm", {}).trouble is None
-    guards.troubles["arm.hand"] = Trouble("hand: not heard", 1.0)
-    assert sampler.condition("arm", {}).trouble == Trouble("hand: not heard", 1.0)
+    guards.troubles["arm.hand"] = Unavailability("hand: not heard", 1.0)
+    assert sampler.condition("arm", {}).trouble == Unavailability("hand: not heard", 1.0)
     sampler._agents["arm"].ended, sampler._agents["arm"].report = "died", "Exception: no\n  at arm"
-    assert sampler.condition("arm", {}).trouble == Trouble("died of Exception: no")
-    assert sampler.condition("gone", {}).trouble == Trouble("its host does not run it")
+    assert sampler.condition("arm", {}).trouble == Unavailability("died of Exception: no")
+    assert sampler.condition("gone", {}).trouble == Unavailability("its host does not run it")
 
 
 # --- what guards know ------------------------------------------------------------------------------------
@@ -144,7 +144,7 @@ def test_the_last_value_is_told_however_old(installed, bound):
     snapshots = Snapshots(installed.by_driver["mavlink"], [bound], clock)
     assert snapshots.last("sky.fc", "battery") is snapshots.last("sky.fc", "age") is None
     told = clock.now
-    snapshots.take(Snapshot("sky.fc", {"battery": Observation(0.5, told - 0.5)}, told - 0.25))
+    snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {"battery": Observation(0.5, told - 0.5)}, told - 0.25))
     clock.advance(1000.0)
     assert snapshots.last("sky.fc", "battery") == Observation(0.5, told - 0.5)
     assert snapshots.last("sky.fc", "age") == Observation(pytest.approx(1000.25), clock.now)
@@ -155,31 +155,36 @@ def test_a_device_is_lost_when_it_is_silent_for_longer_than_its_quickest_value_m
     kind = installed.by_driver["mavlink"]
     snapshots = Snapshots(kind, [bound], clock)
     clock.advance(1000.0)
-    assert snapshots.lost_since("sky.fc") is None
-    snapshots.take(Snapshot("sky.fc", {}, clock.now))
+    assert snapshots.silent_since("sky.fc") is None
+    snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {}, clock.now))
     heard = clock.now
     quickest = min(quantity.max_age for quantity in kind.manifests["Mavlink"].device.telemetry)
-    clock.advance(max(quickest, LOST_AFTER) - 0.1)
-    assert snapshots.lost_since("sky.fc") is None
+    clock.advance(max(quickest, SILENCE_LIMIT) - 0.1)
+    assert snapshots.silent_since("sky.fc") is None
     clock.advance(0.2)
-    assert snapshots.lost_since("sky.fc") == heard
+    assert snapshots.silent_since("sky.fc") == heard
 
 
 def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
     async def story():
         clock = ManualClock()
-        guard = Guard(
-            installed.by_driver["mavlink"], [bound], clock, print, Lateness(Limit(0.2)), lambda: True
+        guard = GuardProcess(
+            installed.by_driver["mavlink"],
+            [bound],
+            clock,
+            print,
+            JitterMonitor(JitterLimit(0.2)),
+            lambda: True,
         )
-        assert guard.trouble("sky.fc") == Trouble("fc: its guard has died and is being started again")
+        assert guard.trouble("sky.fc") == Unavailability("fc: its guard has died and is restarting")
         guard._ready = True
         assert guard.trouble("sky.fc") is None
         guard._receive(Latched("sky.fc", "the host was silent for over 200 ms", True))
-        assert guard.trouble("sky.fc") == Trouble(
+        assert guard.trouble("sky.fc") == Unavailability(
             "fc: in its safe state land: the host was silent for over 200 ms"
         )
-        guard.held.latched.clear()
-        guard.snapshots.take(Snapshot("sky.fc", {}, clock.now))
+        guard.latched_devices.latched.clear()
+        guard.snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {}, clock.now))
         clock.advance(1000.0)
         trouble = guard.trouble("sky.fc")
         assert trouble.sentence(clock.now) == "fc: not heard for 1000 s"

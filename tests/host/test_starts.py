@@ -5,13 +5,14 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from scripted_snapshots import states_of
 
 from lfield.errors import HostFailure
-from lfield.host.process.until_done import until_done
-from lfield.journal.pages import Run, Starts
-from lfield.mobility.copies import MAX_STARTS
-from lfield.operator.fresh import anew
-from lfield.simulate.time import LoopClock
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.journal.records import RunMarker, StartCounter
+from lfield.operator.journal_reset import plan_reset
+from lfield.replication.transfer.coordinator_copies import MAX_STARTS
+from lfield.simulate.jumping_loop import LoopClock
 
 PROGRAM = """
 resource Post {
@@ -27,7 +28,7 @@ TWO_GUESTS = DEPLOYMENT + "//Guest:other@home?post\n"
 
 
 def start_of(running, agent: str = "guest") -> int:
-    return max(known.generation for known in running.host.mobility.knowledge() if known.agent == agent)
+    return max(known.generation for known in running.host.mobility.known_states() if known.agent == agent)
 
 
 def test_a_start_that_is_away_is_not_made_again(fleet):
@@ -39,7 +40,7 @@ def test_a_start_that_is_away_is_not_made_again(fleet):
         team.network.partition("home", "away")
         await home.host.stop()
         (again,) = await team.up(mission, "home", keeps=True)
-        assert "guest went to away: not started again" in again.log
+        assert "guest not started again: it moved to away" in again.log
         assert start_of(again) == start_of(away) == 1
 
     fleet(story)
@@ -53,7 +54,7 @@ def test_what_another_host_knows_counts_when_the_disk_was_replaced(fleet):
         await home.host.stop()
         team.disks["home"].replace()
         (home,) = await team.up(mission, "home", keeps=True)
-        assert "guest is alive on another host: not started again" in home.log
+        assert "guest not started again: it is alive on another host" in home.log
         assert await team.ended("guest") == "done"
         await home.host.stop()
         (home,) = await team.up(mission, "home", keeps=True)
@@ -68,13 +69,13 @@ def test_without_a_record_a_host_waits_until_it_has_heard_all(fleet):
         (home,) = await team.up(mission, "home", keeps=True, first_start=False)
         await asyncio.sleep(30.0)
         why = (
-            "guest and other are not started before away was heard: this host has no record of earlier "
-            "starts; `--first-start` says that there was none"
+            "guest and other not started: this host has no record of earlier starts, and away has to answer "
+            "first; --first-start states that there was no earlier start"
         )
         assert home.log.count(why) == 1
         assert not home.holds("guest")
         await team.up(mission, "away", keeps=True)
-        await team.until(lambda: home.host.mobility.knowledge())
+        await team.until(lambda: home.host.mobility.known_states())
         assert start_of(home) == start_of(home, "other") == 1
 
     fleet(story)
@@ -98,7 +99,7 @@ def test_where_no_record_is_kept_all_hosts_are_heard_first(fleet):
         await asyncio.sleep(5.0)
         assert not home.holds("guest")
         await team.up(mission, "away")
-        await team.until(lambda: home.host.mobility.knowledge())
+        await team.until(lambda: home.host.mobility.known_states())
         assert start_of(home) == 1
 
     fleet(story)
@@ -109,13 +110,13 @@ def test_a_start_that_needs_a_host_that_was_reaped_is_not_made(fleet):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         (home,) = await team.up(mission, "home", first_start=False)
         await asyncio.sleep(5.0)
-        home.host.reaped("nobody we know")
-        assert home.host.core.startup.unstartable(home.host.core.hearsay.gone) == {}
-        home.host.reaped("away")
+        home.host.on_host_exited("nobody we know")
+        assert home.host.core.startup.unstartable(home.host.core.membership.ended) == {}
+        home.host.on_host_exited("away")
         await asyncio.sleep(5.0)
         assert not home.holds("guest")
         # Who waits for the end of the mission does not wait for ever.
-        (fate,) = await until_done(home.host, 3.0)
+        (fate,) = await wait_until_done(home.host, 3.0)
         assert (fate.agent, fate.outcome) == ("guest", "lost")
         assert fate.detail == "it was not started, since away has ended"
 
@@ -137,7 +138,7 @@ def test_a_start_that_waits_for_the_devices_of_another_host_is_heard_of(fleet, k
         if keeps:
             team.disks["home"].replace()
         (home,) = await team.up(mission, "home", keeps=keeps, first_start=False)
-        assert "guest is alive on another host: not started again" in home.log
+        assert "guest not started again: it is alive on another host" in home.log
         opened.set()
         await starting
         assert await team.ended("guest") == "done"
@@ -165,8 +166,8 @@ def test_a_start_that_cannot_be_kept_is_not_made(fleet):
         team.disks["home"].broken = True
         starting = asyncio.ensure_future(home.host.start())
         await asyncio.sleep(5.0)
-        assert "coordinators wait, since nothing can be kept: " in home.log
-        assert home.log.count("coordinators wait") == 1
+        assert "coordinators blocked: journal write failed: " in home.log
+        assert home.log.count("coordinators blocked") == 1
         assert not home.holds("guest")
         # The resources are served all the same.
         assert home.holds("here")
@@ -189,7 +190,7 @@ def test_a_mission_may_be_run_again_and_again(fleet):
             await team.until(lambda home=home: not home.holds("guest"))
             await asyncio.sleep(1.0)
             await home.host.stop()
-        kept = team.disks["home"].open(LoopClock(), print).pages()
+        kept = team.disks["home"].open(LoopClock(), print).records()
         assert len(kept) <= MAX_STARTS + 4
 
     fleet(story)
@@ -203,7 +204,7 @@ def test_what_has_ended_in_a_run_that_was_broken_off_is_not_started_again(fleet)
         await asyncio.sleep(1.0)
         crash(home)
         (again,) = await team.up(mission, "home", keeps=True)
-        assert "guest has ended (done) in the run that goes on here" in again.log
+        assert "guest not started again: it has ended (done) in the current run" in again.log
         await again.host.stop()
         (next_run,) = await team.up(mission, "home", keeps=True)
         assert start_of(next_run) == 2
@@ -219,7 +220,7 @@ def test_a_start_that_was_counted_and_not_made_is_made_the_next_time(fleet):
         await asyncio.sleep(1.0)
         await home.host.stop()
         journal = team.disks["home"].open(LoopClock(), print)
-        await journal.keep([Run(open=True), Starts(2)])
+        await journal.persist([RunMarker(open=True), StartCounter(2)])
         (again,) = await team.up(mission, "home", keeps=True)
         assert start_of(again) == 3
 
@@ -241,15 +242,15 @@ def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_kno
         await away.host.stop()
         # The holder throws away what it has, then the home begins again.
         disk = team.disks["away"].open(LoopClock(), print)
-        await disk.keep(anew("away", disk.pages(), {}).pages)
+        await disk.persist(plan_reset("away", disk.records(), {}).pages)
         (again,) = await team.up(mission, "away", keeps=True)
         assert again.output == []
         assert await team.ended("guest") == "lost"
         await home.host.stop()
         disk = team.disks["home"].open(LoopClock(), print)
-        found = anew("home", disk.pages(), {"away": again.host.status()})
-        assert (found.away, found.thrown) == ([], [])
-        await disk.keep(found.pages)
+        found = plan_reset("home", disk.records(), states_of({"away": again.host.status()}))
+        assert (found.departed, found.discarded) == ([], [])
+        await disk.persist(found.pages)
         (home,) = await team.up(mission, "home", keeps=True)
         await team.until(lambda: again.output == ["arrived"])
         assert start_of(home) == start_of(again) == 2

@@ -12,17 +12,17 @@ from pathlib import Path
 from typing import Any, Protocol, TypeVar
 
 from lfield.clock import Clock, ManualClock
-from lfield.journal.file import FileJournal
+from lfield.journal.file_journal import FileJournal
 from lfield.journal.journal import Journal
-from lfield.journal.opening import Owner
-from lfield.journal.pages import Key
-from lfield.simulate.computers.loop import ProcessLoop
-from lfield.simulate.computers.machines import Machine
-from lfield.simulate.computers.timeline import Timeline
-from lfield.simulate.disk import JournalDisk
+from lfield.journal.journal_loader import JournalOwner
+from lfield.journal.records import RecordKey
+from lfield.simulate.computers.event_queue import EventQueue
+from lfield.simulate.computers.process_loop import ProcessLoop
+from lfield.simulate.computers.simulated_machine import SimulatedMachine
+from lfield.simulate.journal_disk import JournalDisk
 
 T = TypeVar("T")
-OWNER = Owner("harvest", "barn", "this computer")
+OWNER = JournalOwner("harvest", "barn", "this computer")
 
 
 class Bench(Protocol):
@@ -40,7 +40,7 @@ class Bench(Protocol):
     def fill(self, full: bool) -> None:
         """The disk has no room for another large page, and none was kept in advance; or has room again."""
 
-    def damage(self, key: Key) -> None:
+    def damage(self, key: RecordKey) -> None:
         """Spoil a page, while no process has the journal."""
 
 
@@ -56,7 +56,7 @@ class FileBench:
     def path(self) -> Path:
         return self._folder / str(self._life) / "host.journal"
 
-    def open(self, owner: Owner = OWNER) -> FileJournal:
+    def open(self, owner: JournalOwner = OWNER) -> FileJournal:
         killed, before = self.journal, self.path.parent
         if killed is not None:
             self._life += 1
@@ -73,7 +73,7 @@ class FileBench:
         connection = self.journal._store._connection
         connection.execute(f"PRAGMA max_page_count = {1 if full else 1 << 20}")
 
-    def damage(self, key: Key) -> None:
+    def damage(self, key: RecordKey) -> None:
         self.sql("UPDATE pages SET sum = sum + 1 WHERE kind = ? AND name = ? AND number = ?", *key)
 
     def sql(self, statement: str, *values: object) -> None:
@@ -89,8 +89,8 @@ class SimulatedBench:
     """A disk of the simulation. Each life has a loop of its own, and is killed as others are."""
 
     def __init__(self) -> None:
-        self.timeline = Timeline()
-        self.machine = Machine("barn", self.timeline, random.Random(1))
+        self.timeline = EventQueue()
+        self.machine = SimulatedMachine("barn", self.timeline, random.Random(1))
         self.clock, self.told = self.machine.clock, list[str]()
         self.disk = JournalDisk(random.Random(2), sync=0.05)
         self.disk.reserve = 0
@@ -111,7 +111,7 @@ class SimulatedBench:
     def fill(self, full: bool) -> None:
         self.disk.full, self.disk.reserve = full, 0
 
-    def damage(self, key: Key) -> None:
+    def damage(self, key: RecordKey) -> None:
         self.disk.damage(key)
 
     def end(self) -> None:

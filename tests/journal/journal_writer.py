@@ -7,19 +7,21 @@ import sys
 from pathlib import Path
 
 from lfield.clock import SystemClock
-from lfield.journal.file import FileJournal
-from lfield.journal.opening import Owner
-from lfield.journal.pages import CopyPage, Starts
+from lfield.journal.file_journal import FileJournal
+from lfield.journal.journal_loader import JournalOwner
+from lfield.journal.records import CoordinatorRecord, StartCounter
 
 
 async def write(folder: Path) -> None:
-    owner = Owner("harvest", "barn", "this computer")
+    owner = JournalOwner("harvest", "barn", "this computer")
     journal = FileJournal(folder / "host.journal", owner, print, SystemClock())
-    (count,) = [page.count for page in journal.pages() if isinstance(page, Starts)] or [0]
+    (count,) = [page.count for page in journal.records() if isinstance(page, StartCounter)] or [0]
     while True:
         count += 1
         block = count.to_bytes(8, "big") * 1000
-        await journal.keep([Starts(count), CopyPage("scout", 1, "RUN", sequence=count, block=block)])
+        await journal.persist(
+            [StartCounter(count), CoordinatorRecord("scout", 1, "RUN", sequence=count, block=block)]
+        )
         print(count, flush=True)
 
 

@@ -18,14 +18,14 @@ from journal_bench import OWNER, FileBench
 
 from lfield.clock import ManualClock
 from lfield.errors import ForeignJournal, InputFileError, JournalError, JournalInUse
-from lfield.journal.file import FileJournal
+from lfield.journal.file_journal import FileJournal
 from lfield.journal.journal import journal_file
-from lfield.journal.owner import machine_identity
-from lfield.journal.pages import CopyPage, Page, Run, Starts
-from lfield.journal.reading import see
-from lfield.journal.reserve import LEAST, STEP
+from lfield.journal.journal_lock import machine_id
+from lfield.journal.readonly_view import open_read_only
+from lfield.journal.records import CoordinatorRecord, Record, RunMarker, StartCounter
+from lfield.journal.space_reservation import MIN_BYTES, STEP_BYTES
 
-PAGES: list[Page] = [CopyPage(f"agent{n}", 1, "RUN", block=bytes([n]) * 3000) for n in range(20)]
+PAGES: list[Record] = [CoordinatorRecord(f"agent{n}", 1, "RUN", block=bytes([n]) * 3000) for n in range(20)]
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ def bench(tmp_path: Path) -> Iterator[FileBench]:
 def filled(bench: FileBench) -> bytes:
     """The bytes of a journal with PAGES in it, of a process that ended in order."""
     journal = bench.open()
-    bench.run(journal.keep(PAGES))
+    bench.run(journal.persist(PAGES))
     journal.close()
     return bench.path.read_bytes()
 
@@ -56,7 +56,7 @@ def test_its_place_is_named_after_deployment_and_host(tmp_path: Path) -> None:
 
 def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench) -> None:
     journal = bench.open()
-    with pytest.raises(JournalInUse, match=f"process {os.getpid()} keeps it; a host runs once") as found:
+    with pytest.raises(JournalInUse, match=f"process {os.getpid()} has it open; stop that process") as found:
         FileJournal(bench.path, OWNER, print, bench.clock)
     assert (found.value.process, found.value.exit_status) == (os.getpid(), 69)
     journal.close()
@@ -68,7 +68,7 @@ def test_a_second_process_is_refused_with_the_first_ones_number(bench: FileBench
     [
         (OWNER._replace(deployment="sowing"), "it is that of barn in harvest, and this is barn in sowing"),
         (OWNER._replace(host="field"), "it is that of barn in harvest, and this is field in harvest"),
-        (OWNER._replace(machine="another"), "it was begun on another computer"),
+        (OWNER._replace(machine="another"), "it was written on another computer"),
     ],
 )
 def test_a_journal_of_others_is_refused_and_stays_as_it_is(
@@ -90,8 +90,8 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
         bench.sql(statement)
     else:
         journal = bench.open()
-        monkeypatch.setattr("lfield.journal.pages.VERSION", 3)
-        bench.run(journal.keep([Starts(1)]))
+        monkeypatch.setattr("lfield.journal.records.VERSION", 3)
+        bench.run(journal.persist([StartCounter(1)]))
         journal.close()
         monkeypatch.undo()
     data = bench.path.read_bytes()
@@ -99,11 +99,11 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
         bench.open()
     if statement is not None:
         with pytest.raises(ForeignJournal):
-            see(bench.path)
+            open_read_only(bench.path)
     else:
         # Whoever only looks sees all the rest.
-        seen = see(bench.path)
-        assert len(seen.pages) == len(PAGES)
+        seen = open_read_only(bench.path)
+        assert len(seen.records) == len(PAGES)
         assert [one.why for one in seen.damaged] == ["it is of version 3: install the lfield that wrote it"]
     assert bench.path.read_bytes() == data
 
@@ -111,7 +111,7 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
 def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "host.journal")
     with pytest.raises(InputFileError, match="it is no file"):
-        see(tmp_path / "host.journal")
+        open_read_only(tmp_path / "host.journal")
 
 
 @pytest.mark.parametrize(
@@ -137,7 +137,7 @@ def test_what_is_no_journal_is_told_and_no_new_one_is_begun_in_its_place(
         "put the journal back, or remove it: then this host begins anew"
     )
     with pytest.raises(InputFileError, match=says):
-        see(path)
+        open_read_only(path)
 
 
 def test_a_journal_may_be_elsewhere_behind_a_link(tmp_path: Path) -> None:
@@ -152,23 +152,23 @@ def test_a_journal_may_be_elsewhere_behind_a_link(tmp_path: Path) -> None:
 
 
 def test_a_board_is_told_from_its_copy_by_its_serial_number(tmp_path: Path) -> None:
-    assert machine_identity(tmp_path) == ""
+    assert machine_id(tmp_path) == ""
     (tmp_path / "etc").mkdir()
     (tmp_path / "etc/machine-id").write_text("uninitialized\n")
-    assert machine_identity(tmp_path) == ""
+    assert machine_id(tmp_path) == ""
     (tmp_path / "etc/machine-id").write_text("3d1219c7c4c5404aaa1f6d2a48adfda4\n")
-    copied = machine_identity(tmp_path)
+    copied = machine_id(tmp_path)
     assert len(copied) == 32
     assert "3d1219c7" not in copied
     (tmp_path / "proc/device-tree").mkdir(parents=True)
     (tmp_path / "proc/device-tree/serial-number").write_bytes(b"0000000000000000\0")
-    assert machine_identity(tmp_path) == copied
+    assert machine_id(tmp_path) == copied
     (tmp_path / "proc/device-tree/serial-number").write_bytes(b"10000000a3b1c2d3\0")
-    assert machine_identity(tmp_path) not in ("", copied)
+    assert machine_id(tmp_path) not in ("", copied)
 
 
 def test_nobody_else_may_read_it(bench: FileBench) -> None:
-    bench.run(bench.open().keep([Starts(1)]))
+    bench.run(bench.open().persist([StartCounter(1)]))
     assert {path.stat().st_mode & 0o077 for path in bench.path.parent.iterdir()} == {0}
 
 
@@ -196,10 +196,10 @@ def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(ben
     store.commit = slow  # type: ignore[method-assign]
 
     async def calls() -> None:
-        first = asyncio.ensure_future(journal.keep([Starts(0)]))
+        first = asyncio.ensure_future(journal.persist([StartCounter(0)]))
         while not begun.is_set():
             await asyncio.sleep(0)
-        more = [asyncio.ensure_future(journal.keep([Starts(count)])) for count in range(1, 100)]
+        more = [asyncio.ensure_future(journal.persist([StartCounter(count)])) for count in range(1, 100)]
         await asyncio.sleep(0)
         assert not first.done()
         done.set()
@@ -207,7 +207,7 @@ def test_the_loop_goes_on_while_the_disk_is_slow_and_calls_become_one_commit(ben
 
     bench.run(calls())
     assert journal.commits_last_minute(bench.clock.monotonic()) == 2
-    assert bench.open().pages() == [Starts(99)]
+    assert bench.open().records() == [StartCounter(99)]
 
 
 def failing(code: int, times: int, write: Callable[[object], None]) -> Callable[[object], None]:
@@ -230,32 +230,34 @@ def test_space_that_was_kept_is_given_up_when_the_disk_is_full(
 ) -> None:
     journal = bench.open()
     reserve = bench.path.with_name("host.reserve")
-    assert reserve.stat().st_size == LEAST
-    bench.run(journal.keep([CopyPage("scout", 1, "RUN", block=bytes(3 * STEP))]))
-    assert reserve.stat().st_size == LEAST + 6 * STEP
-    assert reserve.stat().st_blocks * 512 >= LEAST + 6 * STEP
+    assert reserve.stat().st_size == MIN_BYTES
+    bench.run(journal.persist([CoordinatorRecord("scout", 1, "RUN", block=bytes(3 * STEP_BYTES))]))
+    assert reserve.stat().st_size == MIN_BYTES + 6 * STEP_BYTES
+    assert reserve.stat().st_blocks * 512 >= MIN_BYTES + 6 * STEP_BYTES
     store = journal._store
     store.commit = failing(sqlite3.SQLITE_FULL, 1, store.commit)  # type: ignore
     with monkeypatch.context() as patch:
         patch.setattr(os, "posix_fallocate", failing_fallocate)
-        bench.run(journal.keep([Starts(5)]))
+        bench.run(journal.persist([StartCounter(5)]))
         assert not reserve.exists()
         assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
         # The log is written over, or it would take the room that is left.
         for count in range(20):
-            bench.run(journal.keep([CopyPage("scout", 1, "RUN", count, block=bytes(3 * STEP))]))
-        assert bench.path.with_name("host.journal-wal").stat().st_size < 9 * STEP
-    bench.run(journal.keep([]))
+            bench.run(
+                journal.persist([CoordinatorRecord("scout", 1, "RUN", count, block=bytes(3 * STEP_BYTES))])
+            )
+        assert bench.path.with_name("host.journal-wal").stat().st_size < 9 * STEP_BYTES
+    bench.run(journal.persist([]))
     assert reserve.exists()
     assert journal.trouble == ""
-    assert Starts(5) in bench.open().pages()
+    assert StartCounter(5) in bench.open().records()
 
 
 def test_the_space_that_it_gave_up_is_not_taken_for_room(
     bench: FileBench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     journal = bench.open()
-    statvfs, free = os.statvfs, [LEAST]
+    statvfs, free = os.statvfs, [MIN_BYTES]
 
     def left(path: Path) -> object:
         found = statvfs(path)
@@ -265,10 +267,10 @@ def test_the_space_that_it_gave_up_is_not_taken_for_room(
     store = journal._store
     store.commit = failing(sqlite3.SQLITE_FULL, 1, store.commit)  # type: ignore
     for count in range(3):
-        bench.run(journal.keep([Starts(count)]))
+        bench.run(journal.persist([StartCounter(count)]))
         assert journal.trouble == "its disk is full: it writes into the space that was kept in advance"
-    free[0] = 2 * LEAST
-    bench.run(journal.keep([]))
+    free[0] = 2 * MIN_BYTES
+    bench.run(journal.persist([]))
     assert journal.trouble == ""
     assert bench.path.with_name("host.reserve").exists()
 
@@ -284,19 +286,21 @@ def test_a_disk_that_has_room_for_what_is_here_and_no_more_says_so_once(
     told = []
     for hop in range(6):
         for state in ("RUN", "MOVED"):
-            bench.run(journal.keep([CopyPage("scout", 1, state, hop, block=bytes(3 * STEP))]))
+            bench.run(
+                journal.persist([CoordinatorRecord("scout", 1, state, hop, block=bytes(3 * STEP_BYTES))])
+            )
             told.append(journal.trouble)
     assert set(told) == {"its disk has room for what is here, and for no more"}
-    assert reserve.stat().st_size == LEAST
-    free[0] = 6 * STEP - 512
-    bench.run(journal.keep([]))
+    assert reserve.stat().st_size == MIN_BYTES
+    free[0] = 6 * STEP_BYTES - 512
+    bench.run(journal.persist([]))
     assert journal.trouble
-    free[0] = 6 * STEP
+    free[0] = 6 * STEP_BYTES
     for _ in range(2):
-        bench.run(journal.keep([]))
+        bench.run(journal.persist([]))
         assert journal.trouble == ""
-    bench.run(journal.keep([CopyPage("scout", 1, "RUN", 9, block=bytes(3 * STEP))]))
-    assert (journal.trouble, reserve.stat().st_size) == ("", LEAST + 6 * STEP)
+    bench.run(journal.persist([CoordinatorRecord("scout", 1, "RUN", 9, block=bytes(3 * STEP_BYTES))]))
+    assert (journal.trouble, reserve.stat().st_size) == ("", MIN_BYTES + 6 * STEP_BYTES)
 
 
 def test_what_cannot_grow_keeps_what_it_has(bench: FileBench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -304,12 +308,12 @@ def test_what_cannot_grow_keeps_what_it_has(bench: FileBench, monkeypatch: pytes
     journal = bench.open()
     reserve = bench.path.with_name("host.reserve")
     monkeypatch.setattr(os, "posix_fallocate", failing_fallocate)
-    bench.run(journal.keep([CopyPage("scout", 1, "RUN", block=bytes(STEP))]))
+    bench.run(journal.persist([CoordinatorRecord("scout", 1, "RUN", block=bytes(STEP_BYTES))]))
     assert journal.trouble == "its disk has room for what is here, and for no more"
-    assert reserve.stat().st_size == LEAST
+    assert reserve.stat().st_size == MIN_BYTES
     monkeypatch.undo()
-    bench.run(journal.keep([]))
-    assert (journal.trouble, reserve.stat().st_size) == ("", LEAST + 2 * STEP)
+    bench.run(journal.persist([]))
+    assert (journal.trouble, reserve.stat().st_size) == ("", MIN_BYTES + 2 * STEP_BYTES)
 
 
 def test_a_disk_that_is_full_from_the_beginning_has_kept_no_space(
@@ -329,22 +333,22 @@ def test_a_disk_that_fails_is_told_and_tried_again(bench: FileBench) -> None:
     journal = bench.open()
     journal._store.commit = failing(sqlite3.SQLITE_IOERR, 2, journal._store.commit)  # type: ignore
     with pytest.raises(JournalError, match=r"its disk fails; the system's log \(dmesg\) says why") as found:
-        bench.run(journal.keep([Starts(1)]))
+        bench.run(journal.persist([StartCounter(1)]))
     assert (found.value.exit_status, journal.trouble) == (73, "its disk fails")
-    bench.run(journal.keep([Starts(2)]))
+    bench.run(journal.persist([StartCounter(2)]))
     assert journal.trouble == ""
-    assert bench.open().pages() == [Starts(2)]
+    assert bench.open().records() == [StartCounter(2)]
 
 
 def test_what_was_removed_while_it_is_in_use_takes_nothing(bench: FileBench) -> None:
     journal = bench.open()
-    bench.run(journal.keep([Starts(1)]))
+    bench.run(journal.persist([StartCounter(1)]))
     bench.path.rename(bench.path.with_name("elsewhere"))
     with pytest.raises(JournalError, match="no such file"):
-        bench.run(journal.keep([Starts(2)]))
+        bench.run(journal.persist([StartCounter(2)]))
     bench.path.write_bytes(b"")
     with pytest.raises(JournalError, match="another file was put in its place"):
-        bench.run(journal.keep([Starts(2)]))
+        bench.run(journal.persist([StartCounter(2)]))
 
 
 def test_a_folder_that_cannot_be_made_is_one_sentence(tmp_path: Path) -> None:
@@ -372,8 +376,8 @@ def test_nothing_is_lost_in_silence_whatever_becomes_of_its_bytes(bench: FileBen
         bench.told.clear()
         journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
         journal.close()
-        assert all(page in PAGES for page in journal.pages())
-        if len(journal.pages()) < len(PAGES):
+        assert all(page in PAGES for page in journal.records())
+        if len(journal.records()) < len(PAGES):
             assert bench.told
             assert journal.identity != identity
 
@@ -397,9 +401,9 @@ def test_a_damaged_file_is_moved_aside_and_what_can_be_read_counts(
     data = wrong(filled(bench))
     bench.path.write_bytes(data)
     if left:
-        assert len(see(bench.path).pages) >= left
+        assert len(open_read_only(bench.path).records) >= left
     journal = bench.open()
-    assert len(journal.pages()) >= left
+    assert len(journal.records()) >= left
     assert "is damaged" in bench.told[0]
     assert "is now host.journal.damaged-1" in bench.told[0]
     assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50] == data[:50]
@@ -431,18 +435,20 @@ def test_a_process_that_ended_while_it_replaced_the_file_is_followed_by_one_that
                 FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
         journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
         journal.close()
-        assert len(journal.pages()) >= 5
+        assert len(journal.records()) >= 5
         assert bench.path.with_name("host.journal.damaged-1").read_bytes()[:50_000] == data
 
 
 def test_a_damaged_page_waits_to_be_looked_at(bench: FileBench) -> None:
     filled(bench)
     bench.sql("UPDATE pages SET body = x'00' WHERE name = 'agent3'")
-    assert [one.entry.key.name for one in see(bench.path).damaged] == ["agent3"]
+    assert [one.entry.key.name for one in open_read_only(bench.path).damaged] == ["agent3"]
     bench.open()
-    seen = see(bench.path)
-    assert (len(seen.pages), seen.damaged) == (19, [])
-    assert [(one.entry.key.name, one.why) for one in seen.aside] == [("agent3", "its checksum does not fit")]
+    seen = open_read_only(bench.path)
+    assert (len(seen.records), seen.damaged) == (19, [])
+    assert [(one.entry.key.name, one.why) for one in seen.moved_aside] == [
+        ("agent3", "its checksum does not fit")
+    ]
 
 
 # --- a killed process ---------------------------------------------------------------------------------
@@ -460,11 +466,11 @@ def test_a_killed_process_has_kept_all_that_it_said_and_no_half_of_anything(benc
             said = int((child.stdout.read().split() or [said])[-1])
     journal = FileJournal(bench.path, OWNER, bench.told.append, bench.clock)
     journal.close()
-    starts, copy = journal.pages()
-    assert isinstance(starts, Starts)
-    assert isinstance(copy, CopyPage)
+    starts, copy = journal.records()
+    assert isinstance(starts, StartCounter)
+    assert isinstance(copy, CoordinatorRecord)
     assert starts.count in (said, said + 1)
     assert copy.sequence == starts.count
     assert copy.block == starts.count.to_bytes(8, "big") * 1000
     assert bench.told == []
-    assert Run(True) not in journal.pages()
+    assert RunMarker(True) not in journal.records()

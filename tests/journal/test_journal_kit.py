@@ -15,38 +15,38 @@ from journal_bench import Bench, FileBench, SimulatedBench
 
 from lfield.errors import JournalError
 from lfield.journal.journal import Change, Journal
-from lfield.journal.pages import (
-    BegunPage,
-    BundlePage,
-    CopyPage,
-    Fence,
-    Key,
-    Page,
-    Paused,
-    ProgramPage,
-    ReservationPage,
-    Run,
-    Starts,
-    Stopped,
+from lfield.journal.records import (
+    BundleRecord,
+    CoordinatorRecord,
+    EmergencyStopFlag,
+    FenceRecord,
+    PauseFlag,
+    PendingCallRecord,
+    ProgramRecord,
+    Record,
+    RecordKey,
+    ReservationRecord,
+    RunMarker,
+    StartCounter,
     key_of,
 )
 
 KINDS = ("file", "simulated")
 #: One page of each kind.
-PAGES: tuple[Page, ...] = (
-    CopyPage("scout", 3, "RUN", sequence=7, hops=5, program=b"\1" * 32, block=bytes(5000)),
-    BegunPage("scout", 3, 8, "arm", "lift", "done", bytes(300), b"\1" * 32),
-    Starts(3),
-    Run(True),
-    BundlePage(b"\2" * 32),
-    Paused(True),
-    Stopped("the emergency stop was pressed: fog"),
-    Fence("scout", 2),
-    ReservationPage("arm", 41, "scout", 3),
-    ProgramPage(b"\1" * 32, bytes(100), ("scout", "arm"), ("Scout", "Arm"), ("barn", "field")),
+PAGES: tuple[Record, ...] = (
+    CoordinatorRecord("scout", 3, "RUN", sequence=7, hops=5, program=b"\1" * 32, block=bytes(5000)),
+    PendingCallRecord("scout", 3, 8, "arm", "lift", "done", bytes(300), b"\1" * 32),
+    StartCounter(3),
+    RunMarker(True),
+    BundleRecord(b"\2" * 32),
+    PauseFlag(True),
+    EmergencyStopFlag("the emergency stop was pressed: fog"),
+    FenceRecord("scout", 2),
+    ReservationRecord("arm", 41, "scout", 3),
+    ProgramRecord(b"\1" * 32, bytes(100), ("scout", "arm"), ("Scout", "Arm"), ("barn", "field")),
 )
 #: Larger than what is free in the files of a new journal.
-LARGE = CopyPage("scout", 4, "RUN", block=bytes(200_000))
+LARGE = CoordinatorRecord("scout", 4, "RUN", block=bytes(200_000))
 
 
 @contextmanager
@@ -65,7 +65,7 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
         yield made
 
 
-def by_key(pages: Sequence[Page]) -> dict[Key, Page]:
+def by_key(pages: Sequence[Record]) -> dict[RecordKey, Record]:
     found = {key_of(page): page for page in pages}
     assert len(found) == len(pages)
     return found
@@ -73,31 +73,33 @@ def by_key(pages: Sequence[Page]) -> dict[Key, Page]:
 
 def test_what_is_kept_is_there_in_the_next_life(bench: Bench) -> None:
     journal = bench.open()
-    assert journal.pages() == []
-    bench.run(journal.keep(PAGES))
+    assert journal.records() == []
+    bench.run(journal.persist(PAGES))
     again = bench.open()
-    assert by_key(again.pages()) == by_key(PAGES)
+    assert by_key(again.records()) == by_key(PAGES)
     assert again.identity == journal.identity
     assert bench.told == []
 
 
 def test_a_closed_journal_is_read_as_it_was_and_takes_nothing(bench: Bench) -> None:
     journal = bench.open()
-    bench.run(journal.keep(PAGES))
+    bench.run(journal.persist(PAGES))
     journal.close()
     with pytest.raises(JournalError, match="closed"):
-        bench.run(journal.keep([Starts(9)]))
-    assert by_key(bench.open().pages()) == by_key(PAGES)
+        bench.run(journal.persist([StartCounter(9)]))
+    assert by_key(bench.open().records()) == by_key(PAGES)
 
 
 CHANGES = st.builds(
     Change,
     st.lists(
-        st.builds(CopyPage, st.sampled_from("ab"), st.integers(0, 2), st.sampled_from(["RUN", "MOVED"]))
-        | st.builds(Starts, st.integers(0, 2**63 - 1)),
+        st.builds(
+            CoordinatorRecord, st.sampled_from("ab"), st.integers(0, 2), st.sampled_from(["RUN", "MOVED"])
+        )
+        | st.builds(StartCounter, st.integers(0, 2**63 - 1)),
         max_size=3,
     ),
-    st.lists(st.builds(Key, st.just("copy"), st.sampled_from("ab"), st.integers(0, 2)), max_size=2),
+    st.lists(st.builds(RecordKey, st.just("copy"), st.sampled_from("ab"), st.integers(0, 2)), max_size=2),
 )
 
 
@@ -108,14 +110,14 @@ def test_after_any_changes_the_next_life_finds_what_they_lead_to(
     kind: str, changes: list[Change], waits: bool
 ) -> None:
     """Those that are made one after the other, and those that are made at once, in the order of the calls."""
-    expected: dict[Key, Page] = {}
+    expected: dict[RecordKey, Record] = {}
     for pages, keys in changes:
         expected |= {key_of(page): page for page in pages}
         for key in keys:
             expected.pop(key, None)
 
     async def make(journal: Journal) -> None:
-        calls = [call for pages, keys in changes for call in (journal.keep(pages), journal.forget(keys))]
+        calls = [call for pages, keys in changes for call in (journal.persist(pages), journal.delete(keys))]
         if not waits:
             await asyncio.gather(*calls)
             return
@@ -124,27 +126,27 @@ def test_after_any_changes_the_next_life_finds_what_they_lead_to(
 
     with bench_of(kind) as bench:
         bench.run(make(bench.open()))
-        assert by_key(bench.open().pages()) == expected
+        assert by_key(bench.open().records()) == expected
 
 
 def test_calls_of_one_turn_are_one_commit(bench: Bench) -> None:
     journal = bench.open()
 
     async def many() -> None:
-        await asyncio.gather(*(journal.keep([Starts(count)]) for count in range(50)))
+        await asyncio.gather(*(journal.persist([StartCounter(count)]) for count in range(50)))
 
     bench.run(many())
     assert journal.commits_last_minute(bench.clock.monotonic()) == 1
-    assert bench.open().pages() == [Starts(49)]
+    assert bench.open().records() == [StartCounter(49)]
 
 
 def test_what_is_written_and_what_is_removed_are_one_change(bench: Bench) -> None:
     journal = bench.open()
-    bench.run(journal.keep(PAGES))
-    new = CopyPage("scout", 3, "PREPARED", sequence=8, block=b"with all results")
+    bench.run(journal.persist(PAGES))
+    new = CoordinatorRecord("scout", 3, "PREPARED", sequence=8, block=b"with all results")
     bench.run(journal.change([Change([new], [key_of(PAGES[1])])]))
     assert journal.commits_last_minute(bench.clock.monotonic()) == 2
-    left = by_key(bench.open().pages())
+    left = by_key(bench.open().records())
     assert left == by_key([new, *PAGES[2:]])
 
 
@@ -152,7 +154,7 @@ def test_a_page_says_when_it_was_kept(bench: Bench) -> None:
     before = bench.clock.time()
     journal = bench.open()
     assert not journal.times
-    bench.run(journal.keep(PAGES))
+    bench.run(journal.persist(PAGES))
     times = bench.open().times
     assert times.keys() == by_key(PAGES).keys()
     assert all(before <= kept <= bench.clock.time() for kept in times.values())
@@ -160,20 +162,20 @@ def test_a_page_says_when_it_was_kept(bench: Bench) -> None:
 
 def test_a_full_disk_is_told_and_the_journal_recovers(bench: Bench) -> None:
     journal = bench.open()
-    bench.run(journal.keep([Starts(1)]))
+    bench.run(journal.persist([StartCounter(1)]))
     bench.fill(True)
 
     async def fail() -> None:
         with pytest.raises(JournalError, match="no space is left"):
-            await journal.keep([Starts(2), LARGE])
+            await journal.persist([StartCounter(2), LARGE])
 
     bench.run(fail())
     assert "no space" in journal.trouble or "full" in journal.trouble
     bench.fill(False)
-    bench.run(journal.keep([]))
+    bench.run(journal.persist([]))
     assert journal.trouble == ""
     # Of what failed nothing is there.
-    assert bench.open().pages() == [Starts(1)]
+    assert bench.open().records() == [StartCounter(1)]
 
 
 def test_what_was_called_before_a_failure_is_told_fails_too(bench: Bench) -> None:
@@ -181,27 +183,27 @@ def test_what_was_called_before_a_failure_is_told_fails_too(bench: Bench) -> Non
     bench.fill(True)
 
     async def calls() -> list[BaseException | None]:
-        first = asyncio.ensure_future(journal.keep([LARGE]))
+        first = asyncio.ensure_future(journal.persist([LARGE]))
         # The first commit begins; what comes now waits for it.
         for _ in range(2):
             await asyncio.sleep(0)
-        later = asyncio.ensure_future(journal.keep([Starts(1)]))
+        later = asyncio.ensure_future(journal.persist([StartCounter(1)]))
         return await asyncio.gather(first, later, return_exceptions=True)
 
     assert [type(found) for found in bench.run(calls())] == [JournalError, JournalError]
-    assert bench.open().pages() == []
+    assert bench.open().records() == []
 
 
 def test_a_damaged_page_is_told_and_makes_another_memory(bench: Bench) -> None:
     journal = bench.open()
-    bench.run(journal.keep(PAGES))
+    bench.run(journal.persist(PAGES))
     journal.close()
-    bench.damage(Key("copy", "scout", 3))
+    bench.damage(RecordKey("copy", "scout", 3))
     again = bench.open()
     (told,) = bench.told
-    assert told.startswith("the copy of scout, start 3, as of ")
+    assert told.startswith("the copy of scout, start 3, stored ")
     assert "is damaged in the journal" in told
-    assert by_key(again.pages()) == by_key(PAGES[1:])
+    assert by_key(again.records()) == by_key(PAGES[1:])
     assert again.identity != journal.identity
     last = bench.open()
     assert (last.identity, len(bench.told)) == (again.identity, 1)
@@ -210,23 +212,23 @@ def test_a_damaged_page_is_told_and_makes_another_memory(bench: Bench) -> None:
 def test_with_a_promise_the_record_of_starts_is_lost(bench: Bench) -> None:
     """So a host counts as one that may have promised what it does not know."""
     journal = bench.open()
-    bench.run(journal.keep(PAGES))
+    bench.run(journal.persist(PAGES))
     journal.close()
-    bench.damage(Key("fence", "scout"))
-    left = [page for page in PAGES if not isinstance(page, Fence | Starts)]
-    assert by_key(bench.open().pages()) == by_key(left)
+    bench.damage(RecordKey("fence", "scout"))
+    left = [page for page in PAGES if not isinstance(page, FenceRecord | StartCounter)]
+    assert by_key(bench.open().records()) == by_key(left)
     (told,) = bench.told
-    assert told.startswith("the fence of scout, as of ")
-    assert by_key(bench.open().pages()) == by_key(left)
+    assert told.startswith("the fence of scout, stored ")
+    assert by_key(bench.open().records()) == by_key(left)
 
 
 def test_a_stop_that_cannot_be_read_is_named_and_no_start_is_lost_with_it(bench: Bench) -> None:
     journal = bench.open()
-    bench.run(journal.keep([Starts(4), Paused(True), Stopped("fog")]))
+    bench.run(journal.persist([StartCounter(4), PauseFlag(True), EmergencyStopFlag("fog")]))
     journal.close()
-    bench.damage(Key("stopped"))
-    assert by_key(bench.open().pages()) == by_key([Starts(4), Paused(True)])
-    assert bench.told[0].startswith("whether an emergency stop holds here, as of ")
+    bench.damage(RecordKey("stopped"))
+    assert by_key(bench.open().records()) == by_key([StartCounter(4), PauseFlag(True)])
+    assert bench.told[0].startswith("whether an emergency stop holds here, stored ")
 
 
 def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:
@@ -234,7 +236,7 @@ def test_it_counts_the_commits_of_a_minute(bench: Bench) -> None:
 
     async def some() -> None:
         for count in range(3):
-            await journal.keep([Starts(count)])
+            await journal.persist([StartCounter(count)])
 
     bench.run(some())
     now = bench.clock.monotonic()

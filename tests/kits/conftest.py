@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from lfield.devices.try_out import checks_of
+from lfield.devices.conformance_run import conformance_checks
 from lfield.driver.kit import Check
 from lfield.driver.plugins import discover
-from lfield.mission.one_device import devices_in_file
+from lfield.mission.device_selection import devices_in_file
 from lfield.testing.desk import Desk
 
 
@@ -28,7 +28,7 @@ def try_kit(desk, tmp_path):
     def run(driver, devices, *, only=(), frame="", origin="", first=lambda: None, last=lambda: None):
         plugins = discover()
         installed = plugins.by_driver[driver]
-        checks = [check for check in checks_of(installed) if not only or check.name in only]
+        checks = [check for check in conformance_checks(installed) if not only or check.name in only]
 
         def step(name, action):
             async def act(bench):

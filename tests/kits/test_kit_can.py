@@ -27,12 +27,13 @@ def test_a_drive_an_odrive_and_a_device_by_dbc_file_pass(desk, try_kit):
         },
     )
     assert failed(found) == []
-    assert not_run(found) == {("odrive", "homing where it stands")}
-    assert "time-to-live of 0.5 s is over" in found["drive", "a velocity that is not renewed ends"].seen
-    assert "the host was silent" in found["odrive", "a host that hangs while it turns"].seen
-    assert "GripperStatus.Width" in found["gripper", "what it sends can be read"].seen
+    assert not_run(found) == {("odrive", "homing at its position")}
+    assert "has expired (time-to-live 0.5 s)" in found["drive", "a velocity that is not renewed ends"].seen
+    assert "the host was silent" in found["odrive", "a host that stops responding during a motion"].seen
+    assert "GripperStatus.Width" in found["gripper", "its messages can be read"].seen
     assert (
-        "allow only GripperCommand" in found["gripper", "what its binding does not list cannot be sent"].seen
+        "allow only GripperCommand"
+        in found["gripper", "messages that its binding does not list are refused"].seen
     )
 
 
@@ -40,7 +41,7 @@ def test_an_axis_that_does_not_do_it_fails(desk, try_kit):
     n5, n6, n7 = (desk.fake("can", "--device", f"cia402:{node}") for node in (5, 6, 7))
     n3 = desk.fake("can", "--device", "odrive:3")
     n5.fault("stuck@5=true")
-    turning, sound = "a velocity that is not renewed ends", "it is heard, and nothing is wrong with it"
+    turning, sound = "a velocity that is not renewed ends", "it responds without faults"
     found = try_kit(
         "can",
         {
@@ -48,7 +49,7 @@ def test_an_axis_that_does_not_do_it_fails(desk, try_kit):
             "n6": f'endpoint: "{n6.endpoint}", node: 6, {DRIVE}',
             "n3": f'endpoint: "{n3.endpoint}", node: 3, {ODRIVE}',
         },
-        only=("enabled, it stays where it is", turning),
+        only=("enabling does not move it", turning),
     )
     assert found["n5", turning].outcome == "failed"
     assert "does not turn it" in found["n5", turning].seen or "blocked" in found["n5", turning].seen

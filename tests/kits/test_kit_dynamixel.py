@@ -20,8 +20,8 @@ def test_a_servo_and_a_group_pass(desk, try_kit):
     assert failed(found) == []
     assert {finding.outcome for finding in found.values()} == {"passed"}
     for device in ("servo", "group"):
-        assert "time-to-live of 0.3 s is over" in found[device, "a setpoint that is not renewed ends"].seen
-        assert found[device, "limp at the end"].seen == "torque off"
+        assert "has expired (time-to-live 0.3 s)" in found[device, "a setpoint that is not renewed ends"].seen
+        assert found[device, "torque off at the end"].seen == "torque off"
     assert found["group", "every member answers"].seen == "2 members"
 
 
@@ -45,6 +45,6 @@ def test_servos_that_do_not_do_it_fail(desk, try_kit):
         last=lambda: chain.fault("dead@3=false"),
     )
     assert "something is in the way" in found["stuck", turn].seen
-    assert "it says that it has" in found["sagging", volts].seen
+    assert "it reports" in found["sagging", volts].seen
     assert "servo 3" in found["group", all_there].seen or "[3]" in found["group", all_there].seen
     assert found["stuck", volts].outcome == "passed"

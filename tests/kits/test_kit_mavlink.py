@@ -26,8 +26,8 @@ def passes(try_kit, binding):
     found = try_kit("mavlink", {"copter": f"{binding}, {LIMITS}"})
     assert failed(found) == []
     assert not_run(found) == set()
-    assert "m/s at most, of 5" in found["copter", "its speed limit is kept"].seen
-    assert "motors off" in found["copter", "it stands at the end"].seen
+    assert "m/s at most, of 5" in found["copter", "its speed limit is enforced"].seen
+    assert "motors off" in found["copter", "it is at rest at the end"].seen
     return found
 
 
@@ -38,6 +38,7 @@ def test_a_copter_of_ardupilot_passes(desk, try_kit):
     assert "then it was in LAND" in found["copter", "a velocity that is not renewed ends"].seen
 
 
+@pytest.mark.few(0)
 def test_a_copter_of_px4_passes(desk, try_kit):
     speeds = "--param MPC_XY_VEL_MAX=5 --param MPC_XY_CRUISE=5 --param MPC_VEL_MANUAL=5"
     (link,) = vehicles(desk, f"3:copter:px4 --set-up hold {speeds}")
@@ -52,7 +53,7 @@ def test_rovers_of_both_autopilots_do_what_is_not_as_copters_do_it(desk, try_kit
         "2:rover:ardupilot --set-up --param WP_SPEED=5",
         "5:rover:px4 --set-up hold --param RO_SPEED_LIM=5",
     )
-    takeoff, ends = "it does not take off with its motors off", "a velocity that is not renewed ends"
+    takeoff, ends = "takeoff() is refused while disarmed", "a velocity that is not renewed ends"
     where = f'endpoint: "{px4.endpoint}", system: 5, kind: rover, safe_state: hold'
     found = try_kit(
         "mavlink",
@@ -63,7 +64,7 @@ def test_rovers_of_both_autopilots_do_what_is_not_as_copters_do_it(desk, try_kit
     )
     assert failed(found) == []
     assert not_run(found) == {("rover", takeoff), ("px4", takeoff)}
-    assert "only while it drives" in found["rover", "a short trip"].seen
+    assert "only while driving" in found["rover", "a short trip"].seen
     assert "; turned, " in found["px4", "a short trip"].seen
     assert "then it was in HOLD" in found["rover", ends].seen
 
@@ -106,7 +107,7 @@ async def another_station(endpoint, speed):
 
 def test_a_speed_beyond_the_limit_fails(desk, try_kit):
     (link,) = vehicles(desk, "1:copter:ardupilot --set-up --param WPNAV_SPEED=500")
-    check = "its speed limit is kept"
+    check = "its speed limit is enforced"
     # The watch of the driver, which would correct it, looks away.
     device = f'endpoint: "{link.endpoint}", system: 1, ttl: 1.0, limit_time: 30.0, {LIMITS}'
     found = try_kit(

@@ -9,7 +9,7 @@ import pytest
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.kit import run_kit
 from lfield.errors import DeviceError
-from lfield_mavlink.kit.plans import PLANS
+from lfield_mavlink.kit.plan_checks import PLANS
 
 #: The name of a check, and the instructions by which it reads, writes and clears its plan.
 MISSION = (
@@ -97,7 +97,7 @@ def test_a_plan_that_comes_back_passes(plan, held):
 
 @pytest.mark.parametrize("plan", [MISSION, RALLY])
 @pytest.mark.parametrize("held", [HELD, []])
-@pytest.mark.parametrize(("fault", "words"), [("differs", "came back as"), ("keeps", "were left after")])
+@pytest.mark.parametrize(("fault", "words"), [("differs", "read back"), ("keeps", "remained after")])
 def test_what_was_there_is_back_when_the_check_fails(plan, held, fault, words):
     vehicle = Vehicle(plan, held, fault)
     finding = tried(plan, vehicle)
@@ -119,7 +119,7 @@ def test_a_plan_that_could_not_be_given_back_is_not_touched():
     vehicle = Vehicle(MISSION, HELD, "limits")
     finding = tried(MISSION, vehicle)
     assert finding.outcome == "not run"
-    assert finding.seen == "what it holds would be lost: waypoint 0 is above the limit"
+    assert finding.seen == "the stored plan could not be restored: waypoint 0 is above the limit"
     assert vehicle.written == []
     assert vehicle.held == HELD
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from lfield.capability.reading.reader import read_registry
-from lfield.capability.types.language import RegistryTypes
+from lfield.capability.program_types.registry_types import RegistryTypes
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.manifest import DeviceManifest, Instruction, Parameter
-from lfield.text.source import Diagnostic
+from lfield.text.source_text import Diagnostic
 
 GOLDEN = Path(__file__).parent / "golden"
 REGISTRY = GOLDEN.parents[1] / "golden" / "programs" / "lifting.yaml"

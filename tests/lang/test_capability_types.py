@@ -9,11 +9,11 @@ import pytest
 from lang_expectations import CAPABILITIES, REGISTRY
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
-from lfield.capability.types import language
-from lfield.capability.types.generate import classes
-from lfield.capability.types.language import RegistryTypes
-from lfield.lang.frontend import Checked, check_text
+from lfield.capability.program_types import registry_types
+from lfield.capability.program_types.class_generator import classes
+from lfield.capability.program_types.registry_types import RegistryTypes
+from lfield.capability.registry_reader.registry_files import read_registry
+from lfield.lang.frontend import CheckResult, check_text
 
 CRANE = """
 resource Crane {
@@ -29,11 +29,11 @@ def never() -> Registry:
     raise AssertionError("the registry was read")
 
 
-def checked(text: str, types: RegistryTypes = CAPABILITIES) -> Checked:
+def checked(text: str, types: RegistryTypes = CAPABILITIES) -> CheckResult:
     return check_text(text, "team.L", capabilities=types)
 
 
-def drawn(found: Checked) -> list[str]:
+def drawn(found: CheckResult) -> list[str]:
     return [d.render().split("\n")[0] for d in found.diagnostics]
 
 
@@ -82,7 +82,7 @@ def test_only_ways_that_the_program_can_have_are_in_its_class() -> None:
     assert "of_grip_and_climb" in class_of("Lift", "Copter", "Claw")
     names = [source.name for source in classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"])]
     assert names == ["Climb.L", "FirmGrip.L", "Grip.L", "Lift.L"]
-    taken = classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"], taken=["Climb"])
+    taken = classes(CAPABILITIES.registry, ["Lift"], ["Copter", "Claw"], reserved=["Climb"])
     assert [source.name for source in taken] == ["Lift.L"]
 
 
@@ -110,7 +110,7 @@ def test_unknown_names_may_be_misspelt_capabilities() -> None:
 
 def test_a_class_of_the_name_offer_is_in_the_way() -> None:
     found = checked(CRANE + "class Offer { }\n" + BOSS % "findLift();")
-    assert drawn(found) == ["team.L:7:7: error[L307]: 'Offer' is declared in Offer.L, line 4 already"]
+    assert drawn(found) == ["team.L:7:7: error[L307]: 'Offer' is already declared in Offer.L, line 4"]
     assert drawn(checked("class Offer { }\n" + BOSS % "")) == []
 
 
@@ -126,7 +126,9 @@ def test_what_we_ship_does_not_count_for_another_of_the_name(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A program may have a Crane of its own that is none of ours."""
-    monkeypatch.setattr(language, "is_shipped", lambda finding: finding.span.source.name == str(REGISTRY))
+    monkeypatch.setattr(
+        registry_types, "is_shipped", lambda finding: finding.span.source.name == str(REGISTRY)
+    )
     program = checked(CRANE.replace("lift(", "hoist(") + BOSS % "findLift();").or_raise()
     lift = next(unit for unit in program.units if unit.name == "Lift")
     assert [field.name for field in lift.fields] == ["facts"]

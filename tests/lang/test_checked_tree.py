@@ -70,13 +70,13 @@ def test_field_initialisers_run_first_in_init_and_in_every_constructor() -> None
 
 def test_for_is_a_block_with_a_loop_and_its_step() -> None:
     (block,) = body("for (int i = 0; i < 3; i = i + 1) { if (i == 1) continue; }")
-    assert isinstance(block, tree.Block)
+    assert isinstance(block, tree.BlockStmt)
     declare, loop = block.body
     assert isinstance(declare, tree.Declare)
     assert isinstance(loop, tree.Loop)
     assert len(loop.step) == 1
     (endless,) = body("for (;;) yield();")
-    assert isinstance(endless, tree.Block)
+    assert isinstance(endless, tree.BlockStmt)
     (loop,) = endless.body
     assert isinstance(loop, tree.Loop)
     assert isinstance(loop.condition, tree.Literal_)
@@ -87,17 +87,17 @@ def test_int_widens_in_assignment_argument_return_arithmetic_and_comparison() ->
     (declare,) = body("real x = 1;")
     assert isinstance(declare, tree.Declare)
     assert isinstance(declare.value, tree.ToReal)
-    assert isinstance(call("sleep(1);", tree.Library).arguments[0], tree.ToReal)
+    assert isinstance(call("sleep(1);", tree.LibraryCall).arguments[0], tree.ToReal)
     result = (
         program("resource A { init(string[] a) { } private real f() { return 1; } }")["A"].methods[1].body[0]
     )
     assert isinstance(result, tree.Return)
     assert isinstance(result.value, tree.ToReal)
-    (plus,) = call("print(1 + 2.0);", tree.Library).arguments
+    (plus,) = call("print(1 + 2.0);", tree.LibraryCall).arguments
     assert isinstance(plus, tree.Binary)
     assert isinstance(plus.left, tree.ToReal)
     assert plus.type == REAL
-    (less,) = call("print(1.0 < 2);", tree.Library).arguments
+    (less,) = call("print(1.0 < 2);", tree.LibraryCall).arguments
     assert isinstance(less, tree.Binary)
     assert isinstance(less.right, tree.ToReal)
 
@@ -108,17 +108,17 @@ def test_overloads_choose_the_exact_match_then_the_fewest_widenings() -> None:
     assert call("f(1, 2);", tree.Call, members).method.signature == "f(int, real)"
     assert call("f(1.0, 2);", tree.Call, members).method.signature == "f(real, real)"
     assert call("f(null, null);", tree.Call, members).method.signature == "f(string, int[])"
-    assert call("print(min(1, 2.0));", tree.Library).operation == "print_float"
+    assert call("print(min(1, 2.0));", tree.LibraryCall).operation == "print_float"
 
 
 def test_null_stands_right_in_comparisons_and_keeps_its_type() -> None:
-    (same,) = call("print(null == arg);", tree.Library).arguments
+    (same,) = call("print(null == arg);", tree.LibraryCall).arguments
     assert isinstance(same, tree.Binary)
     assert (same.left.type, same.right.type) == (array_of(STRING), NULL)
 
 
 def test_smallest_int_is_one_literal() -> None:
-    (least,) = call("print(-9223372036854775808);", tree.Library).arguments
+    (least,) = call("print(-9223372036854775808);", tree.LibraryCall).arguments
     assert isinstance(least, tree.Literal_)
     assert (least.value, least.type) == (-(2**63), INT)
 
@@ -133,7 +133,7 @@ def test_operators_group_like_in_c() -> None:
 
     def grouped(text: str) -> str:
         return shape(
-            call(f"int a = 1; int b = 2; boolean p; boolean q; print({text});", tree.Library).arguments[0]
+            call(f"int a = 1; int b = 2; boolean p; boolean q; print({text});", tree.LibraryCall).arguments[0]
         )
 
     assert grouped("a - b - 3 * -a % 2") == "((a-b)-((3*-a)%2))"
@@ -195,13 +195,13 @@ def test_exceptions() -> None:
     assert isinstance(thrown.value, tree.New)
     assert (thrown.value.constructor, thrown.value.type) == (None, ClassType("NullException"))
     assert [clause.local.type for clause in attempt.catches] == [ClassType("Box"), EXCEPTION]
-    message = call('Exception e = new Exception("a"); e.message();', tree.Library)
+    message = call('Exception e = new Exception("a"); e.message();', tree.LibraryCall)
     assert (message.operation, message.type) == ("exc_message", STRING)
 
 
 def test_lengths_of_arrays_and_strings() -> None:
-    assert call("arg.length();", tree.Library).operation == "array_len"
-    text = call("arg[0].substring(1, 2);", tree.Library)
+    assert call("arg.length();", tree.LibraryCall).operation == "array_len"
+    text = call("arg[0].substring(1, 2);", tree.LibraryCall)
     assert (text.operation, len(text.arguments)) == ("substring", 3)
 
 
@@ -216,7 +216,7 @@ def test_this_of_a_resource_has_a_plain_type() -> None:
 
 
 def test_string_escapes() -> None:
-    (text,) = call(r'print("\n\t\r\0\"\\\u{e9}\u{1F916}");', tree.Library).arguments
+    (text,) = call(r'print("\n\t\r\0\"\\\u{e9}\u{1F916}");', tree.LibraryCall).arguments
     assert isinstance(text, tree.Literal_)
     assert text.value == '\n\t\r\0"\\é\N{ROBOT FACE}'
 
@@ -238,17 +238,17 @@ def test_a_together_begins_its_calls() -> None:
     block = boss(f"together {{ {calls} }}", "int i = 1;")[-1]
     assert isinstance(block, tree.Together)
     first, choice, last, printed = block.body
-    assert isinstance(first, tree.Begin)
+    assert isinstance(first, tree.StartCall)
     assert isinstance(first.call, tree.PortalCall)
     assert isinstance(first.call.arguments[0], tree.ToReal)
     assert isinstance(first.target, tree.LocalGet)
     assert first.target.local.name == "x"
     assert isinstance(choice, tree.If)
     (second,) = choice.then
-    assert isinstance(second, tree.Begin)
+    assert isinstance(second, tree.StartCall)
     assert isinstance(second.target, tree.Element)
     assert isinstance(second.target.index, tree.Binary)
-    assert isinstance(last, tree.Begin)
+    assert isinstance(last, tree.StartCall)
     assert last.target is None
     assert isinstance(printed, tree.Evaluate)
 
@@ -257,11 +257,11 @@ def test_a_together_inside_another_one_begins_its_own_calls() -> None:
     outer = boss("together { arm.stop(); try { together { x = arm.lift(1); } } finally { print(1); } }")[-1]
     assert isinstance(outer, tree.Together)
     begun, attempt = outer.body
-    assert isinstance(begun, tree.Begin)
+    assert isinstance(begun, tree.StartCall)
     assert isinstance(attempt, tree.Try)
     (inner,) = attempt.body
     assert isinstance(inner, tree.Together)
-    assert isinstance(inner.body[0], tree.Begin)
+    assert isinstance(inner.body[0], tree.StartCall)
     assert isinstance(inner.body[0].target, tree.LocalGet)
 
 
@@ -275,9 +275,9 @@ def test_portals_of_offers_are_begun_and_what_offers_tell_is_asked_in_place() ->
     block = next(unit for unit in units if unit.name == "Boss").methods[0].body[-1]
     assert isinstance(block, tree.Together)
     kinds = [type(one) for one in block.body]
-    assert kinds == [tree.Begin, tree.Begin, tree.Evaluate, tree.Evaluate]
+    assert kinds == [tree.StartCall, tree.StartCall, tree.Evaluate, tree.Evaluate]
     first = block.body[0]
-    assert isinstance(first, tree.Begin)
+    assert isinstance(first, tree.StartCall)
     assert isinstance(first.call, tree.Call)
     assert first.call.method.unit.capability
 
@@ -306,5 +306,5 @@ def test_finally_is_the_last_part_of_its_try() -> None:
 
 
 def test_every_exception_is_asked_for_the_others() -> None:
-    others = call("Exception e = new NullException(); e.others();", tree.Library)
+    others = call("Exception e = new NullException(); e.others();", tree.LibraryCall)
     assert (others.operation, others.type) == ("exc_others", array_of(EXCEPTION))

@@ -81,7 +81,7 @@ def test_all_mistakes_of_a_file_and_of_a_line_are_told() -> None:
 def test_a_caret_under_the_part_that_is_wrong() -> None:
     _, (found,) = parse_deployment("//Arm:a@x:99999?1", "mission.dL", UNITS)
     assert found.render().split("\n")[:3] == [
-        "mission.dL:1:11: error[L707]: the port '99999' is not good",
+        "mission.dL:1:11: error[L707]: the port '99999' is not valid",
         "    //Arm:a@x:99999?1",
         "              ^~~~~",
     ]

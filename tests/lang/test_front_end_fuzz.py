@@ -9,11 +9,11 @@ from lang_expectations import GOLDEN, ROVER
 
 from lfield.lang import tree
 from lfield.lang.deployment import parse_deployment
-from lfield.lang.frontend import Checked, check_file, check_text
-from lfield.lang.parser import parse
-from lfield.lang.scanner import FOREIGN_OPERATORS, KEYWORDS, Kind, scan
+from lfield.lang.frontend import CheckResult, check_file, check_text
+from lfield.lang.parser import parse_file
+from lfield.lang.scanner import FOREIGN_OPERATORS, KEYWORDS, TokenKind, scan
 from lfield.lang.types import UNKNOWN, Type
-from lfield.text.source import Diagnostics, Source
+from lfield.text.source_text import Diagnostics, Source
 
 PROGRAM = (GOLDEN / "ok" / "everything.L").read_text(encoding="utf-8").replace('include "part.L";', "")
 PIECES = sorted(
@@ -52,7 +52,7 @@ PIECES = sorted(
 LENIENT = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
-def assert_sound(checked: Checked) -> None:
+def assert_sound(checked: CheckResult) -> None:
     """A program exists exactly when there are no errors, and then every type in it is known."""
     assert (checked.program is None) == bool(checked.errors)
     for diagnostic in checked.diagnostics:
@@ -119,7 +119,7 @@ def test_any_bytes_give_diagnostics(tmp_path: Path, data: bytes) -> None:
 @given(mutated_programs())
 def test_what_the_parser_loses_is_always_told(text: str) -> None:
     found = Diagnostics()
-    file = parse(Source("any.L", text), found)
+    file = parse_file(Source("any.L", text), found)
     broken = file.broken or any(u.broken or any(m.broken for m in u.methods) for u in file.units)
     assert not broken or found.errors
 
@@ -129,7 +129,7 @@ def test_what_the_parser_loses_is_always_told(text: str) -> None:
 def test_tokens_cover_the_text(text: str) -> None:
     found = Diagnostics()
     scanned = scan(Source("any.L", text), found)
-    assert scanned.tokens[-1].kind is Kind.END
+    assert scanned.tokens[-1].kind is TokenKind.END
     at = 0
     for token in scanned.tokens:
         assert at <= token.span.start <= token.span.end <= len(text)

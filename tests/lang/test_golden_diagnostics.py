@@ -6,6 +6,7 @@ import pytest
 from lang_expectations import CAPABILITIES, GOLDEN, ROVER, THESIS, assert_exactly, expected
 
 from lfield.errors import ProgramError
+from lfield.lang.checker.argument_check import argument_findings
 from lfield.lang.deployment import parse_deployment, read_deployment
 from lfield.lang.frontend import check_file
 from lfield.lang.messages import TABLE
@@ -16,6 +17,7 @@ UNITS: dict[str, UnitKind] = {"Arm": "resource", "Boss": "coordinator", "Box": "
 
 PROGRAMS = sorted((GOLDEN / "errors").glob("*.L"))
 DEPLOYMENTS = sorted((GOLDEN / "deployments" / "errors").glob("*.dL"))
+MISSIONS = sorted((GOLDEN / "missions").glob("*.dL"))
 
 
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda p: p.stem)
@@ -33,10 +35,17 @@ def test_deployment_has_exactly_the_expected_diagnostics(path: Path) -> None:
     assert_exactly(path, list(caught.value.diagnostics))
 
 
+@pytest.mark.parametrize("path", MISSIONS, ids=lambda p: p.stem)
+def test_deployment_and_program_have_exactly_the_expected_diagnostics(path: Path) -> None:
+    program = check_file(path.with_suffix(".L")).program
+    assert program is not None
+    assert_exactly(path, argument_findings(program.units, read_deployment(path, None)))
+
+
 def test_every_code_has_a_golden_file_of_its_name() -> None:
-    tested = {path.stem[:4] for path in (*PROGRAMS, *DEPLOYMENTS)}
+    tested = {path.stem[:4] for path in (*PROGRAMS, *DEPLOYMENTS, *MISSIONS)}
     assert tested == set(TABLE)
-    for path in (*PROGRAMS, *DEPLOYMENTS):
+    for path in (*PROGRAMS, *DEPLOYMENTS, *MISSIONS):
         assert path.stem[:4] in {code for _, _, code, _ in expected(path)}, path.name
 
 

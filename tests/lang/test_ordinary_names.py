@@ -3,9 +3,9 @@
 import pytest
 
 from lfield.lang.frontend import check_text
-from lfield.lang.library import FUNCTIONS
+from lfield.lang.language_library import FUNCTIONS
+from lfield.lang.parser import foreign_words
 from lfield.lang.scanner import KEYWORDS
-from lfield.text import suggest
 
 LIKE_KEYWORDS = [
     "Report",
@@ -24,12 +24,12 @@ LIKE_KEYWORDS = [
     "finally",
 ]
 HABITS = [
-    *suggest.FOREIGN_TYPES,
-    *suggest.FOREIGN_VALUES,
-    *suggest.FOREIGN_FUNCTIONS,
-    *suggest.FOREIGN_MODIFIERS,
-    *suggest.FOREIGN_STATEMENTS,
-    *suggest.FOREIGN_UNITS,
+    *foreign_words.FOREIGN_TYPES,
+    *foreign_words.FOREIGN_VALUES,
+    *foreign_words.FOREIGN_FUNCTIONS,
+    *foreign_words.FOREIGN_MODIFIERS,
+    *foreign_words.FOREIGN_STATEMENTS,
+    *foreign_words.FOREIGN_UNITS,
     "extends",
     "System",
 ]
@@ -71,7 +71,9 @@ def test_as_a_field_a_method_a_portal_and_a_local(word: str) -> None:
     assert [d.render() for d in check_text(MEMBERS.replace("WORD", word)).diagnostics] == []
 
 
-@pytest.mark.parametrize("word", sorted({*LIKE_KEYWORDS, *suggest.FOREIGN_TYPES, *suggest.FOREIGN_VALUES}))
+@pytest.mark.parametrize(
+    "word", sorted({*LIKE_KEYWORDS, *foreign_words.FOREIGN_TYPES, *foreign_words.FOREIGN_VALUES})
+)
 def test_as_a_class(word: str) -> None:
     assert [d.render() for d in check_text(UNITS.replace("WORD", word)).diagnostics] == []
 

@@ -10,18 +10,18 @@ from functools import cache
 from pathlib import Path
 
 import msgspec
-from callers import NOW
 from certificates import Team, made
-from starting import starts
+from host_start import does_host_start
+from network_callers import NOW
 
-from lfield.authority import folder
+from lfield.authority import keystore
+from lfield.authority.certificate_reader import der_of
 from lfield.authority.identity import Right, uri_of
-from lfield.authority.keys import Keys
+from lfield.authority.key_material import Keys
 from lfield.authority.pem import private_in
-from lfield.authority.reading import der_of
 from lfield.errors import BundleError
 from lfield.mission import bundle
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 
 DAY = 86400.0
 PURPOSE = b"lfield bundle\0"
@@ -71,7 +71,7 @@ class Bundles:
             "nobody": None,
         }
         keys = self.team.host("alpha")
-        folder.write(place / "alpha", replace(keys, revoked=self.team.revoked(1, gone)))
+        keystore.write_keys(place / "alpha", replace(keys, revoked=self.team.revoked(1, gone)))
 
     def tried(self, who: str, what: str) -> bool:
         """Whether a host of the team runs it."""
@@ -94,7 +94,7 @@ class Bundles:
     def _runs(self, data: bytes) -> bool:
         file = self._place / "shown.lfm"
         file.write_bytes(data)
-        return starts(file, "alpha", self._place / "alpha", NOW)
+        return does_host_start(file, "alpha", self._place / "alpha", NOW)
 
 
 @cache
@@ -117,11 +117,11 @@ def sealed(data: bytes, keys: Keys, at: float) -> bytes:
     return msgspec.msgpack.encode([der_of(keys.certificate), second, signed])
 
 
-def resealed(data: bytes, part: str, dice: random.Random) -> bytes:
+def resealed(data: bytes, part: str, rng: random.Random) -> bytes:
     """The bundle with one bit of a part changed, and all digests as they must be then."""
     parts = {name: bytes(value) for name, value in bundle.contents(data).parts.items()}
     value = bytearray(parts[part])
-    value[dice.randrange(len(value))] ^= 1 << dice.randrange(8)
+    value[rng.randrange(len(value))] ^= 1 << rng.randrange(8)
     parts[part] = bytes(value)
     rows = [(name, len(value), hashlib.sha256(value).digest()) for name, value in parts.items()]
     table = msgspec.msgpack.encode(rows)

@@ -6,15 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 from bundles_shown import sealed
-from callers import NOW
-from certificates import BEGIN, Team, made
-from starting import starts
+from certificates import NOT_BEFORE, Team, made
+from host_start import does_host_start
+from network_callers import NOW
 
-from lfield.authority import folder
+from lfield.authority import keystore
 from lfield.authority.identity import Right, uri_of
-from lfield.authority.keys import Keys, certificate_name, key_name
+from lfield.authority.key_material import Keys, certificate_name, key_name
 from lfield.mission import bundle
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 
 DAY = 86400.0
 #: By column: which host starts, and for how many seconds.
@@ -50,7 +50,7 @@ class Folders:
             "cut": replace(alpha, key=alpha.key[: len(alpha.key) // 2]),
         }
         for name, keys in found.items():
-            folder.write(base / name, replace(keys, revoked=keys.revoked or team.revoked(0)))
+            keystore.write_keys(base / name, replace(keys, revoked=keys.revoked or team.revoked(0)))
             assert (base / name / certificate_name("host")).is_file()
         (base / "readable" / key_name("host")).chmod(0o640)
         for ending, text in FILES.items():
@@ -58,10 +58,10 @@ class Folders:
         data = bundle.encode(load_mission(base / "mission.dL"))
         self._bundle = base / f"mission{bundle.SUFFIX}"
         # By the clock in 1970 it is the time at which the oldest certificate was made.
-        self._bundle.write_bytes(bundle.with_signature(data, sealed(data, anna, BEGIN.timestamp())))
+        self._bundle.write_bytes(bundle.with_signature(data, sealed(data, anna, NOT_BEFORE.timestamp())))
 
     def tried(self, who: str, what: str) -> bool:
         """Whether a host starts with that folder."""
         host, lasts = STARTS[what]
         at = 1000.0 if who == "early" else NOW
-        return starts(self._bundle, host, self._base / who, at, "--lasts", str(lasts))
+        return does_host_start(self._bundle, host, self._base / who, at, "--lasts", str(lasts))

@@ -9,8 +9,8 @@ from __future__ import annotations
 from functools import cached_property
 from pathlib import Path
 
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, FleetOptions
 
 #: The portals of each resource, and the primitives by which they are offered.
 PORTALS = {
@@ -115,7 +115,7 @@ class Portals:
     @cached_property
     def said(self) -> frozenset[str]:
         """Every line of the team, until each coordinator has tried everything."""
-        fleet = Fleet(self._mission, 1, keeps=False)
+        fleet = Fleet(self._mission, 1, options=FleetOptions(keeps=False))
         through = {f"{member.id}: {THROUGH}" for member in self._mission.team.coordinators}
         while not through <= (said := frozenset(text.strip() for _, _, text in fleet.log)):
             assert fleet.now < PATIENCE, f"somebody has not tried everything: {fleet.log}"
@@ -126,7 +126,7 @@ class Portals:
     def tried(self, who: str, what: str) -> bool:
         """Whether a coordinator may call a portal: `arm1.home`; in every way, or in none."""
         resource, _, portal = what.partition(".")
-        done = {how: self._has_begun(who, how, resource, portal) for how in HOW}
+        done = {how: self._has_started(who, how, resource, portal) for how in HOW}
         done[FOUND] = f"{who}: {FOUND} {what}" in self.said
         assert len(set(done.values())) == 1, f"{who} calls {what}: {done}"
         return done[PLAIN]
@@ -135,5 +135,5 @@ class Portals:
         """Whether a coordinator has had a resource for itself."""
         return f"{who}: {KEPT} {resource}" in self.said
 
-    def _has_begun(self, who: str, how: str, resource: str, portal: str) -> bool:
+    def _has_started(self, who: str, how: str, resource: str, portal: str) -> bool:
         return f"{resource}: {who} {how} {portal}" in self.said

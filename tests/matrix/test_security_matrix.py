@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import pytest
 from bundles_shown import Bundles
-from callers import Network
 from key_folders import Folders
+from network_callers import Network
 from planted_holes import HOLES, ROOT, noticed
 from portal_rules import Portals
 from security_table import PAGE, Cell, cells, page, ways
-from users import Users
+from socket_users import Users
 
 from lfield.mission import bundle
 
@@ -60,16 +60,19 @@ def is_as_told(cell: Cell, done: bool) -> None:
     )
 
 
+@pytest.mark.few(120)
 @pytest.mark.parametrize("cell", of("network"))
 def test_over_the_network(network, cell):
     is_as_told(cell, network.tried(cell.who, cell.what))
 
 
+@pytest.mark.few(40)
 @pytest.mark.parametrize("cell", of("door"))
 def test_at_the_door(network, users, cell):
-    is_as_told(cell, network.tried_at_the_door(users, cell.who, cell.what))
+    is_as_told(cell, network.tried_at_socket(users, cell.who, cell.what))
 
 
+@pytest.mark.few(40)
 @pytest.mark.parametrize("cell", of("standing"))
 def test_on_a_link_that_stands(network, cell):
     is_as_told(cell, network.tried_on_a_link(cell.who, cell.what))
@@ -93,6 +96,7 @@ def test_a_resource_is_reserved_by_whom_it_serves(portals, who):
         assert portals.reserved(who, resource) == served
 
 
+@pytest.mark.few(30)
 @pytest.mark.parametrize("cell", of("bundle"))
 def test_as_a_bundle(bundles, cell):
     is_as_told(cell, bundles.tried(cell.who, cell.what))

@@ -10,15 +10,15 @@ from typing import Any
 import pytest
 
 from lfield.driver import DeviceError, Placement
-from lfield.simulate.time import run_jumping
+from lfield.simulate.jumping_loop import run_jumping
 from lfield.testing.driver_bench import DriverBench, bind
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.driver import MavlinkDriver
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.mavlink.link.wire import make_faults
-from lfield_sim.mavlink.protocol import STEP, MavlinkFake
-from lfield_sim.mavlink.set_up import set_up as set_up_for
-from lfield_sim.mavlink.set_up import station
+from lfield_sim.mavlink.link.radio_link import make_faults
+from lfield_sim.mavlink.mavlink_fake import STEP, MavlinkFake
+from lfield_sim.mavlink.setup_parameters import setup_parameters as set_up_for
+from lfield_sim.mavlink.setup_parameters import station
 
 
 class MemoryLink:

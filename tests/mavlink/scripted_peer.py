@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.errors import DeviceError
-from lfield.simulate.time import run_jumping
+from lfield.simulate.jumping_loop import run_jumping
 from lfield_mavlink.link.dialect import Reader, Writer, dialect
 
 
@@ -51,7 +51,7 @@ class Channel:
         self.sent.append(message)
         self._carry(self.up[0].pack(message, 255), self._at_vehicle)
 
-    def tell(self, messages: list[Any]) -> None:
+    def send_text(self, messages: list[Any]) -> None:
         """From the vehicle to the service."""
         for message in messages:
             data = bytes(message.pack(self.down[0]))
@@ -67,7 +67,7 @@ class Channel:
 
     def _at_vehicle(self, data: bytes) -> None:
         for message in self.up[1].feed(data):
-            self.tell(self.vehicle(message))
+            self.send_text(self.vehicle(message))
 
     def _at_service(self, data: bytes) -> None:
         for message in self.down[1].feed(data):

@@ -7,7 +7,7 @@ import pytest
 from lfield.driver.device import check_methods
 from lfield.lang.frontend import check_file, check_text
 from lfield_mavlink import PLUGIN
-from lfield_mavlink.contact.state import SOURCES
+from lfield_mavlink.contact.vehicle_state import SOURCES
 
 MANIFESTS = PLUGIN.read_manifests()
 DEVICES = {name: manifest.device for name, manifest in MANIFESTS.items()}

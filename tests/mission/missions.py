@@ -1,4 +1,4 @@
-"""Missions in a few words, written into a folder."""
+"""Small missions, written into a folder."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ PLAIN_DEPLOYMENT = "//Caller:tom@alpha?echo\n//Echo:echo@bravo\n"
 
 
 def write_rich(folder: Path) -> Path:
-    """A mission with devices and a registry of its own; its deployment."""
+    """Write a mission with devices and its own registry; returns its deployment."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {".L": PROGRAM, ".devices.yaml": DEVICES, ".capabilities.yaml": CAPABILITIES, ".dL": DEPLOYMENT}
     for ending, text in texts.items():
@@ -61,7 +61,7 @@ def write_rich(folder: Path) -> Path:
 
 
 def write_plain(folder: Path) -> Path:
-    """A mission of two files; its deployment."""
+    """Write a mission of two files; returns its deployment."""
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "mission.L").write_text(PLAIN)
     (folder / "mission.dL").write_text(PLAIN_DEPLOYMENT)

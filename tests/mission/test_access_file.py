@@ -13,21 +13,21 @@ from hypothesis import strategies as st
 
 from lfield.authority.identity import Right
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.cli.main import main
-from lfield.errors import Finding, ProgramError
+from lfield.errors import ProgramError, ReportableFinding
 from lfield.mission import bundle
 from lfield.mission.access.access_file import read_access
-from lfield.mission.access.rules import (
-    UNWRITTEN,
+from lfield.mission.access.access_rules import (
+    NO_RULES,
     Access,
-    Caller,
-    Line,
-    Person,
+    CallerRule,
+    PersonRule,
+    PortalRule,
     decode_access,
     encode_access,
 )
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 
 PROGRAM = """
@@ -113,24 +113,26 @@ def test_a_page_is_read_with_the_places_of_its_lines(tmp_path: Path) -> None:
     assert loaded(tmp_path, PAGE).access == Access(
         "mission.access.yaml",
         (
-            Person("anna", (Right.OBSERVE, Right.STOP, Right.OPERATE), 2),
-            Person("others", (), 3),
+            PersonRule("anna", (Right.OBSERVE, Right.STOP, Right.OPERATE), 2),
+            PersonRule("others", (), 3),
         ),
         (
-            Caller(
+            CallerRule(
                 "agent",
                 "boss",
                 5,
                 (
-                    Line("type", "Arm", 6, ("home", "grab")),
-                    Line("agent", "arm2", 7),
+                    PortalRule("type", "Arm", 6, ("home", "grab")),
+                    PortalRule("agent", "arm2", 7),
                     # As the winch calls what lifts.
-                    Line("capability", "Lift", 8, (), {"Winch": ("up",)}),
-                    Line("others", "others", 9, ()),
+                    PortalRule("capability", "Lift", 8, (), {"Winch": ("up",)}),
+                    PortalRule("others", "others", 9, ()),
                 ),
             ),
-            Caller("type", "Relay", 10, (Line("capability", "Lift", 10, (), {"Winch": ("up", "down")}),)),
-            Caller("others", "others", 11),
+            CallerRule(
+                "type", "Relay", 10, (PortalRule("capability", "Lift", 10, (), {"Winch": ("up", "down")}),)
+            ),
+            CallerRule("others", "others", 11),
         ),
     )
 
@@ -140,7 +142,7 @@ def test_without_a_file_and_with_an_empty_one_nothing_is_ruled(tmp_path: Path) -
     assert (empty.access, empty.calls) == (Access("mission.access.yaml"), None)
     (tmp_path / "mission.access.yaml").unlink()
     without = load_mission(tmp_path / "mission.dL")
-    assert (without.access, without.calls) == (UNWRITTEN, None)
+    assert (without.access, without.calls) == (NO_RULES, None)
 
 
 def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> None:
@@ -153,37 +155,47 @@ def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("text", "drawn", "said", "hint"),
     [
-        ("people: {anna: [operat]}", "operat", "there is no right 'operat'", "did you mean 'operate'?"),
-        ("people: {anna: [fly]}", "fly", "there is no right 'fly'", "rights here: observe, stop and operate"),
-        ("people: {anna: [command]}", "command", "a mission cannot say who may sign it", "rights here"),
-        ("people: {anna: [3]}", "3", "a right is a word, not the number 3", "rights here"),
-        ("people: {anna: stop}", "stop", "'anna' has all or a list of rights", "write [stop]"),
-        ("people: {anna: }", "", "'anna' has all or a list of rights, not nothing", "[] is none of them"),
-        ('people: {"*": all}', '"*"', "'*' is nobody's name", "write others"),
+        ("people: {anna: [operat]}", "operat", "unknown right 'operat'", "did you mean 'operate'?"),
+        ("people: {anna: [fly]}", "fly", "unknown right 'fly'", "rights here: observe, stop and operate"),
+        (
+            "people: {anna: [command]}",
+            "command",
+            "a mission cannot grant the right to sign it",
+            "rights here",
+        ),
+        ("people: {anna: [3]}", "3", "a right is a name, not the number 3", "rights here"),
+        ("people: {anna: stop}", "stop", "'anna' must be all or a list of rights", "write [stop]"),
+        (
+            "people: {anna: }",
+            "",
+            "'anna' must be all or a list of rights, not nothing",
+            "[] means none of them",
+        ),
+        ('people: {"*": all}', '"*"', "'*' is not a name", "write others"),
         (
             'people: {"": all}',
             '""',
-            "nobody's keys have such a name: it has 1 to 128 characters that can be printed",
+            "a person's name has 1 to 128 printable characters",
             "",
         ),
-        ('people: {"an\\tna": all}', '"an\\tna"', "nobody's keys have such a name", ""),
+        ('people: {"an\\tna": all}', '"an\\tna"', "a person's name has 1 to 128", ""),
         ("people: [anna]", "[anna]", "'people' must be a mapping, not a list", ""),
-        ("peple: {}", "peple", "an access file takes no 'peple'", "did you mean 'people'?"),
+        ("peple: {}", "peple", "an access file has no key 'peple'", "did you mean 'people'?"),
         ("coordinators: {bos: all}", "bos", "no coordinator 'bos'", "did you mean 'boss'?"),
         ("coordinators: {xyz: all}", "xyz", "no coordinator 'xyz'", "its coordinators: boss, one and two"),
         ("coordinators: {Arm: all}", "Arm", "no coordinator 'Arm', and none of such a type", ""),
-        ('coordinators: {"*": all}', '"*"', "'*' is nobody's name", "write others"),
-        ("coordinators: {boss: some}", "some", "'boss' has all, or resources", "{Arm: [home]}"),
+        ('coordinators: {"*": all}', '"*"', "'*' is not a name", "write others"),
+        ("coordinators: {boss: some}", "some", "'boss' must be all, or resources", "{Arm: [home]}"),
         ("coordinators: {boss: [home]}", "[home]", "with their portals, not a list", "{Arm: [home]}"),
         ("coordinators: {boss: {arm3: all}}", "arm3", "no resource 'arm3'", "did you mean 'Arm'?"),
         ("coordinators: {boss: {Lft: all}}", "Lft", "such type or capability", "did you mean 'Lift'?"),
         ("coordinators: {boss: {boss: all}}", "boss", "no resource 'boss'", ""),
-        ('coordinators: {boss: {"*": all}}', '"*"', "'*' is nobody's name", "write others"),
+        ('coordinators: {boss: {"*": all}}', '"*"', "'*' is not a name", "write others"),
         (
             "coordinators: {boss: {Grip: all}}",
             "Grip",
             "no resource of the deployment serves Grip",
-            "own name",
+            "substitutes it",
         ),
         ("coordinators: {boss: {Arm: [hom]}}", "hom", "Arm has no portal 'hom'", "did you mean 'home'?"),
         ("coordinators: {boss: {arm1: [up]}}", "up", "arm1 has no portal 'up'", "grab, home and where"),
@@ -194,9 +206,14 @@ def test_a_registry_is_read_for_names_of_capabilities_alone(tmp_path: Path) -> N
             "its portals: lift and lower",
         ),
         ("coordinators: {boss: {others: [fly]}}", "fly", "no resource of the deployment has a portal", ""),
-        ("coordinators: {boss: {Arm: home}}", "home", "'Arm' has all or a list of portals", "write [home]"),
+        (
+            "coordinators: {boss: {Arm: home}}",
+            "home",
+            "'Arm' must be all or a list of portals",
+            "write [home]",
+        ),
         ("coordinators: {boss: {Arm: [[]]}}", "[]", "a portal is a name, not a list", ""),
-        ("coordinators: {boss: {Arm: [], Arm: []}}", "Arm", "'Arm' is here twice", ""),
+        ("coordinators: {boss: {Arm: [], Arm: []}}", "Arm", "the key 'Arm' occurs twice", ""),
         ("coordinators: {boss: &a {}}", "&a", "anchors and aliases are not allowed", ""),
     ],
 )
@@ -238,7 +255,7 @@ def test_a_file_under_a_name_that_is_nearly_right_and_a_link_to_nowhere_are_no_m
     deploy, rules = deployed(tmp_path, ""), tmp_path / "mission.access.yaml"
     nearly = rules.rename(rules.with_suffix(".yml"))
     assert main(["check", str(deploy)]) == 66
-    assert "it is not read under this name: call it mission.access.yaml" in capsys.readouterr().err
+    assert "it is not read under this name; rename it to mission.access.yaml" in capsys.readouterr().err
     nearly.unlink()
     rules.symlink_to(tmp_path / "nowhere")
     assert main(["check", str(deploy)]) == 66
@@ -269,8 +286,8 @@ WORDS = (
 def test_any_text_is_rules_or_findings_with_places(site: Site, draw: st.DataObject) -> None:
     start, end = sorted((draw.draw(st.integers(0, len(PAGE))), draw.draw(st.integers(0, len(PAGE)))))
     new = draw.draw(st.sampled_from(WORDS) | st.text(max_size=8))
-    findings: Sequence[Finding] = ()
-    access = UNWRITTEN
+    findings: Sequence[ReportableFinding] = ()
+    access = NO_RULES
     try:
         access = site.read(PAGE[:start] + new + PAGE[min(end, start + 9) :])
     except ProgramError as error:

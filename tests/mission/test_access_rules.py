@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.authority.identity import ALL, STRANGER, Identity, Right
-from lfield.mission.access.rules import (
-    UNWRITTEN,
+from lfield.authority.identity import ALL_RIGHTS, ANONYMOUS, Identity, Right
+from lfield.mission.access.access_rules import (
+    NO_RULES,
     Access,
-    Caller,
-    Calls,
-    Line,
-    Person,
+    CallerRule,
+    CallPermissions,
+    PersonRule,
+    PortalRule,
     decode_access,
     encode_access,
 )
@@ -29,7 +29,7 @@ BOSS, ONE, LONE = (
 FILE = "m.access.yaml"
 
 
-def access(*callers: Caller) -> Access:
+def access(*callers: CallerRule) -> Access:
     return Access(FILE, (), callers)
 
 
@@ -41,15 +41,15 @@ def person(may: frozenset[Right], name: str = "anna") -> Identity:
 
 
 def test_who_is_not_named_calls_everything() -> None:
-    rules = access(Caller("agent", "boss", 2, ()))
-    assert rules.refusal(ONE, ARM, "home") == UNWRITTEN.refusal(BOSS, ARM, "home") == ""
+    rules = access(CallerRule("agent", "boss", 2, ()))
+    assert rules.refusal(ONE, ARM, "home") == NO_RULES.refusal(BOSS, ARM, "home") == ""
 
 
 def test_of_callers_the_name_counts_before_the_type_before_others() -> None:
     rules = access(
-        Caller("others", "others", 2, ()),
-        Caller("type", "Relay", 3, (Line("others", "others", 4, ("home",)),)),
-        Caller("agent", "boss", 5),
+        CallerRule("others", "others", 2, ()),
+        CallerRule("type", "Relay", 3, (PortalRule("others", "others", 4, ("home",)),)),
+        CallerRule("agent", "boss", 5),
     )
     assert rules.refusal(BOSS, ARM, "grab") == ""
     assert rules.refusal(ONE, ARM, "home") == ""
@@ -57,43 +57,43 @@ def test_of_callers_the_name_counts_before_the_type_before_others() -> None:
         "one may not call arm1.grab(): m.access.yaml:4 allows home() of arm1 only"
     )
     assert rules.refusal(LONE, ARM, "home") == (
-        "lone may not call arm1.home(): m.access.yaml:2 says what other coordinators may call, and it is not "
-        "there"
+        "lone may not call arm1.home(): m.access.yaml:2 lists what other coordinators may call, without this "
+        "portal"
     )
 
 
 def test_of_resources_the_name_counts_before_the_type_before_capabilities_before_others() -> None:
     lines = (
-        Line("others", "others", 3, ()),
-        Line("capability", "Lift", 4, (), {"Winch": ("up", "down")}),
-        Line("type", "Arm", 5, ("home", "where")),
-        Line("agent", "arm2", 6, ()),
+        PortalRule("others", "others", 3, ()),
+        PortalRule("capability", "Lift", 4, (), {"Winch": ("up", "down")}),
+        PortalRule("type", "Arm", 5, ("home", "where")),
+        PortalRule("agent", "arm2", 6, ()),
     )
-    rules = access(Caller("agent", "boss", 2, lines))
+    rules = access(CallerRule("agent", "boss", 2, lines))
     assert rules.refusal(BOSS, ARM, "where") == rules.refusal(BOSS, WINCH, "down") == ""
     assert rules.refusal(BOSS, ARM, "grab").endswith("m.access.yaml:5 allows home() and where() of arm1 only")
-    assert rules.refusal(BOSS, ARM2, "where").endswith("m.access.yaml:6 allows nothing of arm2")
+    assert rules.refusal(BOSS, ARM2, "where").endswith("m.access.yaml:6 allows no portal of arm2")
     assert rules.refusal(BOSS, WINCH, "stow").endswith("m.access.yaml:4 allows up() and down() of winch only")
     other = SimpleNamespace(id="lamp", type="Lamp")
-    assert rules.refusal(BOSS, other, "on").endswith("m.access.yaml:3 allows nothing of lamp")
+    assert rules.refusal(BOSS, other, "on").endswith("m.access.yaml:3 allows no portal of lamp")
 
 
 def test_capabilities_of_one_resource_add_up() -> None:
     lines = (
-        Line("capability", "Lift", 3, (), {"Winch": ("up", "down")}),
-        Line("capability", "Stow", 4, (), {"Winch": ("stow",)}),
+        PortalRule("capability", "Lift", 3, (), {"Winch": ("up", "down")}),
+        PortalRule("capability", "Stow", 4, (), {"Winch": ("stow",)}),
     )
-    rules = access(Caller("type", "Boss", 2, lines))
+    rules = access(CallerRule("type", "Boss", 2, lines))
     assert [rules.refusal(BOSS, WINCH, portal) for portal in ("up", "down", "stow")] == ["", "", ""]
     assert rules.refusal(BOSS, WINCH, "spin").endswith("up(), down() and stow() of winch only")
     assert rules.refusal(BOSS, ARM, "home").endswith(
-        "m.access.yaml:2 says what a Boss may call, and it is not there"
+        "m.access.yaml:2 lists what a Boss may call, without this portal"
     )
 
 
 def test_calls_are_asked_by_number_and_kept() -> None:
-    rules = access(Caller("agent", "boss", 2, (Line("type", "Arm", 3, ("home",)),)))
-    calls = Calls(rules, [ARM, WINCH, BOSS, ONE], ["home", "grab", "up"])
+    rules = access(CallerRule("agent", "boss", 2, (PortalRule("type", "Arm", 3, ("home",)),)))
+    calls = CallPermissions(rules, [ARM, WINCH, BOSS, ONE], ["home", "grab", "up"])
     for _ in range(2):
         assert calls("boss", "arm1", 0) == calls("one", "arm1", 1) == ""
         assert "arm1.grab()" in calls("boss", "arm1", 1)
@@ -102,7 +102,7 @@ def test_calls_are_asked_by_number_and_kept() -> None:
 NAMES = st.sampled_from(["boss", "one", "Boss", "Relay", "arm1", "arm2", "Arm", "Winch", "home", "up"])
 PORTALS = st.none() | st.lists(NAMES, max_size=3).map(tuple)
 LINES = st.builds(
-    Line,
+    PortalRule,
     st.sampled_from(["agent", "type", "capability", "others"]),
     NAMES,
     st.integers(1, 99),
@@ -110,7 +110,7 @@ LINES = st.builds(
     st.dictionaries(NAMES, st.lists(NAMES, max_size=2).map(tuple), max_size=2),
 )
 CALLERS = st.builds(
-    Caller,
+    CallerRule,
     st.sampled_from(["agent", "type", "others"]),
     NAMES,
     st.integers(1, 99),
@@ -122,13 +122,13 @@ CALLERS = st.builds(
     st.lists(CALLERS, max_size=4), st.sampled_from([BOSS, ONE]), st.sampled_from([ARM, ARM2, WINCH]), NAMES
 )
 def test_whatever_a_bundle_says_a_call_is_let_in_or_refused_with_its_rule(
-    callers: list[Caller], coordinator: SimpleNamespace, resource: SimpleNamespace, portal: str
+    callers: list[CallerRule], coordinator: SimpleNamespace, resource: SimpleNamespace, portal: str
 ) -> None:
     rules = decode_access(encode_access(access(*callers)))
     told = rules.refusal(coordinator, resource, portal)
     assert not told or f"{FILE}:" in told
     # What one more line allows of just this resource is allowed, whatever else is there.
-    let_in = Caller("agent", coordinator.id, 1, (Line("agent", resource.id, 2, (portal,)),))
+    let_in = CallerRule("agent", coordinator.id, 1, (PortalRule("agent", resource.id, 2, (portal,)),))
     assert access(let_in, *callers).refusal(coordinator, resource, portal) == ""
 
 
@@ -137,9 +137,9 @@ def test_whatever_a_bundle_says_a_call_is_let_in_or_refused_with_its_rule(
 PEOPLE = Access(
     FILE,
     (
-        Person("anna", (Right.OPERATE,), 2),
-        Person("bob", (), 3),
-        Person("others", (Right.OBSERVE,), 4),
+        PersonRule("anna", (Right.OPERATE,), 2),
+        PersonRule("bob", (), 3),
+        PersonRule("others", (Right.OBSERVE,), 4),
     ),
 )
 RIGHTS = st.frozensets(st.sampled_from(Right))
@@ -149,18 +149,18 @@ RIGHTS = st.frozensets(st.sampled_from(Right))
     ("name", "kept"),
     [
         # Who may go on may stop and look, as in a certificate.
-        ("anna", ALL),
+        ("anna", ALL_RIGHTS),
         ("bob", {Right.STOP, Right.COMMAND}),
         ("carl", {Right.STOP, Right.COMMAND, Right.OBSERVE}),
     ],
 )
 def test_what_is_left_of_all_rights(name: str, kept: set[Right]) -> None:
-    assert PEOPLE.narrowed(person(ALL, name)).may == kept
+    assert PEOPLE.restrict(person(ALL_RIGHTS, name)).may == kept
 
 
 @given(RIGHTS, st.sampled_from(["anna", "bob", "carl"]))
 def test_a_mission_gives_no_rights_and_takes_no_stop(may: frozenset[Right], name: str) -> None:
-    left = PEOPLE.narrowed(person(may, name))
+    left = PEOPLE.restrict(person(may, name))
     assert left.may <= may
     assert (Right.STOP in left.may) == (Right.STOP in may)
     for right in Right:
@@ -168,21 +168,25 @@ def test_a_mission_gives_no_rights_and_takes_no_stop(may: frozenset[Right], name
 
 
 def test_the_rule_that_takes_a_right_is_named() -> None:
-    assert PEOPLE.why_not(person(ALL, "bob"), Right.OPERATE) == (
-        "bob may not operate in this mission: m.access.yaml:3 gives bob nothing"
+    assert PEOPLE.why_not(person(ALL_RIGHTS, "bob"), Right.OPERATE) == (
+        "bob may not operate in this mission: m.access.yaml:3 limits bob to: nothing"
     )
-    assert PEOPLE.why_not(person(ALL, "carl"), Right.OPERATE) == (
-        "carl may not operate in this mission: m.access.yaml:4 gives others observe"
+    assert PEOPLE.why_not(person(ALL_RIGHTS, "carl"), Right.OPERATE) == (
+        "carl may not operate in this mission: m.access.yaml:4 limits others to: observe"
     )
 
 
 def test_all_that_is_taken_is_told_by_right() -> None:
-    taken = PEOPLE.barred(person(ALL, "carl"))
-    assert taken == {Right.OPERATE: PEOPLE.why_not(person(ALL, "carl"), Right.OPERATE)}
-    assert PEOPLE.barred(person(frozenset({Right.STOP}), "bob")) == UNWRITTEN.barred(person(ALL)) == {}
+    taken = PEOPLE.denied_rights(person(ALL_RIGHTS, "carl"))
+    assert taken == {Right.OPERATE: PEOPLE.why_not(person(ALL_RIGHTS, "carl"), Right.OPERATE)}
+    assert (
+        PEOPLE.denied_rights(person(frozenset({Right.STOP}), "bob"))
+        == NO_RULES.denied_rights(person(ALL_RIGHTS))
+        == {}
+    )
 
 
 def test_people_are_persons_only() -> None:
-    for who in (Identity("local", "bob", ALL), Identity("host", "bob", ALL), STRANGER):
-        assert PEOPLE.narrowed(who) is who
-    assert UNWRITTEN.narrowed(person(ALL)).may == ALL
+    for who in (Identity("local", "bob", ALL_RIGHTS), Identity("host", "bob", ALL_RIGHTS), ANONYMOUS):
+        assert PEOPLE.restrict(who) is who
+    assert NO_RULES.restrict(person(ALL_RIGHTS)).may == ALL_RIGHTS

@@ -11,9 +11,9 @@ import pytest
 from missions import CAPABILITIES, PLAIN, write_plain, write_rich
 
 from lfield.errors import BundleError
-from lfield.mission import bundle, cache
-from lfield.mission.cache import NotBuilt, Order, cache_folder, prepared
-from lfield.text.private import private_locked
+from lfield.mission import build_cache, bundle
+from lfield.mission.build_cache import BuildFailed, BuildRequest, cache_folder, cached_bundle
+from lfield.text.secure_files import lock_private_folder
 
 
 @pytest.fixture(autouse=True)
@@ -26,78 +26,78 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def built(monkeypatch: pytest.MonkeyPatch) -> list[Order]:
+def built(monkeypatch: pytest.MonkeyPatch) -> list[BuildRequest]:
     """The orders that were really built."""
-    orders: list[Order] = []
-    build = cache._build
+    orders: list[BuildRequest] = []
+    build = build_cache._build
 
-    def counted(order: Order, workshop: Path) -> Path:
+    def counted(order: BuildRequest, workshop: Path) -> Path:
         orders.append(order)
         return build(order, workshop)
 
-    monkeypatch.setattr(cache, "_build", counted)
+    monkeypatch.setattr(build_cache, "_build", counted)
     return orders
 
 
-def bytes_of(order: Order) -> bytes:
-    with prepared(order) as path:
+def bytes_of(order: BuildRequest) -> bytes:
+    with cached_bundle(order) as path:
         return path.read_bytes()
 
 
-def test_nothing_is_built_twice(tmp_path: Path, built: list[Order]) -> None:
-    order = Order(write_plain(tmp_path / "here"))
+def test_nothing_is_built_twice(tmp_path: Path, built: list[BuildRequest]) -> None:
+    order = BuildRequest(write_plain(tmp_path / "here"))
     assert bytes_of(order) == bytes_of(order)
     assert len(built) == 1
-    with prepared(order) as path:
+    with cached_bundle(order) as path:
         assert list(bundle.read(path).team.hosts) == ["alpha", "bravo"]
 
 
 def test_nothing_is_left_of_a_build_while_its_bundle_runs(tmp_path: Path, folder: Path) -> None:
     """Whoever runs it may be killed, and tidies nothing up then."""
-    with prepared(Order(write_plain(tmp_path / "here"))) as path:
+    with cached_bundle(BuildRequest(write_plain(tmp_path / "here"))) as path:
         assert sorted(found.suffix for found in folder.iterdir()) == [".lfm", ".made"]
         assert path.parent == folder
 
 
-def test_another_order_is_another_bundle(tmp_path: Path, built: list[Order]) -> None:
+def test_another_order_is_another_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
-    found = {bytes_of(Order(deploy, simulate=simulate)) for simulate in (False, True)}
+    found = {bytes_of(BuildRequest(deploy, simulate=simulate)) for simulate in (False, True)}
     assert len(found) == len(built) == 2
 
 
-def test_a_change_of_any_file_counts(tmp_path: Path, folder: Path, built: list[Order]) -> None:
+def test_a_change_of_any_file_counts(tmp_path: Path, folder: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
-    order = Order(deploy)
+    order = BuildRequest(deploy)
     before = bytes_of(order)
     for ending in (".dL", ".devices.yaml", ".capabilities.yaml", ".L"):
         path = deploy.with_suffix(ending)
         text = path.read_text()
         path.write_text(text + ("\n// more" if ending == ".L" else "\n# more"))
-        assert cache._kept(folder, order) is None, ending
+        assert build_cache._find(folder, order) is None, ending
         path.write_text(text)
-        assert cache._kept(folder, order) is not None, ending
+        assert build_cache._find(folder, order) is not None, ending
     path.write_text(text + "\n// more")
     assert bytes_of(order) != before, "the sources are in it"
     assert len(built) == 2
 
 
-def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: list[Order]) -> None:
+def test_a_file_that_was_not_there_counts_when_it_comes(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_plain(tmp_path / "here")
-    order = Order(deploy)
+    order = BuildRequest(deploy)
     bytes_of(order)
     deploy.with_suffix(".devices.yaml").write_text("unreachable_after: 5\n")
-    with prepared(order) as path:
+    with cached_bundle(order) as path:
         assert bundle.read(path).bindings.unreachable_after == 5.0
     assert len(built) == 2
 
 
 def test_of_a_folder_of_modules_only_those_count(
-    tmp_path: Path, built: list[Order], monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, built: list[BuildRequest], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     modules = tmp_path / "modules"
     modules.mkdir()
     monkeypatch.setenv("PYTHONPATH", str(modules))
-    order = Order(write_plain(tmp_path / "here"))
+    order = BuildRequest(write_plain(tmp_path / "here"))
     bytes_of(order)
     # As tools leave their caches where they are called.
     (modules / ".cache").mkdir()
@@ -109,37 +109,39 @@ def test_of_a_folder_of_modules_only_those_count(
     assert len(built) == 2
 
 
-def test_an_included_file_counts(tmp_path: Path, built: list[Order]) -> None:
+def test_an_included_file_counts(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_plain(tmp_path / "here")
     deploy.with_suffix(".L").write_text('include "more.L";\n' + PLAIN)
     (deploy.parent / "more.L").write_text("class More { public int a; }")
-    order = Order(deploy)
+    order = BuildRequest(deploy)
     first = bytes_of(order)
     (deploy.parent / "more.L").write_text("class More { public int b; }")
     assert bytes_of(order) != first
     assert len(built) == 2
 
 
-def test_what_was_tampered_with_is_built_again(tmp_path: Path, folder: Path, built: list[Order]) -> None:
-    order = Order(write_plain(tmp_path / "here"))
+def test_what_was_tampered_with_is_built_again(
+    tmp_path: Path, folder: Path, built: list[BuildRequest]
+) -> None:
+    order = BuildRequest(write_plain(tmp_path / "here"))
     good = bytes_of(order)
     (path,) = folder.glob("*.lfm")
     path.write_bytes(good[:-1] + bytes([good[-1] ^ 1]))
     assert bytes_of(order) == good
     (folder / f"{order.key}.made").write_bytes(b"\xc1 nothing")
     assert bytes_of(order) == good
-    other = bytes_of(Order(write_rich(tmp_path / "there")))
+    other = bytes_of(BuildRequest(write_rich(tmp_path / "there")))
     path.write_bytes(other)
     assert bytes_of(order) == good
     assert len(built) == 5
 
 
-def test_the_folder_is_the_users_alone(tmp_path: Path, folder: Path, built: list[Order]) -> None:
+def test_the_folder_is_the_users_alone(tmp_path: Path, folder: Path, built: list[BuildRequest]) -> None:
     assert stat.S_IMODE(folder.stat().st_mode) == 0o700
-    order = Order(write_plain(tmp_path / "here"))
+    order = BuildRequest(write_plain(tmp_path / "here"))
     folder.chmod(0o770)
     assert cache_folder() is None
-    with prepared(order) as path:
+    with cached_bundle(order) as path:
         assert folder not in path.parents
         assert bundle.read(path).name == "mission"
     assert not path.exists(), "built for this once"
@@ -153,7 +155,7 @@ def test_files_with_mistakes_are_told_by_the_process_that_builds(
 ) -> None:
     deploy = write_rich(tmp_path / "here")
     deploy.with_suffix(".capabilities.yaml").write_text(CAPABILITIES.replace("hoist", "rise"))
-    with pytest.raises(NotBuilt) as caught, prepared(Order(deploy)):
+    with pytest.raises(BuildFailed) as caught, cached_bundle(BuildRequest(deploy)):
         pytest.fail("there is nothing to run")
     assert caught.value.status == 65
     assert "error[C" in capfd.readouterr().err
@@ -161,8 +163,8 @@ def test_files_with_mistakes_are_told_by_the_process_that_builds(
 
 
 def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "KEPT", 1)
-    first, second = Order(write_plain(tmp_path / "here")), Order(write_rich(tmp_path / "there"))
+    monkeypatch.setattr(build_cache, "MAX_BUNDLES", 1)
+    first, second = BuildRequest(write_plain(tmp_path / "here")), BuildRequest(write_rich(tmp_path / "there"))
     bytes_of(first)
     for path in folder.iterdir():
         os.utime(path, (1.0, 1.0))
@@ -172,27 +174,27 @@ def test_the_oldest_are_forgotten(tmp_path: Path, folder: Path, monkeypatch: pyt
         (workshop / "inputs").touch()
     for workshop in (killed, busy):
         os.utime(workshop, (time.time() - 100.0,) * 2)
-    with private_locked(busy):
+    with lock_private_folder(busy):
         bytes_of(second)
     assert [workshop.exists() for workshop in (killed, busy, begun)] == [False, True, True]
     assert len(list(folder.glob("*.lfm"))) == len(list(folder.glob("*.made"))) == 1
     assert (folder / f"{second.key}.made").exists()
 
 
-def test_other_bindings_for_a_bundle(tmp_path: Path, built: list[Order]) -> None:
+def test_other_bindings_for_a_bundle(tmp_path: Path, built: list[BuildRequest]) -> None:
     deploy = write_rich(tmp_path / "here")
     file = tmp_path / "mission.lfm"
-    file.write_bytes(bytes_of(Order(deploy)))
+    file.write_bytes(bytes_of(BuildRequest(deploy)))
     devices = tmp_path / "robot.yaml"
     text = deploy.with_suffix(".devices.yaml").read_text().replace("ttyUSB0", "ttyACM7")
     devices.write_text(text)
-    with prepared(Order(file, devices=devices)) as path:
+    with cached_bundle(BuildRequest(file, devices=devices)) as path:
         assert bundle.read(path).bindings.devices["small"]["boom"].endpoint == "serial:/dev/ttyACM7:57600"
         parts = bundle.contents(path.read_bytes()).table
     before = bundle.contents(file.read_bytes()).table
     assert [a.name for a, b in zip(before, parts, strict=True) if a != b] == ["bindings"]
     devices.write_text("agents: {small: {devices: {boom: {driver: servo}}}}")
-    with pytest.raises(NotBuilt), prepared(Order(file, devices=devices)):
+    with pytest.raises(BuildFailed), cached_bundle(BuildRequest(file, devices=devices)):
         pytest.fail("that driver is not in the bundle")
 
 
@@ -201,7 +203,10 @@ def test_a_damaged_bundle_cannot_be_bound_anew(tmp_path: Path) -> None:
     file.write_bytes(b"LFMB")
     with pytest.raises(BundleError):
         bundle.read(file)
-    with pytest.raises(NotBuilt) as caught, prepared(Order(file, devices=tmp_path / "none.yaml")):
+    with (
+        pytest.raises(BuildFailed) as caught,
+        cached_bundle(BuildRequest(file, devices=tmp_path / "none.yaml")),
+    ):
         pytest.fail("there is nothing to run")
     assert caught.value.status == 65
 
@@ -209,4 +214,5 @@ def test_a_damaged_bundle_cannot_be_bound_anew(tmp_path: Path) -> None:
 def test_who_has_no_home_keeps_no_bundles(monkeypatch):
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setenv("HOME", "relative")
+    monkeypatch.setattr(os, "getuid", lambda: 54321)  # no user of this computer
     assert cache_folder() is None

@@ -8,28 +8,28 @@ from pathlib import Path
 
 import msgspec
 import pytest
+from memory_network import MemoryNetwork
 
-from lfield.authority.identity import NONE, Identity
+from lfield.authority.identity import NO_RIGHTS, Identity
 from lfield.bytecode import encoding
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.driver.plugins import discover
-from lfield.errors import BlockError, GreetingError, ProgramFileError
+from lfield.errors import BlockError, HandshakeError, ProgramFileError
+from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.process.until_done import until_done
-from lfield.host.surroundings import Options
+from lfield.host.process.mission_completion import wait_until_done
 from lfield.mission.bindings_file import read_bindings
-from lfield.mission.load import load_mission
-from lfield.net.greeting import Greeting
-from lfield.simulate.network import MemoryNetwork
-from lfield.simulate.time import LoopClock, run_jumping
-from lfield.vm.agent import Member
-from lfield.vm.inspect import dump
-from lfield.vm.inspect.decode import view
+from lfield.mission.loader import load_mission
+from lfield.net.handshake import Handshake
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
+from lfield.vm.agent import TeamMember
+from lfield.vm.inspection import dump_file
+from lfield.vm.inspection.block_view import view
 from lfield.wire.codec import decode as decode_message
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import FrameDecoder
-from lfield.wire.messages import PROTOCOL, ForeignHello, Hello
+from lfield.wire.messages import PROTOCOL, Hello, IncompatibleHello
 
 FORMATS = Path(__file__).parents[1] / "formats"
 PROGRAMS = sorted(FORMATS.glob("program-*.lb"))
@@ -47,13 +47,17 @@ def test_a_program_file_of_a_release_still_runs(path: Path) -> None:
         network = MemoryNetwork(LoopClock(), on_pending=lambda: loop.call_soon(network.step))
         hosts = [
             Host(
-                mission, name, network.transport(name), Logbook(out, log), Options(address, clock=LoopClock())
+                mission,
+                name,
+                network.transport(name),
+                Logbook(out, log),
+                HostOptions(address, clock=LoopClock()),
             )
-            for name, address in mission.team.reached.items()
+            for name, address in mission.team.addresses_by_host.items()
         ]
         try:
             await asyncio.gather(*(host.start() for host in hosts))
-            (fate,) = await until_done(hosts[1], 30.0)
+            (fate,) = await wait_until_done(hosts[1], 30.0)
         finally:
             for host in hosts:
                 await host.stop()
@@ -68,14 +72,14 @@ def test_a_later_program_file_is_refused_with_both_versions() -> None:
     data = PROGRAMS[-1].read_bytes()
     newer = data[:4] + (encoding.VERSION + 1).to_bytes(2, "little") + data[6:]
     with pytest.raises(
-        ProgramFileError, match=f"has format {encoding.VERSION + 1}, this lfield reads format"
+        ProgramFileError, match=f"has format {encoding.VERSION + 1}; this lfield reads formats"
     ):
         encoding.decode(newer)
 
 
 @pytest.mark.parametrize("path", DUMPS, ids=lambda path: path.name)
 def test_a_dump_of_a_release_is_still_explained(path: Path) -> None:
-    record, program, block = dump.decode(path.read_bytes())
+    record, program, block = dump_file.decode(path.read_bytes())
     assert (record.host, record.members) == ("alpha", ("left", "boss"))
     assert program.units["Loader"] == "coordinator"
     assert block.trail() == [1, 0]
@@ -86,44 +90,44 @@ def test_a_dump_of_a_release_is_still_explained(path: Path) -> None:
 
 def test_a_later_dump_is_refused_with_both_versions() -> None:
     data = DUMPS[-1].read_bytes()
-    newer = data[:4] + (dump.VERSION + 1).to_bytes(2, "little") + data[6:]
+    newer = data[:4] + (dump_file.VERSION + 1).to_bytes(2, "little") + data[6:]
     with pytest.raises(
-        BlockError, match=f"has format {dump.VERSION + 1}, this lfield reads format {dump.VERSION}"
+        BlockError, match=f"has format {dump_file.VERSION + 1}, this lfield reads format {dump_file.VERSION}"
     ):
-        dump.decode(newer)
-    with pytest.raises(BlockError, match="does not begin as a dump file does"):
-        dump.decode(data[1:])
+        dump_file.decode(newer)
+    with pytest.raises(BlockError, match="does not start with the header of a dump file"):
+        dump_file.decode(data[1:])
 
 
 def test_a_dump_with_one_bit_flipped_is_refused_wherever_the_bit_is() -> None:
-    record, program, block = dump.decode(DUMPS[-1].read_bytes())
+    record, program, block = dump_file.decode(DUMPS[-1].read_bytes())
     members = enumerate(zip(record.members, record.types, strict=True))
-    team = [Member(number, name, type_, "resource", 0) for number, (name, type_) in members]
-    data = dump.encode(record.host, record.reason, record.limit, team, record.hosts, program, block)
+    team = [TeamMember(number, name, type_, "resource", 0) for number, (name, type_) in members]
+    data = dump_file.encode(record.host, record.reason, record.limit, team, record.hosts, program, block)
     # The program of an older release is written as a file of this one.
-    assert msgspec.structs.replace(dump.decode(data)[0], program=record.program) == record
+    assert msgspec.structs.replace(dump_file.decode(data)[0], program=record.program) == record
     for bit in range(8 * len(data)):
         damaged = bytearray(data)
         damaged[bit // 8] ^= 1 << bit % 8
         with pytest.raises(BlockError):
-            dump.decode(bytes(damaged))
+            dump_file.decode(bytes(damaged))
     for size in range(len(data)):
         with pytest.raises(BlockError):
-            dump.decode(data[:size])
+            dump_file.decode(data[:size])
 
 
-ALPHA = Identity("host", "alpha", NONE)
+ALPHA = Identity("host", "alpha", NO_RIGHTS)
 
 
 @pytest.mark.parametrize("path", GREETINGS, ids=lambda path: path.name)
 def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
     ((kind, payload),) = FrameDecoder(dict.fromkeys(range(256), 1 << 16)).feed(path.read_bytes())
     message = decode_message(kind, payload)
-    assert isinstance(message, ForeignHello)
+    assert isinstance(message, IncompatibleHello)
     with pytest.raises(
-        GreetingError, match=f"bravo speaks protocol {PROTOCOL} and its peer protocol 3"
+        HandshakeError, match=f"bravo speaks protocol {PROTOCOL} and its peer protocol 3"
     ) as told:
-        Greeting(Hello("host", "bravo", 1), ALPHA, hosts=("alpha", "bravo")).receive(message)
+        Handshake(Hello("host", "bravo", 1), ALPHA, hosts=("alpha", "bravo")).receive(message)
     assert len(str(told.value)) < MAX_TEXT
 
 

@@ -11,7 +11,7 @@ from lfield.errors import BindingError, BundleError
 from lfield.mission import bundle
 from lfield.mission.bindings import Frames
 from lfield.mission.bindings_file import read_bindings, read_frames
-from lfield.mission.load import load_mission, rebound
+from lfield.mission.loader import load_mission, rebound
 
 NEEDED = {"alpha": {"fc": "Mavlink"}, "beta": {"fc": "Mavlink"}, "crane": {}}
 HOMES = {"alpha": "air", "beta": "ground", "crane": "ground"}
@@ -76,13 +76,13 @@ def test_without_a_frame_nobody_has_one(reading):
 def test_a_vehicle_that_is_nowhere_in_the_teams_frame_is_refused(reading, wrong):
     said = wrong(DEVICES)
     assert (
-        "beta.fc (Mavlink) tells places, and nothing says where they are in the team's frame: give beta or"
+        "beta.fc (Mavlink) reports positions, but their place in the team's frame is unknown: give beta or"
         in said
     )
-    assert "or the team an origin" in said
+    assert "or give the team an origin" in said
     assert "alpha" not in said
     unbound = DEVICES.partition("  beta:")[0]
-    assert "beta.fc (Mavlink) tells places" in wrong(unbound, simulate=True)
+    assert "beta.fc (Mavlink) reports positions" in wrong(unbound, simulate=True)
 
 
 @pytest.mark.parametrize(
@@ -94,7 +94,7 @@ def test_a_vehicle_that_is_nowhere_in_the_teams_frame_is_refused(reading, wrong)
         ("frame: {origin: {latitude: 91, longitude: 8.5, altitude: 0}}\n", "must be from -90 to 90, not 91"),
         ("frame: {origin: {latitude: .nan, longitude: 8.5, altitude: 0}}\n", "'.nan' is not a finite number"),
         ("frame: {origin: {latitude: 47, longitude: '8', altitude: 0}}\n", "'longitude' must be a number"),
-        ("frame: {origin: {latitude: 47, longitude: 8, altitude: 0, up: 1}}\n", "'origin' takes no 'up'"),
+        ("frame: {origin: {latitude: 47, longitude: 8, altitude: 0, up: 1}}\n", "'origin' has no key 'up'"),
         ("frame: 3\n", "'frame' must be a mapping"),
         ("hosts: {air: {frame: {north: 1}}}\n", "'frame' needs 'east'"),
         ("hosts: {air: {frame: {north: .inf, east: 0}}}\n", "'.inf' is not a finite number"),
@@ -104,7 +104,7 @@ def test_a_vehicle_that_is_nowhere_in_the_teams_frame_is_refused(reading, wrong)
         ),
         ("hosts: {air: {frame: {north: 0, east: 0, hedding: 1}}}\n", "did you mean 'heading'?"),
         ("hosts: {air: {frame: {latitude: 47, longitude: 8}}}\n", "the origin alone is in degrees"),
-        ("hosts: {air: {pose: {north: 0, east: 0}}}\n", "'air' takes no 'pose'"),
+        ("hosts: {air: {pose: {north: 0, east: 0}}}\n", "'air' has no key 'pose'"),
         ("hosts: {grund: {frame: {north: 0, east: 0}}}\n", "the deployment has no host 'grund'"),
     ],
 )

@@ -10,7 +10,7 @@ import pytest
 from lfield.errors import BindingError, BundleError
 from lfield.mission import bundle
 from lfield.mission.bindings import MissionStart
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 
 PROGRAM = """
 resource Post { init(string[] arg) { } portal say() { } }
@@ -30,10 +30,10 @@ def write(folder: Path, start: str = "") -> Path:
     ("written", "told", "hint"),
     [
         ("{without: [h1, h7]}", "the deployment has no host 'h7'", "h0"),
-        ("{without: [h1, h1]}", "'h1' is named twice", "once is enough"),
+        ("{without: [h1, h1]}", "'h1' is named twice", "name it once"),
         ("{without: h1}", "'without' must be a list", ""),
         ("{without: [2]}", "'without' must be a list of texts, not the number 2", ""),
-        ("{witout: [h1]}", "'start' takes no 'witout'", "without"),
+        ("{witout: [h1]}", "'start' has no key 'witout'", "without"),
         ("[h1]", "'start' must be a mapping", ""),
     ],
 )
@@ -63,5 +63,5 @@ def test_a_bundle_has_it_and_it_is_a_part_of_the_digest(tmp_path: Path) -> None:
 def test_a_bundle_that_makes_no_sense_is_refused(tmp_path: Path, without: tuple[str, ...]) -> None:
     mission = load_mission(write(tmp_path))
     changed = mission.with_bindings(replace(mission.bindings, start=MissionStart(without)))
-    with pytest.raises(BundleError, match="the hosts that its start does not wait for"):
+    with pytest.raises(BundleError, match="'start: without' has hosts that are not in the team"):
         bundle.decode(bundle.encode(changed))

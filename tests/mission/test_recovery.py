@@ -11,8 +11,8 @@ import pytest
 
 from lfield.errors import BindingError, BundleError
 from lfield.mission import bundle
-from lfield.mission.bindings import Recovery
-from lfield.mission.load import load_mission, mission_problems, rebound
+from lfield.mission.bindings import RecoverySettings
+from lfield.mission.loader import load_mission, mission_problems, rebound
 from lfield.mission.mission import Mission
 
 PROGRAM = """
@@ -48,17 +48,17 @@ def wrong(deploy: Path) -> str:
 def test_all_hosts_are_members_unless_they_are_named(write: Write) -> None:
     mission = load_mission(write(3))
     assert mission.fenced == {"boss"}
-    assert mission.recovery == Recovery(2.0, ("h0", "h1", "h2"))
+    assert mission.recovery == RecoverySettings(2.0, ("h0", "h1", "h2"))
     assert load_mission(write(9)).recovery.members == tuple(f"h{n}" for n in range(9))
     named = load_mission(write(12, "recovery: {lease: 0.5, members: [h7, h2, h11]}")).recovery
     # In the order of the team, so that two hosts that name the same ones say the same.
-    assert named == Recovery(0.5, ("h2", "h7", "h11"))
+    assert named == RecoverySettings(0.5, ("h2", "h7", "h11"))
     assert str(named) == "a lease of 0.5 s among h2, h7 and h11"
 
 
 def test_without_a_fenced_coordinator_nobody_decides(write: Write) -> None:
     mission = load_mission(write(12, "recovery: {lease: 3}", heartbeat=""))
-    assert (mission.fenced, mission.recovery) == (frozenset(), Recovery(3.0, ()))
+    assert (mission.fenced, mission.recovery) == (frozenset(), RecoverySettings(3.0, ()))
     assert mission_problems(write(2, heartbeat="")) == []
 
 
@@ -90,7 +90,7 @@ def test_more_than_nine_hosts_must_be_chosen_from(write: Write) -> None:
         ("{members: [h0, h12]}", "the deployment has no host 'h12'"),
         ("{members: [h0, 3]}", "'members' must be a list of texts, not the number 3"),
         ("{members: h0}", "'members' must be a list"),
-        ("{member: [h0]}", "'recovery' takes no 'member'"),
+        ("{member: [h0]}", "'recovery' has no key 'member'"),
         ("2", "'recovery' must be a mapping"),
         ("{lease: 0.5}\nsilence: 0.7", "'lease' must be no shorter than 'silence', which is 0.7, not 0.5"),
     ],
@@ -111,7 +111,7 @@ def test_no_device_outlives_a_lease(tmp_path: Path) -> None:
     deploy.write_text("//Winch:w@h0?0.05&0.2&12.0\n//@h2\n//Boss:boss@h1\n")
     axis = "axis: {driver: can, endpoint: 'socketcan:can0', protocol: cia402, node: 5, counts: 4096}"
     devices.write_text(f"silence: 3\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
-    assert "m.dL:3:1: error[Y115]: devices go safe when their host was silent for 3 s" in wrong(deploy)
+    assert "m.dL:3:1: error[Y115]: devices go safe after their host was silent for 3 s" in wrong(deploy)
     devices.write_text(f"silence: 3\nrecovery: {{lease: 3}}\nagents: {{w: {{devices: {{{axis}}}}}}}\n")
     assert load_mission(deploy).recovery.lease == 3.0
     # Fakes come with a silence of their own.
@@ -146,7 +146,7 @@ def test_a_team_of_two_is_told_that_it_needs_a_witness(write: Write) -> None:
     (found,) = mission_problems(deploy)
     problem, is_error = found.render(), found.severity == "error"
     assert not is_error
-    assert "m.dL:3:1: warning[Y114]: boss goes on nowhere when one of h0 and h1 is lost" in problem
+    assert "m.dL:3:1: warning[Y114]: boss cannot be recovered when one of h0 and h1 is lost" in problem
     assert "add a witness, a host without agents: //@name" in problem
     assert load_mission(deploy).warnings == (problem,)
     (deploy.with_suffix(".devices.yaml")).unlink()
@@ -176,7 +176,9 @@ def test_one_member_whose_loss_stops_all_is_told(
 ) -> None:
     (found,) = mission_problems(write(hosts, f"recovery: {{members: [{member}]}}", witness))
     problem = found.render()
-    assert f"warning[Y114]: boss goes on nowhere when {member} is lost: no other host decides" in problem
+    assert (
+        f"warning[Y114]: boss cannot be recovered when {member} is lost: no other host can decide" in problem
+    )
     assert hint in problem
 
 
@@ -191,13 +193,13 @@ def test_a_bundle_has_it_and_another_devices_file_changes_it(write: Write, tmp_p
     mission = load_mission(write(2, "recovery: {lease: 4}", witness="//@ground:9000\n"))
     read = bundle.decode(bundle.encode(mission))
     assert read.fenced == {"boss"}
-    assert read.recovery == Recovery(4.0, ("h0", "h1", "ground"))
-    assert (read.team.hosts, read.team.reached["ground"]) == (mission.team.hosts, "ground:9000")
+    assert read.recovery == RecoverySettings(4.0, ("h0", "h1", "ground"))
+    assert (read.team.hosts, read.team.addresses_by_host["ground"]) == (mission.team.hosts, "ground:9000")
     assert read.team == mission.team
     assert read.on_fakes().recovery == read.recovery
     other = tmp_path / "other.yaml"
     other.write_text("recovery: {lease: 1, members: [ground]}")
-    assert rebound(read, other).recovery == Recovery(1.0, ("ground",))
+    assert rebound(read, other).recovery == RecoverySettings(1.0, ("ground",))
     other.write_text("recovery: {lease: 1, members: [h2]}")
     with pytest.raises(BindingError, match="the deployment has no host 'h2'"):
         rebound(read, other)
@@ -206,13 +208,16 @@ def test_a_bundle_has_it_and_another_devices_file_changes_it(write: Write, tmp_p
 @pytest.mark.parametrize(
     ("recovery", "told"),
     [
-        (Recovery(0.0), "the lease of its recovery makes no sense"),
-        (Recovery(float("nan")), "the lease of its recovery makes no sense"),
-        (Recovery(2.0, ("h0", "h0")), "the members of its recovery are no hosts of its team, or too many"),
-        (Recovery(2.0, ("h9",)), "the members of its recovery are no hosts of its team, or too many"),
+        (RecoverySettings(0.0), "the lease of 'recovery' is out of range"),
+        (RecoverySettings(float("nan")), "the lease of 'recovery' is out of range"),
+        (
+            RecoverySettings(2.0, ("h0", "h0")),
+            "the members of 'recovery' are not hosts of the team, or too many",
+        ),
+        (RecoverySettings(2.0, ("h9",)), "the members of 'recovery' are not hosts of the team, or too many"),
     ],
 )
-def test_a_bundle_that_makes_no_sense(write: Write, recovery: Recovery, told: str) -> None:
+def test_a_bundle_that_makes_no_sense(write: Write, recovery: RecoverySettings, told: str) -> None:
     mission = load_mission(write(3))
     changed = mission.with_bindings(replace(mission.bindings, recovery=recovery))
     with pytest.raises(BundleError, match=told):
@@ -221,7 +226,7 @@ def test_a_bundle_that_makes_no_sense(write: Write, recovery: Recovery, told: st
 
 def test_a_bundle_of_too_many_without_names(write: Write) -> None:
     mission = load_mission(write(10, "recovery: {members: [h1]}"))
-    changed = mission.with_bindings(replace(mission.bindings, recovery=Recovery()))
+    changed = mission.with_bindings(replace(mission.bindings, recovery=RecoverySettings()))
     with pytest.raises(BundleError, match="needs the names of at most 9"):
         bundle.decode(bundle.encode(changed))
 
@@ -230,4 +235,4 @@ def test_bindings_of_an_earlier_bundle_have_the_usual_recovery(write: Write) -> 
     mission: Mission = load_mission(write(3))
     plain = msgspec.to_builtins(mission.bindings)
     del plain["recovery"]
-    assert msgspec.convert(plain, type(mission.bindings)).recovery == Recovery()
+    assert msgspec.convert(plain, type(mission.bindings)).recovery == RecoverySettings()

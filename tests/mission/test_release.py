@@ -13,17 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from missions import write_plain
 
+from lfield.authority.bundle_signature import sign_bundle
+from lfield.authority.certificate_authority import CertificateAuthority, new_authority
+from lfield.authority.certificate_reader import der_of, fingerprint_in, identity_in
 from lfield.authority.identity import Right
-from lfield.authority.judge import Revoked
-from lfield.authority.keys import Keys
-from lfield.authority.making import Authority, new_authority
+from lfield.authority.key_material import Keys
+from lfield.authority.peer_verification import RevocationList
 from lfield.authority.pem import private_in
-from lfield.authority.reading import der_of, fingerprint_in, identity_in
-from lfield.authority.signature import sign
 from lfield.errors import BundleError, KeysError, SignatureError
 from lfield.mission import bundle
-from lfield.mission.access.release import FROM_FILES, Release, Taken, taken
-from lfield.mission.load import load_mission
+from lfield.mission.access.signed_bundle import FROM_FILES, Acceptance, BundleId, accept_bundle
+from lfield.mission.loader import load_mission
 
 #: 2026-11-23 20:00 UTC, and a day.
 NOW, DAY = 1_795_464_000.0, 86400.0
@@ -33,18 +33,18 @@ NOW, DAY = 1_795_464_000.0, 86400.0
 class Signer:
     """Somebody with keys of an authority, from NOW for ten days."""
 
-    authority: Authority
+    authority: CertificateAuthority
     keys: Keys
 
     def signs(self, data: bytes, at: float = NOW) -> bytes:
-        return bundle.with_signature(data, sign(bundle.contents(data).digest, self.keys, at))
+        return bundle.with_signature(data, sign_bundle(bundle.contents(data).digest, self.keys, at))
 
     @property
     def serial(self) -> str:
         return identity_in(self.keys.certificate, self.keys.authority).serial
 
 
-def signer(authority: Authority, may: Right = Right.COMMAND, name: str = "anna") -> Signer:
+def signer(authority: CertificateAuthority, may: Right = Right.COMMAND, name: str = "anna") -> Signer:
     issued = authority.issue("person", name, may=[may], at=NOW, ends=NOW + 10 * DAY)
     return Signer(authority, Keys("person", authority.certificate, issued.certificate, issued.key))
 
@@ -60,18 +60,18 @@ def anna() -> Signer:
 
 
 @pytest.fixture(scope="module")
-def takes(anna: Signer) -> Callable[..., Taken]:
+def takes(anna: Signer) -> Callable[..., Acceptance]:
     """What a host of anna's authority does with the bytes of a bundle."""
 
-    def look(data: bytes, at: float = NOW, **options: object) -> Taken:
+    def look(data: bytes, at: float = NOW, **options: object) -> Acceptance:
         certificate = anna.authority.certificate
         release = bundle.decode(data).release
-        return taken(release, certificate, fingerprint_in(certificate), at=at, **options)  # type: ignore[arg-type]
+        return accept_bundle(release, certificate, fingerprint_in(certificate), at=at, **options)  # type: ignore[arg-type]
 
     return look
 
 
-def why(takes: Callable[..., Taken], data: bytes, at: float = NOW, **options: object) -> str:
+def why(takes: Callable[..., Acceptance], data: bytes, at: float = NOW, **options: object) -> str:
     with pytest.raises(SignatureError) as error:
         takes(data, at, **options)
     assert error.value.exit_status == 65
@@ -93,7 +93,7 @@ def test_a_signature_changes_nothing_of_the_bundle(data: bytes, anna: Signer) ->
 
 
 def test_who_has_signed_it_and_when_is_known_from_then_on(
-    data: bytes, anna: Signer, takes: Callable[..., Taken]
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     release, doubt = takes(anna.signs(data, NOW + 3600.5), NOW + DAY)
     assert (release.by, release.at, doubt) == ("anna", NOW + 3600.0, "")
@@ -103,18 +103,18 @@ def test_who_has_signed_it_and_when_is_known_from_then_on(
     assert str(FROM_FILES) == "no bundle"
 
 
-def test_what_nobody_has_signed_does_not_run(data: bytes, takes: Callable[..., Taken]) -> None:
-    assert "nobody has signed it: 'lfield sign' does, with keys that may 'command'" in why(takes, data)
+def test_what_nobody_has_signed_does_not_run(data: bytes, takes: Callable[..., Acceptance]) -> None:
+    assert "it is not signed: sign it with 'lfield sign', with keys that may 'command'" in why(takes, data)
     with pytest.raises(SignatureError, match="runs bundles only: 'lfield build' makes one"):
-        taken(FROM_FILES, b"", "", at=NOW)
+        accept_bundle(FROM_FILES, b"", "", at=NOW)
 
 
 def test_another_authority_and_other_people_do_not_count(
-    data: bytes, anna: Signer, takes: Callable[..., Taken]
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     foreign = signer(new_authority(NOW - DAY, NOW + 900 * DAY))
     assert "is not of this authority" in why(takes, foreign.signs(data))
-    # `sign` refuses that: it is a signature that somebody has made by other means.
+    # `sign_bundle` refuses that: it is a signature that somebody has made by other means.
     bob = signer(anna.authority, Right.OPERATE, "bob")
     with pytest.raises(KeysError, match="bob may not sign bundles"):
         bob.signs(data)
@@ -126,7 +126,7 @@ def test_another_authority_and_other_people_do_not_count(
 
 
 def test_the_signature_of_another_bundle_does_not_count(
-    tmp_path: Path, data: bytes, anna: Signer, takes: Callable[..., Taken]
+    tmp_path: Path, data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     deploy = write_plain(tmp_path)
     deploy.write_text(deploy.read_text() + "//Echo:second@bravo\n")
@@ -137,7 +137,7 @@ def test_the_signature_of_another_bundle_does_not_count(
 
 @given(st.data())
 def test_one_bit_changed_anywhere_is_seen(
-    data: bytes, anna: Signer, takes: Callable[..., Taken], draw: st.DataObject
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance], draw: st.DataObject
 ) -> None:
     signed = anna.signs(data)
     at = draw.draw(st.integers(0, 8 * len(signed) - 1))
@@ -147,7 +147,7 @@ def test_one_bit_changed_anywhere_is_seen(
         takes(bytes(changed))
 
 
-def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Callable[..., Taken]) -> None:
+def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Callable[..., Acceptance]) -> None:
     """The certificate in it has bits that its own signature says nothing of, and some that cannot be read."""
     signed = anna.signs(data)
     size = len(bundle.contents(signed).signature)
@@ -160,7 +160,7 @@ def test_every_bit_of_a_signature_counts(data: bytes, anna: Signer, takes: Calla
 
 
 def test_a_signer_whose_certificate_has_ended_signs_no_start_and_stops_no_mission(
-    data: bytes, anna: Signer, takes: Callable[..., Taken]
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     signed, later = anna.signs(data), NOW + 11 * DAY
     assert "the certificate of anna, who signed it, ended 2026-12-03" in why(takes, signed, later)
@@ -170,9 +170,9 @@ def test_a_signer_whose_certificate_has_ended_signs_no_start_and_stops_no_missio
 
 
 def test_a_revoked_signer_signs_no_start_and_stops_no_mission(
-    data: bytes, anna: Signer, takes: Callable[..., Taken]
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
-    revoked = Revoked(3, frozenset({anna.serial}), NOW)
+    revoked = RevocationList(3, frozenset({anna.serial}), NOW)
     signed = anna.signs(data)
     assert "the keys of anna, who signed it, are revoked (list 3)" in why(takes, signed, revoked=revoked)
     release, doubt = takes(signed, revoked=revoked, runs=True)
@@ -181,18 +181,18 @@ def test_a_revoked_signer_signs_no_start_and_stops_no_mission(
 
 
 def test_nobody_has_signed_before_their_certificate_began(
-    data: bytes, anna: Signer, takes: Callable[..., Taken]
+    data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
     with pytest.raises(KeysError, match="not valid now"):
         anna.signs(data, NOW - 60.0)
     # A clock that is behind the signer's changes nothing: when it was signed is the signer's word.
-    assert takes(anna.signs(data, NOW + 5 * DAY), NOW).release.at == NOW + 5 * DAY
+    assert takes(anna.signs(data, NOW + 5 * DAY), NOW).bundle.at == NOW + 5 * DAY
 
 
-def test_bytes_that_are_no_signature(data: bytes, takes: Callable[..., Taken]) -> None:
+def test_bytes_that_are_no_signature(data: bytes, takes: Callable[..., Acceptance]) -> None:
     for signature in (b"\0", b"\xff" * 300, bytes(60_000)):
         assert "its signature cannot be read" in why(takes, bundle.with_signature(data, signature))
 
 
 def test_a_release_is_short_where_people_compare_it() -> None:
-    assert Release(bytes(range(32))).short == "0001020304050607"
+    assert BundleId(bytes(range(32))).short == "0001020304050607"

@@ -15,14 +15,14 @@ def team(text: str) -> Team:
 
 def test_lookup_of_a_host() -> None:
     made = team("//Arm:a@olive\n//Arm:b@ficus")
-    assert made.lookup("ficus") == "ficus"
+    assert made.find_host("ficus") == "ficus"
     with pytest.raises(UsageError, match=r"no host 'oliv': it has olive and ficus; did you mean 'olive'"):
-        made.lookup("oliv")
+        made.find_host("oliv")
 
 
 def test_addresses_of_hosts() -> None:
     made = team("//Arm:a@olive\n//Arm:b@ficus:9000")
-    assert made.reached == {"olive": "olive:8181", "ficus": "ficus:9000"}
+    assert made.addresses_by_host == {"olive": "olive:8181", "ficus": "ficus:9000"}
     moved = made.at({"olive": "10.0.0.1:1", "nobody": "10.0.0.2:2"})
     assert moved.addresses == ("10.0.0.1:1", "ficus:9000")
     assert moved.deployment == made.deployment
@@ -31,9 +31,9 @@ def test_addresses_of_hosts() -> None:
 def test_a_witness_is_a_host_without_agents() -> None:
     made = team("//@elm:9000\n//Arm:a@olive\n//Arm:b@ficus\n//@oak")
     assert made.hosts == ("olive", "ficus", "elm", "oak")
-    assert made.reached["elm"] == "elm:9000"
+    assert made.addresses_by_host["elm"] == "elm:9000"
     assert [(m.id, m.number, m.host) for m in made.members] == [("a", 0, 0), ("b", 1, 1)]
-    assert made.on(made.number("elm")) == []
+    assert made.members_on(made.number("elm")) == []
     assert team_of(made.rows, {"Arm": "resource"}, {}).deployment == made.deployment
 
 

@@ -11,14 +11,14 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.x509.oid import NameOID
 
+from lfield.authority.certificate_authority import new_authority
 from lfield.authority.identity import Right
-from lfield.authority.judge import Revoked
-from lfield.authority.keys import Keys
-from lfield.authority.making import new_authority
-from lfield.authority.pages.browsers import new_browsers
+from lfield.authority.key_material import Keys
+from lfield.authority.peer_verification import RevocationList
 from lfield.authority.pem import certificate_in, private_in
+from lfield.authority.web_ca.browser_ca import new_browser_ca
 
-BEGIN, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (2026, 2099))
+NOT_BEFORE, END = (datetime.datetime(year, 1, 1, tzinfo=datetime.UTC) for year in (2026, 2099))
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def made(
         .issuer_name(signer.certificate.subject if signer else subject)
         .public_key(key.public_key())
         .serial_number(x509.random_serial_number())
-        .not_valid_before(BEGIN)
+        .not_valid_before(NOT_BEFORE)
         .not_valid_after(END)
         .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
     )
@@ -68,15 +68,15 @@ class Team:
     """An authority and what it signs."""
 
     def __init__(self) -> None:
-        self.authority = new_authority(BEGIN.timestamp(), END.timestamp())
-        self._root = new_browsers(BEGIN.timestamp(), END.timestamp())
+        self.authority = new_authority(NOT_BEFORE.timestamp(), END.timestamp())
+        self._root = new_browser_ca(NOT_BEFORE.timestamp(), END.timestamp())
 
-    def host(self, name: str, *, begin: float = BEGIN.timestamp(), end: float = END.timestamp()) -> Keys:
+    def host(self, name: str, *, begin: float = NOT_BEFORE.timestamp(), end: float = END.timestamp()) -> Keys:
         issued = self.authority.issue("host", name, at=begin, ends=end)
         return Keys("host", self.authority.certificate, issued.certificate, issued.key)
 
     def person(self, name: str, *may: Right, end: float = END.timestamp()) -> Keys:
-        issued = self.authority.issue("person", name, may=may, at=BEGIN.timestamp(), ends=end)
+        issued = self.authority.issue("person", name, may=may, at=NOT_BEFORE.timestamp(), ends=end)
         return Keys("person", self.authority.certificate, issued.certificate, issued.key)
 
     def odd(self, *uris: str) -> Keys:
@@ -90,7 +90,7 @@ class Team:
 
     def page(self) -> Keys:
         """The keys of a page, which browsers believe, of whoever believes this authority."""
-        issued = self._root.issue(["10.0.0.1"], at=BEGIN.timestamp(), ends=END.timestamp())
+        issued = self._root.issue(["10.0.0.1"], at=NOT_BEFORE.timestamp(), ends=END.timestamp())
         return Keys("host", self.authority.certificate, issued.certificate, issued.key)
 
     def browsers(self) -> Keys:
@@ -100,4 +100,4 @@ class Team:
     def revoked(self, number: int, *keys: Keys) -> bytes:
         """The list of those keys."""
         serials = frozenset(f"{certificate_in(one.certificate).serial_number:x}" for one in keys)
-        return self.authority.revocation_list(Revoked(number, serials, BEGIN.timestamp()))
+        return self.authority.revocation_list(RevocationList(number, serials, NOT_BEFORE.timestamp()))

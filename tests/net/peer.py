@@ -12,12 +12,14 @@ import time
 from collections.abc import Collection
 from pathlib import Path
 
-from lfield.authority import folder
+from lfield.authority import keystore
 from lfield.clock import SystemClock
-from lfield.loop import run
-from lfield.net.peers import Peers
-from lfield.net.tcp import TcpTransport
-from lfield.net.tls import Tls
+from lfield.event_loop import run
+from lfield.hybrid_clock import HybridClock
+from lfield.net.link_manager import LinkManager
+from lfield.net.link_owner import TeamAddresses
+from lfield.net.tcp_transport import TcpTransport
+from lfield.net.tls import TlsIdentity
 from lfield.wire.messages import Control, Hello
 
 
@@ -30,26 +32,27 @@ class Owner:
 
     def __init__(self, name: str, others: Collection[str]) -> None:
         self._name, self._others, self._life = name, others, random.getrandbits(62) + 1
+        self.hybrid_clock = HybridClock(0.0, 0.0)
 
     def hello(self) -> Hello:
         return Hello("host", self._name, self._life)
 
-    def linked(self, hello: Hello) -> None:
+    def on_linked(self, hello: Hello) -> None:
         say(f"linked {hello.host}")
 
-    def unlinked(self, host: str, *, quietly: bool) -> None:
+    def on_unlinked(self, host: str, *, quietly: bool) -> None:
         say(f"unlinked {host}")
 
-    def wanted(self) -> Collection[str]:
+    def desired_hosts(self) -> Collection[str]:
         return self._others
 
-    def received(self, host: str, message: Control, link: object) -> None:
+    def on_message(self, host: str, message: Control, link: object) -> None:
         pass
 
-    def arrived(self, *_: object) -> None:
+    def on_transfer(self, *_: object) -> None:
         pass
 
-    too_large = arrived
+    on_oversize = on_transfer
 
     def note(self, text: str) -> None:
         say(f"note {text}")
@@ -60,11 +63,15 @@ async def main(here: str, keys: str, *places: str) -> None:
     addresses = dict(place.split("=", 1) for place in places)
     names = list(addresses)
     owner = Owner(here, [name for name in names if name != here])
-    transport = TcpTransport(1 << 20, Tls(folder.read(Path(keys) / here, "host")))
+    transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(Path(keys) / here, "host")))
     transport.note = owner.note
     clock, dice = SystemClock(), random.Random()
-    peers = Peers(
-        owner, transport, clock, dice, names, list(addresses.values()), names.index(here), set(names) - {here}
+    peers = LinkManager(
+        owner,
+        transport,
+        clock,
+        dice,
+        TeamAddresses(names, list(addresses.values()), names.index(here), set(names) - {here}),
     )
     say(f"listens {await peers.open(addresses[here])}")
     await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)

@@ -7,55 +7,55 @@ from itertools import cycle
 
 import pytest
 
-from lfield.net.guests import Guests
-from lfield.net.waiting.handshakes import (
+from lfield.net.connection_limiter import ConnectionLimiter
+from lfield.net.scheduling.handshake_scheduler import (
     AT_ONCE,
-    MOST_REMEMBERED,
-    RATION,
-    Handshakes,
-    Sources,
-    Trust,
+    CPU_SHARE,
+    MAX_REMEMBERED,
+    AddressTrust,
+    CallerAddresses,
+    HandshakeScheduler,
     source_of,
 )
 
 
 def test_all_stay_while_there_is_room():
-    guests = Guests(3, random.Random(1))
-    assert [guests.enter(n, "here") for n in range(3)] == [None] * 3
-    guests.leave(1)
-    guests.leave(1)
-    guests.leave("nobody")
-    assert guests.enter(3, "here") is None
-    assert guests.enter(4, "here") in (0, 2, 3)
+    guests = ConnectionLimiter(3, random.Random(1))
+    assert [guests.admit(n, "here") for n in range(3)] == [None] * 3
+    guests.release(1)
+    guests.release(1)
+    guests.release("nobody")
+    assert guests.admit(3, "here") is None
+    assert guests.admit(4, "here") in (0, 2, 3)
 
 
 def test_a_flood_from_one_address_pushes_out_its_own():
-    guests = Guests(64, random.Random(1))
-    guests.enter("peer", "there")
-    pushed = [guests.enter(n, "here") for n in range(10_000)]
+    guests = ConnectionLimiter(64, random.Random(1))
+    guests.admit("peer", "there")
+    pushed = [guests.admit(n, "here") for n in range(10_000)]
     assert "peer" not in pushed
     assert sum(who is not None for who in pushed) == 10_000 - 63
-    assert guests.enter("next peer", "elsewhere") not in (None, "peer")
+    assert guests.admit("next peer", "elsewhere") not in (None, "peer")
 
 
 def test_at_the_address_of_a_flood_whoever_calls_again_gets_time_to_greet():
     """Thirty more come before the greeting of a peer is read: two in three get through each time."""
-    guests, through = Guests(64, random.Random(1)), 0
+    guests, through = ConnectionLimiter(64, random.Random(1)), 0
     for attempt in range(300):
         peer = f"peer {attempt}"
-        guests.enter(peer, "here")
-        pushed = [guests.enter((attempt, n), "here") for n in range(30)]
+        guests.admit(peer, "here")
+        pushed = [guests.admit((attempt, n), "here") for n in range(30)]
         through += peer not in pushed
-        guests.leave(peer)
+        guests.release(peer)
     assert 150 < through < 250
 
 
 def test_the_last_that_there_is_room_for_pushes_one_out_and_the_only_one_stays():
-    guests = Guests(3, random.Random(1))
-    assert guests.enter("a", "field", last=True) is None
-    assert guests.enter("b", "field", last=True) == "a"
-    assert guests.enter("c", "field") is None
-    assert guests.enter("d", "elsewhere", last=True) in ("b", "c")
+    guests = ConnectionLimiter(3, random.Random(1))
+    assert guests.admit("a", "field", last=True) is None
+    assert guests.admit("b", "field", last=True) == "a"
+    assert guests.admit("c", "field") is None
+    assert guests.admit("d", "elsewhere", last=True) in ("b", "c")
 
 
 # Handshakes: a flood, and one caller who proves who it is, on virtual time
@@ -71,8 +71,10 @@ class Door:
         self._next_address, self._rate = addresses, rate
         self._answered: set[object] = set()
         self._addresses: dict[object, str] = {}
-        self.guests: Guests[object] = Guests(64, random.Random(1), lambda guest: guest in self._answered)
-        self.handshakes: Handshakes[object] = Handshakes()
+        self.guests: ConnectionLimiter[object] = ConnectionLimiter(
+            64, random.Random(1), lambda guest: guest in self._answered
+        )
+        self.handshakes: HandshakeScheduler[object] = HandshakeScheduler()
         self.now, self._came, self.busy = 0.0, 0, 0.0
         self.proven: list[object] = []
         #: When the second part of a caller comes.
@@ -80,10 +82,10 @@ class Door:
 
     def call(self, guest: object, address: str) -> None:
         self._addresses[guest] = address
-        pushed = self.guests.enter(guest, address)
+        pushed = self.guests.admit(guest, address)
         if pushed is not None:
             self._close(pushed)
-        self.handshakes.enter(guest, address, is_answered=False)
+        self.handshakes.add(guest, address, is_answered=False)
 
     def is_there(self, guest: object) -> bool:
         return guest in self._addresses
@@ -96,15 +98,15 @@ class Door:
             for due in [due for due in self._coming if due[0] <= self.now]:
                 self._coming.remove(due)
                 if self.is_there(due[1]):
-                    self.handshakes.enter(due[1], self._addresses[due[1]], is_answered=True)
+                    self.handshakes.add(due[1], self._addresses[due[1]], is_answered=True)
             guest = self.handshakes.next(self.now)
             if guest is None:
                 self.now += 1e-4
                 continue
             self.now += COST
             self.busy += COST
-            self.handshakes.took(COST, self.now)
-            self.handshakes.leave(guest)
+            self.handshakes.charge(COST, self.now)
+            self.handshakes.remove(guest)
             self._taken(guest)
 
     def _taken(self, guest: object) -> None:
@@ -113,12 +115,12 @@ class Door:
             if isinstance(guest, str):
                 self._coming.append((self.now + TRIP, guest))
             return
-        self.guests.prove(guest, self._addresses[guest])
+        self.guests.on_authenticated(guest, self._addresses[guest])
         self.handshakes.sources.on_proven(self._addresses.pop(guest))
         self.proven.append(guest)
 
     def _close(self, guest: object) -> None:
-        self.handshakes.leave(guest)
+        self.handshakes.remove(guest)
         self.handshakes.sources.on_failed(self._addresses.pop(guest))
 
 
@@ -141,12 +143,13 @@ FLOODS = {
 }
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("flood", FLOODS)
 @pytest.mark.parametrize("rate", [500, 3000])
 def test_a_flood_of_handshakes_takes_its_share_and_delays_nobody_at_another_address(flood, rate):
     door = Door(FLOODS[flood], rate)
     door.run(3.0)
-    assert door.busy <= RATION * door.now + AT_ONCE + 2 * COST
+    assert door.busy <= CPU_SHARE * door.now + AT_ONCE + 2 * COST
     # Two parts, each of which waits for a few of others, and the trip between them.
     assert takes(door, "stop", "10.9.9.9") <= TRIP + 0.1 + 0.05
     assert takes(door, "the same again", "10.9.9.9") <= TRIP + 0.1 + 0.05
@@ -169,14 +172,14 @@ def test_an_address_is_one_without_its_port_and_of_ipv6_a_network():
 
 
 def test_no_more_addresses_are_remembered_than_a_bound():
-    sources = Sources()
+    sources = CallerAddresses()
     sources.on_proven("10.0.0.1")
-    for number in range(3 * MOST_REMEMBERED):
+    for number in range(3 * MAX_REMEMBERED):
         sources.on_failed(f"10.2.{number // 250}.{number % 250}")
-    assert sources.trust("10.0.0.1") is Trust.PROVEN
+    assert sources.trust("10.0.0.1") is AddressTrust.PROVEN
     sources.on_failed("10.0.0.1")
-    assert sources.trust("10.0.0.1") is Trust.PROVEN
-    assert sources.trust("10.2.0.0") is Trust.NEW
-    assert sources.trust(f"10.2.{(3 * MOST_REMEMBERED - 1) // 250}.{(3 * MOST_REMEMBERED - 1) % 250}") is (
-        Trust.FAILED
+    assert sources.trust("10.0.0.1") is AddressTrust.PROVEN
+    assert sources.trust("10.2.0.0") is AddressTrust.NEW
+    assert sources.trust(f"10.2.{(3 * MAX_REMEMBERED - 1) // 250}.{(3 * MAX_REMEMBERED - 1) % 250}") is (
+        AddressTrust.FAILED
     )

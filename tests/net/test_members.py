@@ -12,17 +12,17 @@ import pytest
 from msgspec.structs import replace
 from test_reception import FLOOD, Inn, run_tls
 
-from lfield.errors import OverBudget
-from lfield.net.owner import MOST_LINES, PERIOD, Complaints
-from lfield.net.stream import MEMBERS_PIECE
-from lfield.net.tls import Channel
-from lfield.net.waiting.rations import ALLOWANCE, OVER_FOR, RATION
-from lfield.net.waiting.reception import SLICE
+from lfield.errors import CpuBudgetExceeded
+from lfield.net.connections.tls_link import MEMBER_PIECE
+from lfield.net.link_owner import MAX_LINES, PERIOD, RateLimitedLog
+from lfield.net.scheduling.cpu_budgets import BURST, CPU_SHARE, MAX_EXCESS_TIME
+from lfield.net.scheduling.link_schedulers import CHARGE_UNIT, SLICE
+from lfield.net.tls import TlsChannel
 from lfield.testing.transport_kit import MAX_BLOCK, transfer
 from lfield.wire.codec import encode, encode_transfer
-from lfield.wire.coordinators import Accepted
-from lfield.wire.messages import Hello, Ping, Room
-from lfield.wire.observing import EmergencyStop
+from lfield.wire.coordinator_messages import TransferAccepted
+from lfield.wire.messages import Backpressure, Hello, Ping
+from lfield.wire.observer_messages import EmergencyStop
 
 #: What a message costs a computer, in seconds, and many of them.
 COST = 1e-4
@@ -73,7 +73,7 @@ def test_a_stop_gets_through_the_floods_of_all_members_at_once():
         anna = inn.caller("anna")
         before = inn.work
         anna.say(encode(Hello("observer", "observer", 0)) + encode(EmergencyStop(bytes(16), "now")))
-        assert anna.hears.heard[-1] == EmergencyStop(bytes(16), "now")
+        assert anna.hears.messages[-1] == EmergencyStop(bytes(16), "now")
         assert inn.work - before <= COST
 
     run_tls(story)
@@ -98,14 +98,30 @@ def test_a_flood_is_reported_once_held_to_its_ration_and_closed_after_five_secon
         took = inn.loop.time() - began
         first, last = bravo.hears.excesses
         assert (first.closes, last.closes) == (False, True)
-        assert OVER_FOR <= took <= OVER_FOR + 2.0
-        assert inn.work <= ALLOWANCE + RATION * took + 0.2
+        assert MAX_EXCESS_TIME <= took <= MAX_EXCESS_TIME + 2.0
+        assert inn.work <= BURST + CPU_SHARE * took + 0.2
         assert bravo.link.closed
         bravo.link.connection_lost(None)
         (end,) = bravo.hears.ends
-        assert isinstance(end, OverBudget)
+        assert isinstance(end, CpuBudgetExceeded)
         inn.callers.remove(bravo)
         bravo.wire.free()
+
+    run_tls(story)
+
+
+def test_messages_that_arrive_alone_are_charged_in_units():
+    """Each costs less than a unit, and all of them more than the share of a member."""
+
+    async def story(inn):
+        bravo, began = member(inn, "bravo", CHARGE_UNIT * 0.75), inn.loop.time()
+        while not bravo.hears.excesses and inn.loop.time() - began < 30.0:
+            bravo.say(encode(Ping(1)))
+            await asyncio.sleep(0.01)
+        assert not bravo.hears.excesses[0].closes
+        took = inn.loop.time() - began
+        used_up = BURST / (inn.work / took - CPU_SHARE)
+        assert used_up <= took <= used_up + 2.0, "a probe shows that it does not wait for answers"
 
     run_tls(story)
 
@@ -117,7 +133,7 @@ def test_the_debt_outlives_the_link():
         again = member(inn, "bravo")
         before, began = inn.work, inn.loop.time()
         await floods(inn, again, 1.0)
-        assert inn.work - before <= RATION * (inn.loop.time() - began) + 0.1
+        assert inn.work - before <= CPU_SHARE * (inn.loop.time() - began) + 0.1
         assert not again.wire.closing
 
     run_tls(story)
@@ -133,7 +149,7 @@ class Hops:
 
     def _answer(self, link, header, block) -> None:
         self._inn.work += self._cost
-        link.send(Accepted(header.agent, 1, 1))
+        link.send(TransferAccepted(header.agent, 1, 1))
 
     async def send(self, data: bytes) -> bool:
         """In reads of CHUNK bytes; whether the link is still open."""
@@ -148,11 +164,11 @@ class Hops:
 
     async def answers(self, *agents: str) -> None:
         """Wait until the host has answered so many transfers."""
-        missing = len(b"".join(encode(Accepted(agent, 1, 1)) for agent in agents))
+        missing = len(b"".join(encode(TransferAccepted(agent, 1, 1)) for agent in agents))
         while missing > 0:
             await asyncio.sleep(1e-3)
             assert not self._caller.wire.closing
-            missing -= len(b"".join(self._caller._channel.feed(self._caller.wire.said[self._read :])))
+            missing -= len(b"".join(self._caller._channel.receive(self._caller.wire.said[self._read :])))
             self._read = len(self._caller.wire.said)
 
 
@@ -191,7 +207,7 @@ def test_large_hops_that_wait_for_answers_are_not_closed():
             await hops.send(b"".join(map(large, agents)))
             await hops.answers(*agents)
             await asyncio.sleep(0.04)
-        assert inn.work > 8 * RATION * 20.0
+        assert inn.work > 8 * CPU_SHARE * 20.0
         assert not bravo.wire.closing
 
     run_tls(story)
@@ -206,7 +222,7 @@ def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget(a
         hops, stream = Hops(inn, bravo, 4e-3), b"".join(large(f"c{number}") for number in range(agents))
         while await hops.send(stream):
             assert inn.loop.time() < began + 20.0
-        assert OVER_FOR <= inn.loop.time() - began <= OVER_FOR + 3.0
+        assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
 
     run_tls(story)
 
@@ -215,9 +231,11 @@ def test_large_transfers_without_end_are_closed_after_five_seconds_over_budget(a
 def test_blocks_that_are_too_long_without_end_are_closed_after_five_seconds_over_budget(monkeypatch, times):
     async def story(inn):
         bravo, began, size = member(inn, "bravo"), inn.loop.time(), times * MAX_BLOCK
-        hops, feed = Hops(inn, bravo, 0.0), Channel.feed
+        hops, feed = Hops(inn, bravo, 0.0), TlsChannel.receive
         monkeypatch.setattr(
-            Channel, "feed", lambda self, data: (setattr(inn, "work", inn.work + 4e-3), feed(self, data))[1]
+            TlsChannel,
+            "receive",
+            lambda self, data: (setattr(inn, "work", inn.work + 4e-3), feed(self, data))[1],
         )
         for agent in cycle(("tom", "ann", "eve")):
             await hops.send(encode_transfer(replace(transfer(size), agent=agent), bytes(size)))
@@ -227,7 +245,7 @@ def test_blocks_that_are_too_long_without_end_are_closed_after_five_seconds_over
                 assert inn.loop.time() < began + 20.0
             if bravo.wire.closing:
                 break
-        assert OVER_FOR <= inn.loop.time() - began <= OVER_FOR + 3.0
+        assert MAX_EXCESS_TIME <= inn.loop.time() - began <= MAX_EXCESS_TIME + 3.0
 
     run_tls(story)
 
@@ -237,7 +255,7 @@ def test_long_messages_count_for_more():
 
     async def story(inn):
         bravo = member(inn, "bravo", 0.02)
-        long = encode(Room("x" * 1900)) * 3
+        long = encode(Backpressure("x" * 1900)) * 3
         began = inn.loop.time()
         while inn.loop.time() < began + 20.0 and not bravo.wire.closing:
             if bravo.wire.reads:
@@ -261,13 +279,15 @@ def test_what_comes_with_a_greeting_is_rationed():
 def test_records_without_a_message_are_taken_in_pieces(monkeypatch):
     async def story(inn):
         bravo, fed = member(inn, "bravo"), []
-        feed = Channel.feed
-        monkeypatch.setattr(Channel, "feed", lambda self, data: (fed.append(len(data)), feed(self, data))[1])
+        feed = TlsChannel.receive
+        monkeypatch.setattr(
+            TlsChannel, "receive", lambda self, data: (fed.append(len(data)), feed(self, data))[1]
+        )
         bravo.say(PINGS, record=16 << 10)
         while not bravo.wire.reads:
             await asyncio.sleep(0.1)
         assert len(fed) > 1
-        assert max(fed) <= MEMBERS_PIECE
+        assert max(fed) <= MEMBER_PIECE
 
     run_tls(story)
 
@@ -302,20 +322,20 @@ def test_an_observer_is_no_member_whoever_it_is(who):
 
 def test_ever_new_names_fill_no_log():
     lines, now = [], [0.0]
-    complaints = Complaints(lines.append, lambda: now[0])
+    complaints = RateLimitedLog(lines.append, lambda: now[0])
     for number in range(10_000):
         now[0] = number * 0.001
-        complaints.say(f"bravo sent c{number} or asked for it in an earlier life of alpha")
-        complaints.say("a caller is refused")
-    assert len(lines) == MOST_LINES + 1
+        complaints.write(f"bravo sent c{number} or asked for it in an earlier life of alpha")
+        complaints.write("a caller is refused")
+    assert len(lines) == MAX_LINES + 1
     assert lines[1] == "a caller is refused"
-    assert lines[-1] == "too many invalid messages of others: log lines about them are suppressed for 60 s"
+    assert lines[-1] == "log lines about invalid messages of peers suppressed for 60 s: too many"
     # What else is wrong later is said, and how much was not.
     now[0] = PERIOD
-    complaints.say("the certificate of bravo has ended")
-    assert lines[MOST_LINES + 1 :] == [
-        f"{10_000 - (MOST_LINES - 1)} log lines about invalid messages of others were suppressed",
+    complaints.write("the certificate of bravo has ended")
+    assert lines[MAX_LINES + 1 :] == [
+        f"{10_000 - (MAX_LINES - 1)} log lines about invalid messages of peers suppressed",
         "the certificate of bravo has ended",
     ]
-    complaints.say("the certificate of bravo has ended")
-    assert len(lines) == MOST_LINES + 3
+    complaints.write("the certificate of bravo has ended")
+    assert len(lines) == MAX_LINES + 3

@@ -9,18 +9,18 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from lfield.connecting import STAGGER
-from lfield.errors import AddressError, NobodyListens
-from lfield.net.door import socket_address
-from lfield.net.local import insist_on_free, reserve
-from lfield.net.owner import Refusals
-from lfield.net.paths import listener as listeners
-from lfield.net.paths import names
-from lfield.net.paths.dialler import LAST_RETRY, NEWS_AFTER, Dialler
-from lfield.net.paths.names import MOST_LOOKUPS, Found, looked_up
-from lfield.net.tcp import TcpTransport
+from lfield.address_race import ATTEMPT_DELAY
+from lfield.errors import AddressError, NoListener
+from lfield.net.connections import listener as listeners
+from lfield.net.connections import resolver
+from lfield.net.connections.dialler import LAST_RETRY, REPORT_AFTER, Dialler
+from lfield.net.connections.resolver import MAX_LOOKUPS, ResolvedAddress, resolve
+from lfield.net.link_owner import RefusedHosts
+from lfield.net.local_addresses import open_listening_socket, require_port_free
+from lfield.net.peer_credentials import socket_address
+from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import is_lasting
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder
 
 #: A listener whose callers are never accepted: its queue is full, and nothing is answered.
@@ -134,18 +134,18 @@ def test_a_lookup_that_hangs_blocks_neither_the_loop_nor_other_names_nor_later_o
     async def story():
         book.rows |= {"dead": ["127.0.0.2"], "bravo": ["127.0.0.3"]}
         book.blocking.add("dead")
-        hanging = [asyncio.ensure_future(looked_up("dead", 1)) for _ in range(MOST_LOOKUPS)]
-        await until(lambda: book.asked == MOST_LOOKUPS)
+        hanging = [asyncio.ensure_future(resolve("dead", 1)) for _ in range(MAX_LOOKUPS)]
+        await until(lambda: book.asked == MAX_LOOKUPS)
         with pytest.raises(socket.gaierror):
-            await looked_up("dead", 1)
-        (found,) = await looked_up("bravo", 7)
+            await resolve("dead", 1)
+        (found,) = await resolve("bravo", 7)
         assert found.address == ("127.0.0.3", 7)
         # The name server answers again: new lookups are not behind the old ones.
         hanging.pop().cancel()
         book.blocked.set()
         await asyncio.gather(*hanging)
-        await until(lambda: not names._under_way)
-        assert await looked_up("dead", 1)
+        await until(lambda: not resolver._running)
+        assert await resolve("dead", 1)
 
     run(story())
 
@@ -153,8 +153,8 @@ def test_a_lookup_that_hangs_blocks_neither_the_loop_nor_other_names_nor_later_o
 def test_a_number_is_not_looked_up(book, run):
     async def story():
         book.rows["127.0.0.1"] = ["127.0.0.7"]
-        (found,) = await looked_up("127.0.0.1", 9)
-        assert found == Found(socket.AF_INET, ("127.0.0.1", 9))
+        (found,) = await resolve("127.0.0.1", 9)
+        assert found == ResolvedAddress(socket.AF_INET, ("127.0.0.1", 9))
 
     run(story())
 
@@ -201,7 +201,7 @@ def test_an_address_that_does_not_answer_keeps_no_other_waiting(book, hole, run)
         began = loop.time()
         link = await transport.connect(f"bravo:{hole}", Recorder())
         assert link.peer == f"127.0.0.3:{hole}"
-        assert loop.time() - began >= STAGGER
+        assert loop.time() - began >= ATTEMPT_DELAY
         link.close()
         there.close()
 
@@ -217,7 +217,7 @@ def test_each_address_that_was_tried_is_told_with_what_came_of_it(book, hole, ru
         assert f"127.0.0.2:{hole}: Connection refused" in caught.value.reason
         assert f"{HOLE}:{hole}: no answer within 0.5 s" in caught.value.reason
         book.rows["bravo"] = ["127.0.0.2", "127.0.0.4"]
-        with pytest.raises(NobodyListens):
+        with pytest.raises(NoListener):
             await transport.connect(f"bravo:{hole}", Recorder())
 
     run(story())
@@ -256,6 +256,27 @@ def test_the_address_of_all_interfaces_takes_both_families(run):
     run(story())
 
 
+def test_a_port_taken_between_bind_and_listen_is_reported_and_no_socket_stays_open(run, monkeypatch):
+    bind, bound = listeners.bound_socket, []
+    with socket.socket() as rival:
+        rival.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        rival.bind(("127.0.0.1", 0))
+
+        def bound_and_taken(at, port):
+            bound.append(bind(at, port))
+            rival.listen()
+            return bound[-1]
+
+        monkeypatch.setattr(listeners, "bound_socket", bound_and_taken)
+
+        async def story():
+            with pytest.raises(AddressError, match="the port is in use"):
+                await listening(f"127.0.0.1:{rival.getsockname()[1]}")
+
+        run(story())
+    assert [made.fileno() for made in bound] == [-1]
+
+
 def test_a_listener_follows_its_name_and_tries_again_what_fails(book, run, monkeypatch):
     monkeypatch.setattr(listeners, "CHECK_EVERY", 0.02)
 
@@ -268,13 +289,13 @@ def test_a_listener_follows_its_name_and_tries_again_what_fails(book, run, monke
         # Somebody else has the port there, for a while.
         with socket.create_server(("127.0.0.3", port)):
             book.rows["alpha"] = ["127.0.0.3"]
-            await until(lambda: any("cannot listen at 127.0.0.3" in note for note in notes))
+            await until(lambda: any("not listening on 127.0.0.3" in note for note in notes))
             assert there.address == f"127.0.0.2:{port}"
         await until(lambda: there.address == f"127.0.0.3:{port}")
-        assert sum("cannot listen" in note for note in notes) == 1
+        assert sum("not listening on" in note for note in notes) == 1
         link = await TcpTransport(MAX_BLOCK).connect(f"127.0.0.3:{port}", Recorder())
         await until(lambda: len(accepted) == 1)
-        with pytest.raises(NobodyListens):
+        with pytest.raises(NoListener):
             await TcpTransport(MAX_BLOCK).connect(f"127.0.0.2:{port}", Recorder())
         # A name that leads nowhere for a while changes nothing.
         book.rows["alpha"] = []
@@ -283,7 +304,7 @@ def test_a_listener_follows_its_name_and_tries_again_what_fails(book, run, monke
         assert there.address == f"127.0.0.3:{port}"
         link.close()
         there.close()
-        await until(lambda: not names._under_way)
+        await until(lambda: not resolver._running)
 
     run(story())
 
@@ -297,7 +318,7 @@ def test_a_name_with_an_address_of_another_computer_is_listened_at_where_it_can_
         book.rows["alpha"] = ["192.0.2.1"]
         with pytest.raises(AddressError, match="not one of this machine"):
             await listening("alpha:0")
-        await until(lambda: not names._under_way)
+        await until(lambda: not resolver._running)
 
     run(story())
 
@@ -305,12 +326,12 @@ def test_a_name_with_an_address_of_another_computer_is_listened_at_where_it_can_
 @needs_ipv6
 @pytest.mark.parametrize("address", ["[::1]:0", "127.0.0.1:0", "[::]:0"])
 def test_a_port_is_reserved_in_each_family(address):
-    reserved, text = reserve(address)
+    reserved, text = open_listening_socket(address)
     with reserved:
         with pytest.raises(AddressError) as caught:
-            insist_on_free(text)
+            require_port_free(text)
         assert "in use" in caught.value.reason
-    insist_on_free(text)
+    require_port_free(text)
 
 
 # Calling again and again
@@ -321,9 +342,9 @@ class Caller:
 
     def __init__(self, errors: list[Exception]) -> None:
         self.errors, self.calls, self.notes, self.barred = errors, [], [], 0.0
-        self.refusals = Refusals(["bravo"])
+        self.refusals = RefusedHosts(["bravo"])
 
-    def wants(self, host):
+    def needs_link(self, host):
         return True
 
     def link_of(self, host):
@@ -332,11 +353,11 @@ class Caller:
     def now(self):
         return 0.0
 
-    def barred_for(self, host):
+    def ban_remaining(self, host):
         left, self.barred = self.barred, 0.0
         return left
 
-    def called(self, host):
+    def on_dialled(self, host):
         pass
 
     async def connect(self, address, handler):
@@ -351,7 +372,7 @@ def test_who_does_not_answer_is_called_twice_a_second_and_each_result_is_told_on
     async def story():
         caller = Caller(errors)
         dialler = Dialler(caller, caller, LoopClock(), "bravo", "b:1", caller.notes.append)
-        await asyncio.sleep(NEWS_AFTER - 0.1)
+        await asyncio.sleep(REPORT_AFTER - 0.1)
         assert caller.notes == []
         await asyncio.sleep(60.0)
         dialler.cancel()
@@ -359,7 +380,7 @@ def test_who_does_not_answer_is_called_twice_a_second_and_each_result_is_told_on
         assert max(gaps) <= LAST_RETRY
         assert len(caller.notes) == 2
         assert {"no answer" in note for note in caller.notes} == {True, False}
-        assert all("bravo is not reached at b:1" in note for note in caller.notes)
+        assert all("bravo unreachable at b:1" in note for note in caller.notes)
 
     run_jumping(story())
 

@@ -6,15 +6,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.net.waiting.rations import (
-    ALLOWANCE,
-    CROWD,
+from lfield.net.scheduling.cpu_budgets import (
+    BURST,
+    CPU_SHARE,
+    CROWD_WEIGHT,
     LONGEST_HOLD,
-    OVER_FOR,
-    PROVEN,
-    RATION,
-    Rations,
-    Standing,
+    MAX_EXCESS_TIME,
+    PROOF_WEIGHT,
+    BudgetState,
+    CpuBudgets,
 )
 
 #: Messages that are taken at a time, as the kernel gives them.
@@ -22,10 +22,10 @@ READ = 4096
 
 
 class Computer:
-    """Takes the messages of members as `Rations` says; time is what taking them costs."""
+    """Takes the messages of members as `CpuBudgets` says; time is what taking them costs."""
 
     def __init__(self) -> None:
-        self.rations, self.now = Rations(), 100.0
+        self.rations, self.now = CpuBudgets(), 100.0
         self.taken: dict[str, int] = {}
         self.closed: dict[str, float] = {}
         self.spent: dict[str, float] = {}
@@ -45,13 +45,13 @@ class Computer:
             else:
                 self.weights[member] = 0
             standing = self.rations.on_work(member, cost, self.now, self.weights[member])
-            if standing is not Standing.WITHIN and self.rations.may_report(member, self.now):
+            if standing is not BudgetState.WITHIN and self.rations.may_report(member, self.now):
                 self.reports.append((member, self.now))
-            if standing is Standing.FLOOD:
+            if standing is BudgetState.FLOOD:
                 self.rations.on_closed(member, self.now)
                 self.closed.setdefault(member, self.now)
                 return
-            if standing is Standing.HELD:
+            if standing is BudgetState.HELD:
                 self.now = max(self.now, self.rations.held_until(member))
 
     def probe(self, member: str) -> None:
@@ -98,10 +98,10 @@ def test_a_flood_is_held_to_its_ration_and_closed_after_five_seconds_over_budget
     (member, reported), *rest = computer.reports
     assert (member, rest) == ("bravo", [])
     over = computer.closed["bravo"] - reported
-    assert OVER_FOR <= over <= OVER_FOR + 2 * LONGEST_HOLD
+    assert MAX_EXCESS_TIME <= over <= MAX_EXCESS_TIME + 2 * LONGEST_HOLD
     # It has had what it may have at once, then its ration; and one probe of a second at most in full.
     began = 100.0
-    assert computer.spent["bravo"] <= ALLOWANCE + RATION * (computer.closed["bravo"] - began) + 1.1
+    assert computer.spent["bravo"] <= BURST + CPU_SHARE * (computer.closed["bravo"] - began) + 1.1
 
 
 def test_a_flood_at_the_next_link_has_five_seconds_again():
@@ -109,7 +109,7 @@ def test_a_flood_at_the_next_link_has_five_seconds_again():
     floods(computer, "bravo", 30_000, 8e-6, 60.0)
     first = computer.closed.pop("bravo")
     floods(computer, "bravo", 30_000, 8e-6, 60.0)
-    assert computer.closed["bravo"] - first >= OVER_FOR
+    assert computer.closed["bravo"] - first >= MAX_EXCESS_TIME
 
 
 @pytest.mark.parametrize("agents", [1, 5, 30])
@@ -129,9 +129,9 @@ def test_large_transfers_of_several_coordinators_in_turn_are_closed():
     began = computer.now
     while computer.now < began + 30.0 and not computer.closed:
         computer.drain("bravo", agents, cost)
-        computer.drain("bravo", 1, cost, PROVEN)
+        computer.drain("bravo", 1, cost, PROOF_WEIGHT)
     (_, reported), *_ = computer.reports
-    assert OVER_FOR <= computer.closed["bravo"] - reported <= OVER_FOR + 2 * LONGEST_HOLD
+    assert MAX_EXCESS_TIME <= computer.closed["bravo"] - reported <= MAX_EXCESS_TIME + 2 * LONGEST_HOLD
 
 
 def test_what_is_proven_is_not_forgiven_for_a_pause():
@@ -140,29 +140,29 @@ def test_what_is_proven_is_not_forgiven_for_a_pause():
     began = computer.now
     while computer.now < began + 30.0 and not computer.closed:
         computer.drain("bravo", 50, cost)
-        computer.drain("bravo", 2, cost, PROVEN)
+        computer.drain("bravo", 2, cost, PROOF_WEIGHT)
         computer.answer("bravo")
-    assert OVER_FOR <= computer.closed["bravo"] - began <= OVER_FOR + 3.0
+    assert MAX_EXCESS_TIME <= computer.closed["bravo"] - began <= MAX_EXCESS_TIME + 3.0
 
 
 def test_a_crowd_is_forgiven_when_the_member_waits_for_answers():
     """As after a partition: what had waited comes at once, then hops as before."""
     computer = Computer()
-    computer.drain("bravo", 4 * CROWD, 1.5e-3)
+    computer.drain("bravo", 4 * CROWD_WEIGHT, 1.5e-3)
     assert computer.reports
     hops(computer, "bravo", 5, 5e-3, 30.0, 1e-4)
     assert not computer.closed
 
 
 def test_a_big_block_and_the_start_of_a_team_are_within_the_budget():
-    rations = Rations()
+    rations = CpuBudgets()
     # A block of 64 MB in pieces of 16 KiB, each of which costs 15 microseconds.
     for number in range(4096):
-        assert rations.on_work("bravo", 15e-6, 1.0 + number * 2e-5, 0) is Standing.WITHIN
+        assert rations.on_work("bravo", 15e-6, 1.0 + number * 2e-5, 0) is BudgetState.WITHIN
     for number in range(50):
         member = f"host {number}"
-        assert rations.on_handshake(member, 0.003, 1.0) is Standing.WITHIN
-        assert rations.on_work(member, 0.01, 1.0, 40) is Standing.WITHIN
+        assert rations.on_handshake(member, 0.003, 1.0) is BudgetState.WITHIN
+        assert rations.on_work(member, 0.01, 1.0, 40) is BudgetState.WITHIN
 
 
 def test_a_burst_of_costly_messages_is_over_soon_and_not_closed():
@@ -170,46 +170,46 @@ def test_a_burst_of_costly_messages_is_over_soon_and_not_closed():
     computer.drain("bravo", 1600, 5e-4)
     assert not computer.closed
     computer.now += 30.0
-    assert computer.rations.on_work("bravo", 1e-5, computer.now, 1) is Standing.WITHIN
+    assert computer.rations.on_work("bravo", 1e-5, computer.now, 1) is BudgetState.WITHIN
 
 
 def test_who_makes_links_without_end_is_closed_after_five_seconds_over_budget():
-    rations, now, over = Rations(), 0.0, None
-    while (standing := rations.on_handshake("bravo", 0.0015, now)) is not Standing.FLOOD:
-        if standing is Standing.OVER and over is None:
+    rations, now, over = CpuBudgets(), 0.0, None
+    while (standing := rations.on_handshake("bravo", 0.0015, now)) is not BudgetState.FLOOD:
+        if standing is BudgetState.OVER and over is None:
             over = now
         now += 0.004
     assert over is not None
-    assert now - over >= OVER_FOR
+    assert now - over >= MAX_EXCESS_TIME
 
 
 def test_who_reconnects_twenty_times_a_second_makes_no_flood():
-    rations = Rations()
+    rations = CpuBudgets()
     for number in range(2000):
-        assert rations.on_handshake("bravo", 0.002, number * 0.05) is Standing.WITHIN
+        assert rations.on_handshake("bravo", 0.002, number * 0.05) is BudgetState.WITHIN
 
 
 def test_one_member_pays_nothing_for_another():
-    rations = Rations()
-    while rations.on_work("bravo", 0.01, 1.0, CROWD) is Standing.WITHIN:
+    rations = CpuBudgets()
+    while rations.on_work("bravo", 0.01, 1.0, CROWD_WEIGHT) is BudgetState.WITHIN:
         pass
-    assert rations.on_work("charlie", 0.01, 1.0, CROWD) is Standing.WITHIN
+    assert rations.on_work("charlie", 0.01, 1.0, CROWD_WEIGHT) is BudgetState.WITHIN
 
 
 def test_nobody_is_held_so_long_that_its_link_seems_dead():
-    rations = Rations()
+    rations = CpuBudgets()
     for _ in range(1000):
-        rations.on_work("bravo", 10.0, 1.0, CROWD)
+        rations.on_work("bravo", 10.0, 1.0, CROWD_WEIGHT)
     assert 1.0 < rations.held_until("bravo") <= 1.0 + LONGEST_HOLD
 
 
 @given(st.lists(st.tuples(st.floats(0.0, 0.02), st.floats(0.0, 0.05), st.integers(0, 200)), max_size=200))
 def test_nobody_is_closed_who_was_not_over_budget_for_five_seconds(steps):
-    rations, now, level, since = Rations(), 0.0, 0.0, None
+    rations, now, level, since = CpuBudgets(), 0.0, 0.0, None
     for seconds, pause, weight in steps:
         now += pause
-        level = max(0.0, level - RATION * pause) + seconds
-        since = None if level <= ALLOWANCE / 2 else now if since is None else since
-        if rations.on_work("bravo", seconds, now, weight) is Standing.FLOOD:
+        level = max(0.0, level - CPU_SHARE * pause) + seconds
+        since = None if level <= BURST / 2 else now if since is None else since
+        if rations.on_work("bravo", seconds, now, weight) is BudgetState.FLOOD:
             assert since is not None
-            assert now - since >= OVER_FOR
+            assert now - since >= MAX_EXCESS_TIME

@@ -12,20 +12,22 @@ import pytest
 from certificates import Team
 
 from lfield.authority.identity import Identity, Right
-from lfield.net.stream import PIECE, StreamLink, TlsLink, nobody_known
-from lfield.net.tls import Channel, Tls
-from lfield.net.waiting.handshakes import RATION as HANDSHAKES
-from lfield.net.waiting.reception import AT_ONCE, LONGEST, ROUND, Reception
-from lfield.simulate.time import run_jumping
+from lfield.net.connections.tls_link import OBSERVER_PIECE, TlsLink
+from lfield.net.scheduling.handshake_scheduler import CPU_SHARE as HANDSHAKES
+from lfield.net.scheduling.link_schedulers import AT_ONCE, LONGEST, ROUND, LinkScheduler
+from lfield.net.stream_link import StreamLink, anonymous_identity
+from lfield.net.tls import TlsChannel, TlsIdentity
+from lfield.simulate.jumping_loop import run_jumping
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder, transfer
 from lfield.wire.codec import encode, encode_transfer
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import frame_header
 from lfield.wire.messages import Hello, Ping, Role
-from lfield.wire.observing import EmergencyStop, StatusRequest
+from lfield.wire.observer_messages import EmergencyStop
+from lfield.wire.subscription_messages import Subscribe
 
 HELLO, STOP = Hello("observer", "observer", 0), EmergencyStop(bytes(16), "now")
-FLOOD = encode(StatusRequest()) * 20_000
+FLOOD = encode(Subscribe(once=True)) * 20_000
 #: As much as the loops read at once.
 READ = 256 << 10
 
@@ -79,7 +81,7 @@ class Greeter(Recorder):
         self.works()
         super().on_message(link, message)
         if isinstance(message, Hello):
-            link.greeted(message.role)
+            link.accept_role(message.role)
 
 
 class Caller:
@@ -98,7 +100,7 @@ class Caller:
 
     @property
     def heard(self) -> int:
-        return len(self.hears.heard)
+        return len(self.hears.messages)
 
 
 class TlsCaller(Caller):
@@ -106,14 +108,14 @@ class TlsCaller(Caller):
 
     def __init__(self, inn: Inn, name: str, link: TlsLink, keys) -> None:
         super().__init__(inn, name, link, socket.AF_INET)
-        self._channel = Tls(keys).channel(calls=True)
-        self.link.data_received(self._channel.take())
-        assert list(self._channel.feed(self.wire.said)) == []
+        self._channel = TlsIdentity(keys).channel(calls=True)
+        self.link.data_received(self._channel.data_to_send())
+        assert list(self._channel.receive(self.wire.said)) == []
         assert self._channel.proven
 
     def say(self, data: bytes, record: int = 550) -> None:
         parts = (data[start : start + record] for start in range(0, len(data), record))
-        super().say(b"".join([self._channel.take(), *map(self._channel.seal, parts)]))
+        super().say(b"".join([self._channel.data_to_send(), *map(self._channel.encrypt, parts)]))
 
 
 class Inn:
@@ -121,14 +123,14 @@ class Inn:
 
     def __init__(self, way: str) -> None:
         self.work = 0.0
-        self.loop, self.reception, self.way = asyncio.get_running_loop(), Reception(self.busy), way
+        self.loop, self.reception, self.way = asyncio.get_running_loop(), LinkScheduler(self.busy), way
         self.callers: list[Caller] = []
         self.team = Team()
-        self.tls = Tls(self.team.host("alpha"))
+        self.tls = TlsIdentity(self.team.host("alpha"))
 
     def caller(self, name: str, *, host: bool = False) -> Caller:
         if self.way == "unix":
-            link = StreamLink(MAX_BLOCK, 1 << 20, Recorder, self.reception, nobody_known, calls=False)
+            link = StreamLink(MAX_BLOCK, 1 << 20, Recorder, self.reception, anonymous_identity, calls=False)
             made: Caller = Caller(self, name, link, socket.AF_UNIX)
         else:
             keys = self.team.host(name) if host else self.team.person(name, Right.OBSERVE)
@@ -188,12 +190,12 @@ def test_what_waits_is_taken_in_its_order_to_the_last_and_then_is_read_on(at_inn
         assert not anna.wire.reads
         while not anna.wire.reads:
             await asyncio.sleep(ROUND)
-        assert anna.hears.heard == [HELLO, *said]
+        assert anna.hears.messages == [HELLO, *said]
         await asyncio.sleep(ROUND)
         whole = encode(STOP)
         anna.say(whole[:7])
         anna.say(whole[7:])
-        assert anna.hears.heard[-1] == STOP
+        assert anna.hears.messages[-1] == STOP
 
     at_inn(story)
 
@@ -230,12 +232,12 @@ def test_a_stop_on_a_new_link_gets_through_a_flood_in_the_next_round(at_inn):
         ben = inn.caller("ben")
         ben.say(encode(HELLO) + encode(STOP))
         await asyncio.sleep(1.1 * ROUND)
-        assert ben.hears.heard == [HELLO, STOP]
+        assert ben.hears.messages == [HELLO, STOP]
         # And one of whoever floods, behind one turn of each other link.
         again = inn.caller("anna")
         again.say(encode(HELLO) + encode(STOP))
         await asyncio.sleep(18 * ROUND)
-        assert again.hears.heard == [HELLO, STOP]
+        assert again.hears.messages == [HELLO, STOP]
 
     at_inn(story)
 
@@ -245,7 +247,7 @@ def test_nobody_who_asks_now_and_then_waits(at_inn):
         anna = inn.caller("anna")
         anna.say(encode(HELLO))
         for count in range(2, 50):
-            anna.say(encode(StatusRequest()))
+            anna.say(encode(Subscribe(once=True)))
             assert anna.heard == count
             await asyncio.sleep(ROUND)
 
@@ -258,7 +260,7 @@ def test_a_long_message_comes_whole(at_inn):
         stop = EmergencyStop(bytes(16), "x" * MAX_TEXT)
         anna.say(encode(HELLO) + encode(stop) + FLOOD)
         await asyncio.sleep(ROUND * 20)
-        assert anna.hears.heard[:3] == [HELLO, stop, StatusRequest()]
+        assert anna.hears.messages[:3] == [HELLO, stop, Subscribe(once=True)]
 
     at_inn(story)
 
@@ -276,7 +278,7 @@ def test_who_says_what_must_not_be_is_closed_and_the_rest_is_nothing(at_inn):
         had = ben.heard
         await asyncio.sleep(ROUND * 10)
         assert ben.heard == had
-        assert ben.link._left is None
+        assert ben.link._remaining is None
 
     at_inn(story)
 
@@ -330,10 +332,12 @@ def test_records_without_a_whole_message_in_them_count_too(monkeypatch):
 def test_no_more_is_decrypted_at_a_time_than_a_piece(monkeypatch):
     async def story(inn):
         anna, fed = inn.caller("anna"), []
-        feed = Channel.feed
-        monkeypatch.setattr(Channel, "feed", lambda self, data: (fed.append(len(data)), feed(self, data))[1])
+        feed = TlsChannel.receive
+        monkeypatch.setattr(
+            TlsChannel, "receive", lambda self, data: (fed.append(len(data)), feed(self, data))[1]
+        )
         anna.say(encode(HELLO) + FLOOD, record=16 << 10)
-        assert max(fed) <= PIECE
+        assert max(fed) <= OBSERVER_PIECE
 
     run_tls(story)
 
@@ -342,14 +346,14 @@ def test_handshakes_of_strangers_take_their_share_and_leave_every_turn_of_the_lo
     """Sixty at once, each part of which costs a slow computer five milliseconds."""
 
     async def story(inn):
-        first = Channel._first
+        first = TlsChannel._continue_handshake
         cost = 5e-3
         monkeypatch.setattr(
-            Channel,
-            "_first",
+            TlsChannel,
+            "_continue_handshake",
             lambda self, data: (setattr(inn, "work", inn.work + cost), first(self, data))[1],
         )
-        words = Tls(inn.team.person("anna", Right.STOP)).channel(calls=True).take()
+        words = TlsIdentity(inn.team.person("anna", Right.STOP)).channel(calls=True).data_to_send()
         links = []
         for _ in range(60):
             link = TlsLink(MAX_BLOCK, 1 << 20, lambda _: Recorder(), inn.reception, inn.tls, calls=False)

@@ -12,21 +12,23 @@ from pathlib import Path
 
 import pytest
 from certificates import Team
+from memory_network import MemoryNetwork
 
-from lfield.authority.identity import ALL
+from lfield.authority.identity import ALL_RIGHTS
 from lfield.clock import ManualClock
-from lfield.errors import AddressError, GreetingError, WireError
-from lfield.net.door import listening, local
-from lfield.net.stream import FOR_OBSERVERS
-from lfield.net.tcp import TcpTransport, refusal
-from lfield.net.tls import Tls
+from lfield.errors import AddressError, HandshakeError, WireError
+from lfield.net.health.tcp_options import MAX_NOT_SENT
+from lfield.net.peer_credentials import caller_identity, listener_identity
+from lfield.net.scheduling.send_queue import HIGH_WATER
+from lfield.net.stream_link import MAX_OBSERVER_PENDING
+from lfield.net.tcp_transport import TcpTransport, describe
+from lfield.net.tls import TlsIdentity
 from lfield.net.transport import join_address, split_address
-from lfield.simulate.network import MemoryNetwork
 from lfield.testing.transport_kit import MAX_BLOCK, Pair, Recorder, TransportKit, transfer
 from lfield.wire.codec import encode
 from lfield.wire.messages import Hello, Ping
 
-PATIENCE = 10.0
+PATIENCE = 60.0
 
 
 class TcpBench:
@@ -127,7 +129,7 @@ class TlsBench(TcpBench):
 
     def __init__(self, loop: asyncio.AbstractEventLoop, **options) -> None:
         team = Team()
-        super().__init__(loop, tls=Tls(team.host("alpha")), **options)
+        super().__init__(loop, tls=TlsIdentity(team.host("alpha")), **options)
 
 
 @pytest.fixture(params=["asyncio", "uvloop"])
@@ -210,24 +212,28 @@ def test_a_path_that_will_not_do(unix):
     ],
 )
 def test_what_a_user_of_this_computer_may(user, groups, rights):
-    who = local(user, groups, 1000, 700)
+    who = caller_identity(user, groups, 1000, 700)
     assert (who.kind, sorted(who.may)) == ("local", rights)
-    assert local(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
+    assert caller_identity(user, groups, 1000, None).may == (who.may if user != 1001 else frozenset())
 
 
 @pytest.mark.parametrize("groups", [(1001,), (1001, 700)])
 @pytest.mark.parametrize("user", [0, 1000, 1001])
 def test_whose_host_a_command_believes(user, groups):
     believed = user in (0, 1000) or 700 in groups
-    assert (listening(user, groups, 1000, 700).may == ALL) == believed
-    assert listening(user, groups, 0, 700).may == listening(user, groups, 0, None).may == ALL
-    assert (listening(user, groups, 1000, None).may == ALL) == (user != 1001)
+    assert (listener_identity(user, groups, 1000, 700).may == ALL_RIGHTS) == believed
+    assert (
+        listener_identity(user, groups, 0, 700).may
+        == listener_identity(user, groups, 0, None).may
+        == ALL_RIGHTS
+    )
+    assert (listener_identity(user, groups, 1000, None).may == ALL_RIGHTS) == (user != 1001)
 
 
 def test_the_kernel_says_who_is_at_both_ends_of_a_door(unix):
     pair = Pair(unix)
     for link in (pair.link, pair.far.link):
-        assert (link.who.kind, link.who.may) == ("local", ALL)
+        assert (link.who.kind, link.who.may) == ("local", ALL_RIGHTS)
         assert link.who.name == pwd.getpwuid(os.geteuid()).pw_name
 
 
@@ -238,7 +244,7 @@ def test_whoever_calls_knows_at_once_who_is_there(tls):
     pair = Pair(tls)
     assert str(pair.link.who) == "host alpha"
     pair.link.send(Ping(1))
-    tls.until(lambda: pair.far.heard)
+    tls.until(lambda: pair.far.messages)
     assert str(pair.far.link.who) == "host alpha"
 
 
@@ -262,7 +268,7 @@ def test_a_hop_in_tls_is_one_write(tls):
     for number, size in enumerate((0, 1000, 3000), 1):
         pair.link.send_transfer(transfer(size, number), bytes(size))
         assert counted.writes == number
-    tls.until(lambda: len(pair.far.heard) == 3)
+    tls.until(lambda: len(pair.far.messages) == 3)
 
 
 def test_two_authorities_have_no_link():
@@ -270,11 +276,11 @@ def test_two_authorities_have_no_link():
     ours, theirs = TlsBench(loop), TlsBench(loop)
     called, near = Recorder(), Recorder()
     listener = ours.wait(ours.listen("127.0.0.1:0", lambda _: called))
-    with pytest.raises(GreetingError, match="its certificate is not signed by the authority of this team"):
+    with pytest.raises(HandshakeError, match="peer certificate rejected: not signed by the CA of this team"):
         theirs.wait(theirs.connect(listener.address, near))
     ours.until(lambda: called.ends)
-    assert "it does not take the certificate shown to it" in str(called.ends[0])
-    assert near.ends == near.heard == called.heard == []
+    assert "peer rejected the certificate of this host" in str(called.ends[0])
+    assert near.ends == near.messages == called.messages == []
     listener.close()
     loop.close()
 
@@ -291,7 +297,7 @@ def test_a_stranger_who_comes_and_goes_is_told_nothing(tls):
             raw.settimeout(PATIENCE)
             with suppress(ConnectionResetError):
                 assert raw.recv(1) == b""
-    assert called.heard == []
+    assert called.messages == []
     listener.close()
 
 
@@ -349,26 +355,26 @@ def test_a_peer_that_does_not_read_is_given_up():
     assert "does not read" in str(near.ends[0])
 
 
-@pytest.mark.parametrize(("role", "most"), [("observer", FOR_OBSERVERS), ("host", 5 << 20)])
+@pytest.mark.parametrize(("role", "most"), [("observer", MAX_OBSERVER_PENDING), ("host", 5 << 20)])
 def test_less_is_held_for_whoever_only_looks(tcp, role, most):
     pair = Pair(tcp, role=role)
     pair.link._transport.pause_reading()
     while not pair.far.link.closed:
         pair.far.link.send_transfer(transfer(MAX_BLOCK), bytes(MAX_BLOCK))
     tcp.until(lambda: bool(pair.far.ends))
-    assert f"does not read: over {most} bytes wait for it" in str(pair.far.ends[0])
+    assert f"does not read: over {most} bytes queued" in str(pair.far.ends[0])
     pair.link.abort()
 
 
 def test_whoever_asks_without_an_end_is_read_slowly(tcp):
     """There are messages of a hundred seconds, and room for an emergency stop meanwhile."""
     pair = Pair(tcp)
-    pair.far.link.greeted("observer")
+    pair.far.link.accept_role("observer")
     for number in range(20_000):
         pair.link.send(Ping(number))
-    tcp.until(lambda: pair.far.heard)
+    tcp.until(lambda: pair.far.messages)
     tcp.wait(asyncio.sleep(0.3))
-    assert 0 < len(pair.far.heard) < 20_000
+    assert 0 < len(pair.far.messages) < 20_000
     # Whoever is closed meanwhile is read no more, and nothing is raised when that time is over.
     pair.far.link.close()
 
@@ -414,10 +420,10 @@ def test_an_address_that_is_not_ours(tcp, address, words):
 
 
 def test_socket_errors_are_told_in_words():
-    assert "name is not known" in refusal(socket.gaierror(-2, "Name or service not known"))
-    assert "above 1023" in refusal(PermissionError(errno.EACCES, "Permission denied"))
-    assert refusal(OSError(errno.EIO, "")) == "Input/output error"
-    assert refusal(OSError("Multiple exceptions")) == "Multiple exceptions"
+    assert "name is not known" in describe(socket.gaierror(-2, "Name or service not known"))
+    assert "above 1023" in describe(PermissionError(errno.EACCES, "Permission denied"))
+    assert describe(OSError(errno.EIO, "")) == "Input/output error"
+    assert describe(OSError("Multiple exceptions")) == "Multiple exceptions"
 
 
 def test_a_hop_is_not_delayed_to_be_joined_by_more(tcp):
@@ -425,6 +431,15 @@ def test_a_hop_is_not_delayed_to_be_joined_by_more(tcp):
     for link in (pair.link, pair.far.link):
         sock = link._transport.get_extra_info("socket")
         assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+
+
+def test_the_kernel_holds_little_that_it_has_not_sent(tls):
+    """An order to stop waits behind what it holds: the option is read back at both ends, from both loops."""
+    pair = Pair(tls)
+    for link in (pair.link, pair.far.link):
+        sock = link._transport.get_extra_info("socket")
+        assert sock.getsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT) == MAX_NOT_SENT == 4096
+        assert link._transport.get_write_buffer_limits()[1] == HIGH_WATER
 
 
 # The in-memory network alone
@@ -446,7 +461,7 @@ def test_nothing_arrives_before_its_time(memory):
     clock.advance(0.4)
     assert memory.network.run() == 0
     clock.advance(0.1)
-    memory.until(lambda: pair.far.heard == [Ping(1), Ping(2)])
+    memory.until(lambda: pair.far.messages == [Ping(1), Ping(2)])
     assert memory.network.next_due() is None
 
 
@@ -467,9 +482,9 @@ def test_a_partition_loses_what_is_under_way_and_keeps_links_out(memory):
     memory.network.partition("a", "b")
     memory.until(lambda: len(near.ends) == len(pair.accepted[1].ends) == 1)
     assert "the connection was lost" in str(near.ends[0])
-    assert pair.accepted[1].heard == []
+    assert pair.accepted[1].messages == []
     assert pair.near.ends == []
-    with pytest.raises(AddressError, match="nobody listens"):
+    with pytest.raises(AddressError, match="no program listens"):
         memory.wait(other.connect(pair.listener.address, Recorder()))
     memory.network.heal("a", "b")
     memory.wait(other.connect(pair.listener.address, Recorder()))

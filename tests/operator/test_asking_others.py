@@ -11,16 +11,16 @@ from pathlib import Path
 
 import pytest
 
-from lfield.errors import AddressError, NobodyListens
-from lfield.net.tcp import TcpTransport
+from lfield.errors import AddressError, NoListener
+from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import is_number
-from lfield.operator import ask
-from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import STATUS, ask_all, asked_in_turn, unheard
-from lfield.operator.observing import Request
-from lfield.operator.runs import Note, Run
-from lfield.simulate.time import run_jumping
-from lfield.wire.observing import Status, StatusRequest
+from lfield.operator import client
+from lfield.operator.client import SNAPSHOT, ask_all, ask_in_turn, unanswered_by_name
+from lfield.operator.observer_link import Request
+from lfield.operator.runs import Run, RunManifest
+from lfield.operator.targets import HostRef, TargetTeam
+from lfield.simulate.jumping_loop import run_jumping
+from lfield.wire.subscription_messages import EventBatch
 
 
 class Doors:
@@ -38,7 +38,7 @@ class Doors:
         try:
             if self._listens(address):
                 await asyncio.Event().wait()
-            raise NobodyListens(address)
+            raise NoListener(address)
         finally:
             self.now -= 1
 
@@ -46,20 +46,22 @@ class Doors:
         raise NotImplementedError
 
 
-def own(count: int) -> dict[Place, str]:
-    return {Place("tour-1", f"h{number}"): f"unix:/own/{number}" for number in range(count)}
+def own(count: int) -> dict[HostRef, str]:
+    return {HostRef("tour-1", f"h{number}"): f"unix:/own/{number}" for number in range(count)}
 
 
-def claimed(count: int, user: str = "mallory") -> dict[Place, str]:
-    return {Place(f"{user}/tour-1", f"h{number}", user): f"unix:/{user}/{number}" for number in range(count)}
+def claimed(count: int, user: str = "mallory") -> dict[HostRef, str]:
+    return {
+        HostRef(f"{user}/tour-1", f"h{number}", user): f"unix:/{user}/{number}" for number in range(count)
+    }
 
 
-def answers(doors: Doors, places: Mapping[Place, str]) -> tuple[float, dict[Place, object]]:
+def answers(doors: Doors, places: Mapping[HostRef, str]) -> tuple[float, dict[HostRef, object]]:
     """What comes of asking, and how long it takes in seconds."""
 
     async def main():
         began = asyncio.get_running_loop().time()
-        found = await ask_all(doors, places, STATUS)
+        found = await ask_all(doors, places, SNAPSHOT)
         return asyncio.get_running_loop().time() - began, found
 
     return run_jumping(main())
@@ -72,11 +74,13 @@ def mute(address: str) -> bool:
 def test_thousands_of_doors_that_never_answer_cost_the_time_of_one():
     doors = Doors(mute)
     took, found = answers(doors, claimed(4000) | own(3))
-    assert took == pytest.approx(STATUS.bound)
-    assert doors.most <= ask.BESIDE + 3
-    assert len(doors.asked) <= ask.BESIDE + 3
-    assert [type(found[place]) for place in own(3)] == [NobodyListens] * 3
-    assert "have not all answered within 2 s" in str(found[Place("mallory/tour-1", "h9", "mallory")])
+    assert took == pytest.approx(SNAPSHOT.timeout)
+    assert doors.most <= client.MAX_FOREIGN + 3
+    assert len(doors.asked) <= client.MAX_FOREIGN + 3
+    assert [type(found[place]) for place in own(3)] == [NoListener] * 3
+    assert "no answer of the runs of other users within 2 s" in str(
+        found[HostRef("mallory/tour-1", "h9", "mallory")]
+    )
 
 
 def test_what_is_believed_is_asked_first():
@@ -88,23 +92,23 @@ def test_what_is_believed_is_asked_first():
 def test_one_other_user_takes_no_time_of_another():
     doors = Doors(mute)
     _, found = answers(doors, claimed(4000) | claimed(3, "ann"))
-    assert [type(found[place]) for place in claimed(3, "ann")] == [NobodyListens] * 3
-    assert doors.most <= ask.BESIDE
+    assert [type(found[place]) for place in claimed(3, "ann")] == [NoListener] * 3
+    assert doors.most <= client.MAX_FOREIGN
 
 
 def test_a_large_team_is_asked_some_hosts_at_a_time():
     doors = Doors(lambda _: False)
-    _, found = answers(doors, own(ask.AT_ONCE + 100))
-    assert len(found) == ask.AT_ONCE + 100
-    assert doors.most <= ask.AT_ONCE
+    _, found = answers(doors, own(client.MAX_AT_ONCE + 100))
+    assert len(found) == client.MAX_AT_ONCE + 100
+    assert doors.most <= client.MAX_AT_ONCE
 
 
 def test_no_name_is_looked_up_because_another_user_says_so():
     doors = Doors(lambda _: False)
-    named, numbered = Place("mallory/tour-1", "a", "mallory"), Place("mallory/tour-1", "b", "mallory")
+    named, numbered = HostRef("mallory/tour-1", "a", "mallory"), HostRef("mallory/tour-1", "b", "mallory")
     _, found = answers(doors, {named: "slow.example:1", numbered: "10.0.0.2:1"})
     assert doors.asked == ["10.0.0.2:1"]
-    assert "name that with --run to ask there" in str(found[named])
+    assert "name the run with --run to use it" in str(found[named])
     assert [is_number(text) for text in ("[fe80::1]:7", "10.0.0.2", "robot:1", "[", "")] == [
         True,
         True,
@@ -116,8 +120,8 @@ def test_no_name_is_looked_up_because_another_user_says_so():
 
 def test_of_many_hosts_that_another_user_claims_there_is_one_line():
     names = {place: f"{place.run}/{place.host}" for place in (*claimed(9), *own(9), *claimed(2, "ann"))}
-    found = {place: NobodyListens("x") for place in names}
-    said = list(unheard(found, names))
+    found = {place: NoListener("x") for place in names}
+    said = list(unanswered_by_name(found, names))
     assert said == [
         "9 hosts of mallory/tour-1",
         *(f"tour-1/h{number}" for number in range(9)),
@@ -138,32 +142,32 @@ def doors():
         yield Path(path)
 
 
-def run_in(folder: Path, count: int, **whose) -> Party:
+def run_in(folder: Path, count: int, **whose) -> TargetTeam:
     hosts = [f"h{number}" for number in range(count)]
-    note = Note("m.dL", "d" * 64, 1, 0.0, 1.0, dict.fromkeys(hosts, "127.0.0.1:1"), {})
+    note = RunManifest("m.dL", "d" * 64, 1, 0.0, 1.0, dict.fromkeys(hosts, "127.0.0.1:1"), {})
     run = Run(folder, note, **whose)
-    return Party((run,), dict.fromkeys(hosts, f"unix:{folder}/x.sock"))
+    return TargetTeam((run,), dict.fromkeys(hosts, f"unix:{folder}/x.sock"))
 
 
 def test_what_is_believed_is_told_before_others_have_answered(doors, tmp_path):
-    quick = Request(StatusRequest(), Status, 0.3)
+    quick = Request(SNAPSHOT.message, EventBatch, 0.3)
     parties = [run_in(doors, 600, owner="mallory", is_foreign=True), run_in(tmp_path, 2)]
-    turns = asked_in_turn(parties, quick)
+    turns = ask_in_turn(parties, quick)
     first = next(turns)
-    assert [type(answer) for answer in first.values()] == [NobodyListens] * 2
+    assert [type(answer) for answer in first.values()] == [NoListener] * 2
     (rest,) = turns
     assert len(rest) == 600
     assert all(isinstance(answer, AddressError) for answer in rest.values())
 
 
 def test_answers_are_told_while_another_host_is_still_asked(doors, monkeypatch):
-    monkeypatch.setattr(ask, "TOLD_AFTER", 0.05)
+    monkeypatch.setattr(client, "REPORT_AFTER", 0.05)
     party = run_in(doors, 2)
     gone = dict.fromkeys(["h1"], f"unix:{doors}/nobody.sock")
-    party = Party(party.runs, {**party.addresses, **gone})
-    turns = asked_in_turn([party], Request(StatusRequest(), Status, 0.5))
+    party = TargetTeam(party.runs, {**party.addresses, **gone})
+    turns = ask_in_turn([party], Request(SNAPSHOT.message, EventBatch, 0.5))
     first = next(turns)
-    assert [(place.host, type(answer)) for place, answer in first.items()] == [("h1", NobodyListens)]
+    assert [(place.host, type(answer)) for place, answer in first.items()] == [("h1", NoListener)]
     (rest,) = turns
     assert [(place.host, type(answer)) for place, answer in rest.items()] == [("h0", AddressError)]
 
@@ -174,12 +178,12 @@ def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
 
     class Ending(TcpTransport):
         async def connect(self, address, handler):
-            handler.on_closed(None, NobodyListens(address))
+            handler.on_closed(None, NoListener(address))
             raise AddressError(address, "no answer within 2 s")
 
     async def main():
         asyncio.get_running_loop().set_exception_handler(lambda _, context: said.append(context["message"]))
-        found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, STATUS)
+        found = await ask_all(Ending(1 << 20), {"a": f"unix:{doors}/x.sock"}, SNAPSHOT)
         # An error keeps what it came through.
         kinds = [type(answer) for answer in found.values()]
         del found

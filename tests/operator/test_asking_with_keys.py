@@ -9,22 +9,24 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from scripted_snapshots import batch_of
 
-from lfield.authority import folder
+from lfield.authority import keystore
+from lfield.authority.certificate_reader import revoked_in
 from lfield.authority.identity import Right
-from lfield.authority.reading import revoked_in
-from lfield.errors import AddressError, GreetingError, KeysError
-from lfield.net.greeting import Greeting
-from lfield.net.tcp import TcpTransport
-from lfield.net.tls import Tls
-from lfield.operator import ask, observing
-from lfield.operator.addressed import Party, Place
-from lfield.testing.keys import Keyring
-from lfield.wire.messages import Hello, Revocations
-from lfield.wire.observing import EmergencyStopped, Status, StatusRequest
+from lfield.errors import AddressError, HandshakeError, KeysError
+from lfield.net.handshake import Handshake
+from lfield.net.tcp_transport import TcpTransport
+from lfield.net.tls import TlsIdentity
+from lfield.operator import client, observer_link
+from lfield.operator.targets import HostRef, TargetTeam
+from lfield.testing.keyring import Keyring
+from lfield.wire.messages import Hello, RevocationUpdate
+from lfield.wire.observer_messages import EmergencyStopResult, Status
+from lfield.wire.subscription_messages import Subscribe
 
-LIFT = ask.emergency_stop("", lift=True)
-STATUS = Status("alpha", "", 0.0, b"", b"", [], [], [], [], [])
+LIFT = client.emergency_stop("", lift=True)
+SNAPSHOT = batch_of(Status("alpha", "", 0.0, b"", b"", [], [], [], [], []))
 
 
 class Alpha:
@@ -33,7 +35,7 @@ class Alpha:
     def __init__(self, name: str = "alpha") -> None:
         self.heard: list[tuple[str, object]] = []
         self.hello = Hello("host", name, 7)
-        self._greetings: dict[object, Greeting] = {}
+        self._greetings: dict[object, Handshake] = {}
 
     def called(self, link):
         return self
@@ -41,20 +43,20 @@ class Alpha:
     def on_message(self, link, message):
         try:
             self._heard(link, message)
-        except GreetingError:
+        except HandshakeError:
             link.send(self._greetings[link].refusal)
             raise
 
     def _heard(self, link, message):
         if link not in self._greetings:
-            greeting = self._greetings[link] = Greeting(self.hello, link.who)
-            link.send(greeting.begin())
-            link.greeted(greeting.receive(message).role)
+            greeting = self._greetings[link] = Handshake(self.hello, link.who)
+            link.send(greeting.first_message())
+            link.accept_role(greeting.receive(message).role)
             return
         self._greetings[link].admit(message)
         self.heard.append((str(link.who), message))
-        if not isinstance(message, Revocations):
-            link.send(STATUS if isinstance(message, StatusRequest) else EmergencyStopped({}))
+        if not isinstance(message, RevocationUpdate):
+            link.send(SNAPSHOT if isinstance(message, Subscribe) else EmergencyStopResult({}))
 
     def on_closed(self, link, error):
         pass
@@ -68,31 +70,35 @@ def ring(tmp_path):
 
 
 def asked(
-    ring: Keyring, request=ask.STATUS, keys: Path | None = None, host: Alpha | None = None, own="alpha"
+    ring: Keyring,
+    request=client.SNAPSHOT,
+    keys: Path | None = None,
+    host: Alpha | None = None,
+    own="alpha",
 ):
     """What asking a host over TCP, and one at a door, comes to."""
     host = host or Alpha()
 
     async def story():
-        transport = TcpTransport(1 << 20, Tls(folder.read(ring.folder / own, "host")))
+        transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / own, "host")))
         door = f"unix:{ring.folder}/door"
         listeners = [await transport.listen(at, host.called) for at in ("127.0.0.1:0", door)]
-        party = Party((), {"alpha": listeners[0].address, "here": door})
+        party = TargetTeam((), {"alpha": listeners[0].address, "here": door})
         try:
-            answers = await asyncio.to_thread(ask.ask_parties, [party], request, keys)
+            answers = await asyncio.to_thread(client.ask_teams, [party], request, keys)
         finally:
             for listener in listeners:
                 listener.close()
             await asyncio.sleep(0)
-        return answers[Place("", "alpha")], answers[Place("", "here")]
+        return answers[HostRef("", "alpha")], answers[HostRef("", "here")]
 
     return asyncio.run(story())
 
 
 def test_with_keys_a_host_of_another_computer_answers(ring):
     host = Alpha()
-    assert asked(ring, keys=ring.folder, host=host)[0] == STATUS
-    assert ("operator", StatusRequest()) in host.heard
+    assert asked(ring, keys=ring.folder, host=host)[0] == SNAPSHOT
+    assert ("operator", client.SNAPSHOT.message) in host.heard
 
 
 def test_without_keys_it_says_so_and_what_to_do(ring, monkeypatch, tmp_path):
@@ -104,9 +110,9 @@ def test_without_keys_it_says_so_and_what_to_do(ring, monkeypatch, tmp_path):
 
 
 def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):
-    over_tcp, here = asked(ring, ask.emergency_stop("fire"), keys=ring.folder / "nowhere")
+    over_tcp, here = asked(ring, client.emergency_stop("fire"), keys=ring.folder / "nowhere")
     assert "has no keys of a person" in str(over_tcp)
-    assert here == EmergencyStopped({})
+    assert here == EmergencyStopResult({})
     ring.put("me", replace(ring.made("person", "anna"), key=b"nothing"))
     assert "the keys are damaged" in str(asked(ring, keys=ring.folder)[0])
 
@@ -126,19 +132,19 @@ class Crowded(Alpha):
 
 
 def test_a_stop_is_asked_again_where_callers_are_turned_away(ring, monkeypatch):
-    monkeypatch.setattr(observing, "AGAIN_AFTER", 0.01)
-    assert asked(ring, ask.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopped({})
+    monkeypatch.setattr(observer_link, "RETRY_DELAY", 0.01)
+    assert asked(ring, client.emergency_stop("fire"), ring.folder, Crowded(7))[0] == EmergencyStopResult({})
     assert isinstance(asked(ring, keys=ring.folder, host=Crowded(7))[0], AddressError)
     # Who refuses has answered.
     ring.put("me", ring.made("person", "anna", Right.OBSERVE))
     host = Alpha()
-    assert isinstance(asked(ring, ask.emergency_stop("fire"), ring.folder, host)[0], GreetingError)
+    assert isinstance(asked(ring, client.emergency_stop("fire"), ring.folder, host)[0], HandshakeError)
 
 
 def test_whoever_may_only_look_is_told_what_it_takes_to_stop(ring):
     ring.put("me", ring.made("person", "anna", Right.OBSERVE))
-    assert asked(ring, keys=ring.folder)[0] == STATUS
-    over_tcp, _ = asked(ring, ask.emergency_stop("fire"), keys=ring.folder)
+    assert asked(ring, keys=ring.folder)[0] == SNAPSHOT
+    over_tcp, _ = asked(ring, client.emergency_stop("fire"), keys=ring.folder)
     assert "anna may observe, and this takes the right to stop" in str(over_tcp)
 
 
@@ -155,54 +161,58 @@ def test_a_host_may_stop_one_of_another_bundle_of_its_authority(ring):
     host.hello = Hello("host", "alpha", 7, b"p" * 32, b"d" * 32)
 
     async def story():
-        transport = TcpTransport(1 << 20, Tls(folder.read(ring.folder / "alpha", "host")))
+        transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(ring.folder / "alpha", "host")))
         listener = await transport.listen("127.0.0.1:0", host.called)
-        bravo = ask.observer(folder.read(ring.folder / "bravo", "host"))
+        bravo = client.observer_transport(keystore.read_keys(ring.folder / "bravo", "host"))
         places = {"alpha": listener.address}
-        answers = [await ask.ask_all(bravo, places, what) for what in (ask.emergency_stop("fire"), LIFT)]
+        answers = [
+            await client.ask_all(bravo, places, what) for what in (client.emergency_stop("fire"), LIFT)
+        ]
         listener.close()
         return [answer["alpha"] for answer in answers]
 
     stopped, lifted = asyncio.run(story())
-    assert stopped == EmergencyStopped({})
+    assert stopped == EmergencyStopResult({})
     assert "a person has it, not a host" in str(lifted)
 
 
 def test_a_command_brings_the_revocation_list_along(ring):
-    ring.put("me", replace(ring.made("person", "anna", Right.OBSERVE), revoked=ring.listed(3, "ff")))
+    ring.put("me", replace(ring.made("person", "anna", Right.OBSERVE), revoked=ring.revocation_list(3, "ff")))
     host = Alpha()
     asked(ring, keys=ring.folder, host=host)
-    (brought,) = [said for who, said in host.heard if isinstance(said, Revocations) and who == "anna"]
+    (brought,) = [said for who, said in host.heard if isinstance(said, RevocationUpdate) and who == "anna"]
     assert revoked_in(brought.list, ring.made("host", "x").authority).number == 3
 
 
 @pytest.fixture
 def other_user(monkeypatch):
     """A user who is not in the group lfield, and runs what listens at doors."""
-    monkeypatch.setattr("lfield.net.door._number_of_group", lambda: 900)
+    monkeypatch.setattr("lfield.net.peer_credentials._group_id", lambda: 900)
     return 12347
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
-@pytest.mark.parametrize("request_", [ask.STATUS, ask.emergency_stop("fire"), LIFT, ask.pause(lift=True)])
+@pytest.mark.parametrize(
+    "request_", [client.SNAPSHOT, client.emergency_stop("fire"), LIFT, client.pause(lift=True)]
+)
 def test_root_reaches_a_host_that_another_user_runs(other_user, request_):
-    assert asked_of(other_user, request_) in (STATUS, EmergencyStopped({}))
+    assert asked_of(other_user, request_) in (SNAPSHOT, EmergencyStopResult({}))
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can run what is another user's")
 def test_who_is_not_root_believes_no_host_of_a_third(other_user, monkeypatch):
     real = os.geteuid
-    monkeypatch.setattr("lfield.net.door.os.geteuid", lambda: real() or 1001)
+    monkeypatch.setattr("lfield.net.peer_credentials.os.geteuid", lambda: real() or 1001)
     heard: list[object] = []
-    answer = asked_of(other_user, ask.emergency_stop("fire"), heard)
-    assert isinstance(answer, GreetingError)
+    answer = asked_of(other_user, client.emergency_stop("fire"), heard)
+    assert isinstance(answer, HandshakeError)
     assert str(answer) == (
-        "greeting refused: what answers here is run by user 12347 of this computer, and a command believes "
-        "its own user, root, and the group 'lfield': use sudo, if that is a host of yours"
+        "handshake refused: the host is run by user 12347 of this computer, and a command trusts only "
+        "its own user, root, and the group 'lfield': use sudo, if it is a host of yours"
     )
     assert heard == []
     for believed in (0, 1001):
-        assert asked_of(believed, ask.STATUS) == STATUS
+        assert asked_of(believed, client.SNAPSHOT) == SNAPSHOT
 
 
 def asked_of(user: int, request, heard: list[object] | None = None):
@@ -217,7 +227,7 @@ def asked_of(user: int, request, heard: list[object] | None = None):
         finally:
             os.seteuid(0)
         try:
-            return (await ask.ask_all(transport, {"alpha": listener.address}, request))["alpha"]
+            return (await client.ask_all(transport, {"alpha": listener.address}, request))["alpha"]
         finally:
             listener.close()
 
@@ -238,7 +248,7 @@ def test_a_bug_of_ours_is_told_as_one_and_not_tried_again(ring, monkeypatch):
     def clipped_badly(reason: str) -> str:
         return reason + "\udcff"
 
-    monkeypatch.setattr(ask, "clip", clipped_badly)
+    monkeypatch.setattr(client, "truncate", clipped_badly)
     with pytest.raises(UnicodeEncodeError):
-        asked(ring, ask.emergency_stop("fire"), ring.folder, host)
+        asked(ring, client.emergency_stop("fire"), ring.folder, host)
     assert len(called) == 2

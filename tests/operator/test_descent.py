@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import pytest
+from scripted_snapshots import state_of
 
-from lfield.errors import AddressError, NobodyListens
-from lfield.operator.addressed import Place
-from lfield.operator.descent import Descent
-from lfield.wire.observing import DeviceStatus, EmergencyStopped, Status
+from lfield.errors import AddressError, NoListener
+from lfield.operator.safe_state_progress import UNREACHABLE_TIMEOUT, SafeStateProgress
+from lfield.operator.targets import HostRef
+from lfield.wire.observer_messages import DeviceStatus, EmergencyStopResult, Status
 
-ALPHA, BRAVO = Place("tour-1", "alpha"), Place("tour-1", "bravo")
+ALPHA, BRAVO = HostRef("tour-1", "alpha"), HostRef("tour-1", "bravo")
 
 
 def status(moving: str = "", *, latched: str = "stopped", silent: float | None = 0.1, name="fc") -> Status:
@@ -18,30 +19,30 @@ def status(moving: str = "", *, latched: str = "stopped", silent: float | None =
     return Status("alpha", "", 1.0, b"", b"", [], [], [device], [], [])
 
 
-def descent(problem: str = "") -> Descent:
+def descent(problem: str = "") -> SafeStateProgress:
     """One device of one host, ten seconds before its time is up."""
-    made = Descent(10.0, 100.0)
-    made.stopped(ALPHA, EmergencyStopped({"fc": problem}))
+    made = SafeStateProgress(10.0, 100.0)
+    made.on_stopped(ALPHA, EmergencyStopResult({"fc": problem}))
     return made
 
 
-def look(made: Descent, at: float, answer, place=ALPHA) -> list[str]:
+def look(made: SafeStateProgress, at: float, answer, place=ALPHA) -> list[str]:
     """One look; the lines it gives."""
-    made.at(at)
-    made.told(place, answer)
-    return [device.words for device in made.news()]
+    made.set_time(at)
+    made.on_host(place, state_of(answer))
+    return [device.activity for device in made.changes()]
 
 
-def wrong(made: Descent) -> list[str]:
+def wrong(made: SafeStateProgress) -> list[str]:
     return [sentence for _, sentence in made.verdicts()]
 
 
 def test_a_device_is_looked_at_until_it_is_at_rest():
     made = descent()
     assert look(made, 100.5, status("descends, 5 m")) == ["descends, 5 m"]
-    assert not made.over
+    assert not made.is_over
     assert look(made, 102.0, status()) == ["at rest"]
-    assert made.over
+    assert made.is_over
     assert wrong(made) == []
 
 
@@ -59,9 +60,9 @@ def test_words_are_told_when_they_change_and_once_in_a_second():
 def test_a_device_that_does_not_come_to_rest_in_its_time():
     made = descent()
     look(made, 109.0, status("descends"))
-    assert not made.over
+    assert not made.is_over
     look(made, 110.0, status("descends"))
-    assert made.over
+    assert made.is_over
     assert wrong(made) == ["NOT AT REST after 10 s; last seen 0 s ago: descends"]
 
 
@@ -69,7 +70,7 @@ def test_a_device_that_was_not_confirmed_in_time_is_well_once_it_is_seen_at_rest
     made = descent("its safe state was not confirmed in 5 s")
     assert wrong(made) == ["NOT CONFIRMED: its safe state was not confirmed in 5 s; last seen: never"]
     look(made, 101.0, status())
-    assert made.over
+    assert made.is_over
     assert wrong(made) == []
 
 
@@ -78,7 +79,7 @@ def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
     made = descent()
     look(made, 101.0, status("descends"))
     assert look(made, 104.5, status(moving, silent=3.5)) == ["not heard any more"]
-    assert not made.over
+    assert not made.is_over
     look(made, 110.0, status(moving, silent=9.0))
     assert wrong(made) == ["NOT AT REST after 10 s: not heard any more; last seen 9 s ago: descends"]
 
@@ -87,7 +88,7 @@ def test_what_was_heard_before_the_stop_is_no_news_of_it():
     made = descent()
     assert look(made, 100.0, status(silent=0.1)) == []
     assert look(made, 100.5, status(silent=0.5)) == []
-    assert not made.over
+    assert not made.is_over
     assert look(made, 101.0, status(silent=0.2)) == ["at rest"]
     never_told = descent()
     assert look(never_told, 100.0, status(silent=None)) == ["at rest"]
@@ -106,29 +107,29 @@ def test_a_device_in_use_is_not_at_rest():
     """Its host was restarted, or somebody has lifted the stop and released it."""
     made = descent()
     assert look(made, 101.0, status(latched="")) == ["NOT in its safe state"]
-    assert not made.over
+    assert not made.is_over
     look(made, 102.0, status())
     look(made, 103.0, status("takes off", latched=""))
-    assert not made.over
+    assert not made.is_over
 
 
 def test_a_host_that_ends_before_its_devices_were_seen_at_rest():
     made = descent()
     look(made, 101.0, status("descends"))
-    assert look(made, 102.0, NobodyListens("10.0.0.1:1")) == ["its host has ended"]
-    assert made.over
-    assert made.places == set()
+    assert look(made, 102.0, NoListener("10.0.0.1:1")) == ["its host has ended"]
+    assert made.is_over
+    assert made.host_refs == set()
     assert wrong(made) == ["NOT SEEN AT REST: its host has ended before; last seen 1 s ago: descends"]
 
 
 def test_a_host_that_ends_after_they_were():
     made = descent()
-    made.stopped(BRAVO, EmergencyStopped({"fc": ""}))
+    made.on_stopped(BRAVO, EmergencyStopResult({"fc": ""}))
     look(made, 101.0, status())
-    assert not made.over
-    assert look(made, 102.0, NobodyListens("10.0.0.1:1")) == []
+    assert not made.is_over
+    assert look(made, 102.0, NoListener("10.0.0.1:1")) == []
     look(made, 103.0, status(), BRAVO)
-    assert made.over
+    assert made.is_over
     assert wrong(made) == []
 
 
@@ -137,7 +138,7 @@ def test_a_host_that_does_not_answer_is_asked_again():
     look(made, 101.0, status("descends"))
     late = AddressError("10.0.0.1:1", "no answer within 2 s")
     assert look(made, 103.0, late) == [f"its host does not answer: {late}"]
-    assert made.places == {ALPHA}
+    assert made.host_refs == {ALPHA}
     assert look(made, 103.0, late) == []
     look(made, 110.0, late)
     assert wrong(made) == [
@@ -148,6 +149,44 @@ def test_a_host_that_does_not_answer_is_asked_again():
     assert wrong(made) == []
 
 
+def test_a_host_that_another_has_relayed_to_is_not_waited_for_until_the_end():
+    """It has confirmed the safe state through another host, and no connection to it can be made."""
+    made = SafeStateProgress(120.0, 100.0)
+    made.on_stopped(ALPHA, EmergencyStopResult({"fc": ""}))
+    made.on_stopped(BRAVO, EmergencyStopResult({"fc": ""}))
+    late = AddressError("10.0.0.1:1", "no answer within 2 s")
+    look(made, 102.0, late)
+    look(made, 102.0, status(), BRAVO)
+    assert not made.is_over
+    look(made, 100.0 + UNREACHABLE_TIMEOUT, late)
+    assert made.is_over
+    assert wrong(made) == [
+        f"NOT SEEN AT REST: it has confirmed its safe state, but its host does not answer: {late}"
+    ]
+
+
+def test_a_host_that_cannot_be_asked_is_asked_while_others_descend():
+    made = SafeStateProgress(120.0, 100.0)
+    for place in (ALPHA, BRAVO):
+        made.on_stopped(place, EmergencyStopResult({"fc": ""}))
+    look(made, 111.0, AddressError("10.0.0.1:1", "no answer within 2 s"))
+    look(made, 111.0, status("descends"), BRAVO)
+    assert not made.is_over
+    assert made.host_refs == {ALPHA, BRAVO}
+    look(made, 115.0, status())
+    look(made, 115.0, status(), BRAVO)
+    assert made.is_over
+    assert wrong(made) == []
+
+
+def test_a_host_that_has_answered_once_is_looked_for_until_the_end():
+    made = SafeStateProgress(120.0, 100.0)
+    made.on_stopped(ALPHA, EmergencyStopResult({"fc": ""}))
+    look(made, 101.0, status("descends"))
+    look(made, 150.0, AddressError("10.0.0.1:1", "no answer within 2 s"))
+    assert not made.is_over
+
+
 def test_a_device_that_its_host_says_nothing_of():
     made = descent()
     look(made, 110.0, status(name="other"))
@@ -155,8 +194,8 @@ def test_a_device_that_its_host_says_nothing_of():
 
 
 def test_hosts_without_devices_are_not_waited_for():
-    made = Descent(10.0, 100.0)
-    made.stopped(ALPHA, EmergencyStopped({}))
-    assert made.over
-    assert made.places == set()
+    made = SafeStateProgress(10.0, 100.0)
+    made.on_stopped(ALPHA, EmergencyStopResult({}))
+    assert made.is_over
+    assert made.host_refs == set()
     assert wrong(made) == []

@@ -11,9 +11,9 @@ import pytest
 
 from lfield.clock import SystemClock
 from lfield.driver.plugins import Plugins
-from lfield.operator.doctor import Finding, drivers, endpoints, system
+from lfield.operator.diagnostics import DiagnosticFinding, drivers, endpoints, system
 from lfield.testing.driver_bench import bind
-from lfield.testing.engines import NEEDED
+from switching_engine import NEEDED
 
 
 @pytest.fixture
@@ -43,10 +43,11 @@ def test_a_computer_without_ports(findings):
 
 
 @pytest.mark.parametrize(
-    ("group", "state", "words"), [(7, "ok", "members of the group lfield"), (None, "note", "nobody but")]
+    ("group", "state", "words"),
+    [(7, "ok", "members of the group lfield"), (None, "note", "only this user and root")],
 )
 def test_who_may_stop_what_this_user_starts(findings, monkeypatch, group, state, words):
-    monkeypatch.setattr("lfield.operator.doctor.sharing", lambda: group)
+    monkeypatch.setattr("lfield.operator.diagnostics.shared_group_id", lambda: group)
     found = one(findings(), words)
     assert (found.state, "sudo groupadd --force lfield" in found.cure) == (state, group is None)
 
@@ -55,15 +56,15 @@ def test_who_may_stop_what_this_user_starts(findings, monkeypatch, group, state,
     ("installed", "state", "words"), [(True, "ok", "wasmtime "), (False, "note", "the reference engine runs")]
 )
 def test_what_runs_programs_here(findings, monkeypatch, installed, state, words):
-    monkeypatch.setattr("lfield.operator.doctor.has_wasm", lambda: installed)
+    monkeypatch.setattr("lfield.operator.diagnostics.has_wasm", lambda: installed)
     if installed:
         pytest.importorskip("wasmtime", reason=NEEDED)
     assert one(findings(), words).state == state
 
 
 def test_a_wasmtime_of_another_processor_is_told(findings, monkeypatch):
-    monkeypatch.setattr("lfield.operator.doctor.has_wasm", lambda: True)
-    monkeypatch.setitem(sys.modules, "lfield.vm.wasm.engine", None)
+    monkeypatch.setattr("lfield.operator.diagnostics.has_wasm", lambda: True)
+    monkeypatch.setitem(sys.modules, "lfield.vm.wasm.wasm_engine", None)
     monkeypatch.setattr("importlib.metadata.version", lambda name: "50.0.1")
     assert one(findings(), "wasmtime cannot be used").state == "warning"
 
@@ -75,7 +76,7 @@ def test_a_wasmtime_that_cannot_compile_programs_is_told(findings, monkeypatch):
     def refuse(*_):
         raise wasmtime.WasmtimeError("WebAssembly translation error")
 
-    monkeypatch.setattr("lfield.vm.wasm.engine.code_of", refuse)
+    monkeypatch.setattr("lfield.vm.wasm.wasm_engine.code_of", refuse)
     what = "the reference engine runs programs: wasmtime cannot be used: WebAssembly translation error"
     assert one(findings(), what).state == "warning"
 
@@ -126,7 +127,7 @@ def test_a_missing_library_is_a_problem_of_the_missions_that_use_its_driver(bare
 
 
 def test_a_device_whose_driver_lacks_its_library_needs_that_and_no_cable(bare):
-    told: list[Finding] = []
+    told: list[DiagnosticFinding] = []
     asyncio.run(
         endpoints(bare, [bind(bare.by_driver["mavlink"].plugin, "Mavlink")], SystemClock(), told.append)
     )

@@ -9,17 +9,17 @@ import msgspec
 import pytest
 
 from lfield.cli.main import main
-from lfield.cli.team.estop import way_down
+from lfield.cli.operations.estop import watch_safe_states
 from lfield.operator import runs
-from lfield.operator.addressed import Party, open_team
-from lfield.operator.descent import Descent
-from lfield.operator.runs import Note, Run
+from lfield.operator.runs import Run, RunManifest
+from lfield.operator.safe_state_progress import SafeStateProgress
+from lfield.operator.targets import TargetTeam, open_team
 
 
 def claimed(*hosts: str, mission="/m/tour.dL", rest_within=60.0) -> Run:
     """A run of mallory, who listens nowhere."""
     doors = {host: f"{number}.sock" for number, host in enumerate(hosts)}
-    note = Note(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), doors)
+    note = RunManifest(mission, "d" * 64, 7, 1.0, rest_within, dict.fromkeys(hosts, "127.0.0.1:1"), doors)
     return Run(Path("/nowhere/tour-0a1b2c3d"), note, "mallory", is_foreign=True)
 
 
@@ -57,7 +57,7 @@ def test_events_follow_some_hosts_of_another_user(there, capsys):
     there(claimed(*(f"h{number}" for number in range(40))))
     assert main(["events", "--no-follow"]) == 69
     said = capsys.readouterr().err
-    assert "lfield: 8 hosts of user mallory are not heard: name a run with --run" in said
+    assert "lfield: 8 hosts of user mallory are left out: name a run with --run" in said
     assert "h31: not heard" in said
     assert "h32" not in said
 
@@ -83,24 +83,31 @@ def test_a_mission_that_is_named_is_asked_where_it_says_and_others_are_named(the
     false = claimed("localhost")
     digest = open_team(file).deployment.hex()
     there(
-        Run(false.folder, msgspec.structs.replace(false.note, deployment=digest), "mallory", is_foreign=True)
+        Run(
+            false.folder,
+            msgspec.structs.replace(false.manifest, deployment=digest),
+            "mallory",
+            is_foreign=True,
+        )
     )
     main(["query", "Hold", str(file)])
     said = capsys.readouterr().err
-    assert "lfield: not asked is what other users run: --run names mallory/tour-0a1b2c3d" in said
+    assert "lfield: runs of other users were not asked: name one with --run: mallory/tour-0a1b2c3d" in said
     assert "/nowhere" not in said
 
 
 def test_the_way_down_is_not_looked_at_for_as_long_as_another_user_says(monkeypatch):
     given = []
 
-    class Given(Descent):
+    class Given(SafeStateProgress):
         def __init__(self, within: float, now: float) -> None:
             super().__init__(within, now)
             given.append(within)
 
-    monkeypatch.setattr("lfield.operator.descent.Descent", Given)
+    monkeypatch.setattr("lfield.operator.safe_state_progress.SafeStateProgress", Given)
     for rest_within in (90.0, 1e6):
         run = claimed("alpha", rest_within=rest_within)
-        assert way_down([Party((run,), {"alpha": run.door("alpha")})], {}, {}, None) == 0
+        assert (
+            watch_safe_states([TargetTeam((run,), {"alpha": run.control_socket("alpha")})], {}, {}, None) == 0
+        )
     assert given == [90.0, 120.0]

@@ -1,4 +1,4 @@
-"""Where runs are: in places that nobody can take from anybody, open to the group where that may be."""
+"""Where runs are: in directories that no other user can change, open to the group where that is possible."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.net import door
-from lfield.operator import places, runs
-from lfield.operator.places import Spot, bases, looked_into, spots
-from lfield.operator.runs import Note, running, runs_here
+from lfield.net import peer_credentials
+from lfield.operator import run_dirs, runs
+from lfield.operator.run_dirs import run_locations, search_roots, searched_dirs
+from lfield.operator.runs import RunManifest, publish_run, runs_here
+from lfield.text import user_dirs
 
-NOTE = Note("/m/tour.dL", "d" * 64, 7, 10.5, 120.0, {"alpha": "127.0.0.1:4001"}, {"alpha": "alpha.sock"})
+NOTE = RunManifest(
+    "/m/tour.dL", "d" * 64, 7, 10.5, 120.0, {"alpha": "127.0.0.1:4001"}, {"alpha": "alpha.sock"}
+)
 #: Users of these tests by number, and the group `lfield` in them.
 ALICE, BOB, MALLORY, GROUP = 4242, 4243, 4244, 4999
 as_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can be other users")
@@ -33,13 +36,12 @@ def tmp_path(monkeypatch) -> Iterator[Path]:
         made.chmod(0o755)
         (made / "shared").mkdir()
         (made / "shared").chmod(0o1777)
-        monkeypatch.setattr(places, "temporary_folder", lambda: made / "shared")
-        monkeypatch.setattr(places, "SHARED", made / "shared")
-        monkeypatch.setattr(places, "RUNTIMES", made / "user")
-        monkeypatch.setattr(places, "SERVICE", made / "none" / "lfield")
+        monkeypatch.setattr(user_dirs, "SHARED", made / "shared")
+        monkeypatch.setattr(run_dirs, "SESSIONS", made / "user")
+        monkeypatch.setattr(run_dirs, "SERVICE", made / "none" / "lfield")
         for name in ("LFIELD_RUNS", "XDG_RUNTIME_DIR", "RUNTIME_DIRECTORY"):
             monkeypatch.delenv(name, raising=False)
-        monkeypatch.setattr(door, "_number_of_group", lambda: None)
+        monkeypatch.setattr(peer_credentials, "_group_id", lambda: None)
         yield made
 
 
@@ -57,7 +59,7 @@ def usual(shared) -> Path:
 def group(monkeypatch) -> int:
     """The group `lfield`, which this user is in."""
     number = GROUP if os.geteuid() == 0 else os.getegid()
-    monkeypatch.setattr(door, "_number_of_group", lambda: number)
+    monkeypatch.setattr(peer_credentials, "_group_id", lambda: number)
     return number
 
 
@@ -66,7 +68,7 @@ def mode(path: Path) -> int:
 
 
 def begun(tell: Callable[[str], None] = pytest.fail):
-    return running(NOTE, tell)
+    return publish_run(NOTE, tell)
 
 
 def owned(path: Path, user: int, rights: int = 0o700, group: int = -1) -> Path:
@@ -102,7 +104,7 @@ def begun_by(user: int, groups: Collection[int]) -> Iterator[Path]:
 
     def begin() -> None:
         os.umask(0o022)
-        run, lock = runs._begin(NOTE, lambda text: None)
+        run, lock = runs._create(NOTE, lambda text: None)
         socket.send_fds(far, [str(run.folder).encode()], [lock])
 
     as_user(user, groups, begin)
@@ -116,12 +118,12 @@ def begun_by(user: int, groups: Collection[int]) -> Iterator[Path]:
         far.detach()
 
 
-# --- nobody takes the place away ----------------------------------------------------------------------------
+# --- directories that other users have created --------------------------------------------------------------
 
 
 @pytest.mark.parametrize("taken", ["a link", "a file", "a fifo", "writable", "another user's"])
-def test_whoever_takes_the_usual_place_keeps_nobody_from_finding_a_run(usual, shared, taken):
-    """As `mkdir /tmp/lfield-1000` of another user does."""
+def test_a_run_is_refused_if_its_directory_is_not_private(usual, shared, taken):
+    """As after `mkdir /tmp/lfield-1000` of another user."""
     if taken == "a link":
         usual.symlink_to(shared)
     elif taken == "a file":
@@ -135,19 +137,27 @@ def test_whoever_takes_the_usual_place_keeps_nobody_from_finding_a_run(usual, sh
         owned(usual, MALLORY, 0o777)
     else:
         usual.symlink_to("/")
-    with begun(), begun():
-        first, second = runs_here()
-        # The second run takes the place of the first: they do not become more and more.
-        assert first.folder.parent == second.folder.parent
-        assert usual.name in first.folder.parent.name
-        assert first.folder.parent != usual
-        assert mode(first.folder.parent) == 0o700
+    with pytest.raises(OutputFileError, match="set XDG_RUNTIME_DIR to another folder") as refused, begun():
+        pytest.fail("it runs")
+    assert refused.value.path == str(usual)
+    assert [path.name for path in shared.iterdir()] == [usual.name]
     assert runs_here() == []
+
+
+def test_a_run_is_in_the_session_directory_if_the_one_of_the_group_is_taken(
+    tmp_path, usual, monkeypatch, group
+):
+    usual.write_text("")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    told = []
+    with begun(told.append):
+        assert [run.folder.parent for run in runs_here()] == [tmp_path / "lfield"]
+    assert [text.partition(":")[0] for text in told] == ["members of the group lfield do not find this run"]
 
 
 def test_where_others_could_remove_a_run_none_begins(shared):
     shared.chmod(0o777)
-    with pytest.raises(OutputFileError, match="others could remove what is in it; no command could"), begun():
+    with pytest.raises(OutputFileError, match="others could remove files in it; no command could"), begun():
         pytest.fail("it runs")
     assert list(shared.iterdir()) == []
 
@@ -160,17 +170,6 @@ def test_a_runtime_folder_that_others_may_change_is_none(tmp_path, usual, monkey
         assert [run.folder.parent for run in runs_here()] == [usual]
 
 
-def test_where_nothing_may_be_listed_only_the_usual_place_counts(shared, usual, monkeypatch):
-    """What is called otherwise would not be found there."""
-
-    def refused(path: object) -> None:
-        raise PermissionError
-
-    with monkeypatch.context() as closed:
-        closed.setattr(os, "scandir", refused)
-        assert list(spots()) == [Spot(usual)]
-
-
 @pytest.mark.parametrize("here", ["", "here"])
 @pytest.mark.parametrize("runtime", [True, False])
 def test_every_place_where_a_run_may_begin_is_looked_into(tmp_path, usual, monkeypatch, group, here, runtime):
@@ -179,43 +178,31 @@ def test_every_place_where_a_run_may_begin_is_looked_into(tmp_path, usual, monke
     (tmp_path / "own").mkdir(mode=0o700)
     if runtime:
         monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "own"))
-    for spot in spots():
-        if spot.path != usual:
-            spot.path.mkdir(mode=0o700, exist_ok=True)
-            assert spot.path in [path for base in bases() for path in base.paths]
+    locations = list(run_locations())
+    assert locations
+    for spot in locations:
+        assert spot.path in [path for base in search_roots() for path in base.paths]
 
 
 @as_root
-def test_another_user_finds_a_run_whose_usual_place_is_taken_and_so_does_root(shared, tmp_path):
+def test_a_run_of_another_user_is_refused_in_a_directory_of_a_third(shared):
     owned(shared / f"lfield-{ALICE}", MALLORY, 0o777)
-    with begun_by(ALICE, ()) as folder:
-        assert folder.parent.name.startswith(f"lfield-{ALICE}-")
 
-        def look() -> None:
-            (run,) = runs_here()
-            assert (run.folder, run.id, run.is_foreign) == (folder, folder.name, False)
+    def begin() -> None:
+        with pytest.raises(OutputFileError, match="belongs to another user"):
+            runs._create(NOTE, lambda text: None)
 
-        as_user(ALICE, (), look)
-        (run,) = runs_here()
-        assert (run.folder, run.id, run.user) == (folder, f"{ALICE}/{folder.name}", str(ALICE))
+    as_user(ALICE, (), begin)
+    assert runs_here() == []
 
 
 @as_root
-def test_folders_of_another_user_are_as_many_as_anybody_needs(shared):
-    for number in range(9):
-        owned(shared / f"lfield-{MALLORY}-{number:08x}", MALLORY)
-    (other,) = [base for base in bases() if base.is_foreign]
-    assert len(other.paths) == 4
-
-
-@as_root
-def test_notes_in_several_folders_take_no_more_than_in_one(tmp_path, shared, monkeypatch):
-    with begun_by(MALLORY, ()), begun_by(MALLORY, ()):
-        (shared / f"lfield-{MALLORY}").rename(shared / f"lfield-{MALLORY}-00000000")
-        with begun_by(MALLORY, ()):
-            assert len(runs_here()) == 3
-            monkeypatch.setattr(runs, "_MOST_OF_OTHERS", 2)
-            assert len(runs_here()) == 2
+def test_only_the_directory_named_after_its_owner_is_searched(shared):
+    owned(shared / f"lfield-{MALLORY}", MALLORY)
+    for name in (f"lfield-{ALICE}", f"lfield-{MALLORY}-0a1b2c3d", f"lfield-0{MALLORY}", "lfield-x"):
+        owned(shared / name, MALLORY)
+    (other,) = [base for base in search_roots() if base.is_foreign]
+    assert (other.paths, other.owners) == ([shared / f"lfield-{MALLORY}"], {MALLORY})
 
 
 # --- the group ----------------------------------------------------------------------------------------------
@@ -225,7 +212,7 @@ def test_a_run_of_a_member_is_open_to_the_group_and_nothing_else_is(usual, tmp_p
     """Also where there is a runtime folder: others cannot enter that."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     usual.mkdir(mode=0o700)
-    (usual / "lfield-sims").mkdir(mode=0o700)
+    (usual / "sims").mkdir(mode=0o700)
     before = os.umask(0o077)
     try:
         with begun():
@@ -234,7 +221,7 @@ def test_a_run_of_a_member_is_open_to_the_group_and_nothing_else_is(usual, tmp_p
             shown = {path: mode(path) for path in (usual, run.folder, run.folder / "note.json")}
             assert list(shown.values()) == [0o750, 0o750, 0o640]
             assert {path.lstat().st_gid for path in shown} == {group}
-            assert mode(usual / "lfield-sims") == 0o700
+            assert mode(usual / "sims") == 0o700
     finally:
         os.umask(before)
 
@@ -250,7 +237,7 @@ def test_a_run_for_this_environment_alone_is_open_to_nobody(tmp_path, monkeypatc
 
 def test_a_note_is_locked_before_a_group_may_read_it(monkeypatch, group):
     """Whoever may read a file may lock it for reading, and no run would begin."""
-    real, opened = runs.let_read, []
+    real, opened = runs.grant_group_read, []
 
     def let_read(path: Path, group: int) -> None:
         if path.name == "note.json":
@@ -259,7 +246,7 @@ def test_a_note_is_locked_before_a_group_may_read_it(monkeypatch, group):
             opened.append(path)
         real(path, group)
 
-    monkeypatch.setattr(runs, "let_read", let_read)
+    monkeypatch.setattr(runs, "grant_group_read", let_read)
     with begun():
         assert len(opened) == 1
 
@@ -271,7 +258,7 @@ def test_who_may_not_give_files_to_the_group_is_told_and_found_all_the_same(monk
         raise PermissionError(1, "Operation not permitted")
 
     monkeypatch.setattr(os, "fchown", refused)
-    monkeypatch.setattr(door, "_number_of_group", lambda: GROUP)
+    monkeypatch.setattr(peer_credentials, "_group_id", lambda: GROUP)
     monkeypatch.setattr(os, "getgroups", lambda: [GROUP])
     told = []
     with begun(told.append):
@@ -283,11 +270,8 @@ def test_who_may_not_give_files_to_the_group_is_told_and_found_all_the_same(monk
 
 
 @as_root
-@pytest.mark.parametrize("taken", [False, True])
 @pytest.mark.parametrize("starter", [0, ALICE])
-def test_members_find_a_run_of_root_or_a_member_and_nobody_else_does(shared, tmp_path, group, starter, taken):
-    if taken:
-        owned(shared / f"lfield-{starter}", MALLORY, 0o777)
+def test_members_find_a_run_of_root_or_a_member_and_nobody_else_does(shared, group, starter):
     with begun_by(starter, (GROUP,) if starter else ()) as folder:
 
         def look() -> None:
@@ -295,7 +279,7 @@ def test_members_find_a_run_of_root_or_a_member_and_nobody_else_does(shared, tmp
             assert run.folder == folder
             assert run.id == (f"{ALICE}/{folder.name}" if starter else folder.name)
             assert run.is_foreign == bool(starter)
-            assert str(shared / "lfield-*") in looked_into()
+            assert str(shared / "lfield-*") in searched_dirs()
 
         as_user(BOB, (GROUP,), look)
 
@@ -350,13 +334,17 @@ def test_who_is_no_member_begins_a_run_of_their_own_and_members_take_no_notice(t
 
 
 @as_root
-def test_a_place_of_another_member_is_not_taken_for_ones_own(tmp_path, shared, group):
-    """Bob has made the folder of Alice beforehand, and given it to the group."""
+def test_a_directory_of_another_member_is_not_used(shared, group):
+    """Bob has created the directory of Alice and given it to the group."""
     owned(shared / f"lfield-{ALICE}", BOB, 0o750, GROUP)
-    with begun_by(ALICE, (GROUP,)) as folder:
-        assert folder.parent.name.startswith(f"lfield-{ALICE}-")
 
-        def look() -> None:
-            assert [run.folder for run in runs_here()] == [folder]
+    def begin() -> None:
+        with pytest.raises(OutputFileError, match="belongs to another user"):
+            runs._create(NOTE, lambda text: None)
 
-        as_user(BOB, (GROUP,), look)
+    as_user(ALICE, (GROUP,), begin)
+
+    def look() -> None:
+        assert runs_here() == []
+
+    as_user(BOB, (GROUP,), look)

@@ -7,16 +7,16 @@ from pathlib import Path
 import pytest
 
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.reading.signatures import signatures_of
-from lfield.capability.types.compiled import resources_of
+from lfield.capability.program_types.program_resources import resources_of
+from lfield.capability.registry_reader.unit_signatures import signatures_of
 from lfield.driver.plugins import discover
 from lfield.errors import ProgramError
 from lfield.mission import bundle
-from lfield.mission.load import compile_file, load_mission
+from lfield.mission.loader import compile_file, load_mission
 from lfield.mission.registry_check import program_files
-from lfield.operator.addressed import open_team
-from lfield.operator.query import from_files, read_asked
-from lfield.text.source import Diagnostics
+from lfield.operator.targets import open_team
+from lfield.operator.team_query import read_context, roster_from_files
+from lfield.text.source_text import Diagnostics
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -50,8 +50,8 @@ def mission(tmp_path):
 def offered(path: Path, primitive: str, capabilities: Path | None = None) -> list[str]:
     """Who serves a primitive, as anybody is told who asks."""
     team = open_team(path)
-    asked = read_asked(path, team, capabilities)
-    matcher = Matcher(asked.registry, from_files(asked.registry, team.deployed), asked.ways)
+    asked = read_context(path, team, capabilities)
+    matcher = Matcher(asked.registry, roster_from_files(asked.registry, team.deployed), asked.ways)
     return [offer.agent for offer in matcher.find(primitive).offers]
 
 
@@ -110,7 +110,7 @@ def test_a_mission_that_promises_wrongly_hears_it(mission, asks):
 
 def test_what_the_devices_file_states_counts_where_the_program_asks_for_nothing(mission):
     path = mission("flyTo", devices="agents: {lead: {attributes: {mass: 7 kg}}}\n")
-    asked = read_asked(path, open_team(path))
+    asked = read_context(path, open_team(path))
     assert asked.stated == {"lead": {"mass": 7.0}}
 
 

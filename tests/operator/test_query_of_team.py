@@ -5,15 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import pytest
+from scripted_snapshots import states_of
 
-from lfield.capability.matching.expression import compile_constraint
+from lfield.capability.condition_compiler import compile_constraint
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.offer import Fact
-from lfield.capability.reading.reader import check_files, shipped
+from lfield.capability.registry_reader.registry_files import check_files, shipped
 from lfield.errors import AddressError, WireError
-from lfield.operator.ask import silent
-from lfield.operator.query import from_files, from_hosts, views_of
-from lfield.wire.observing import Status, Told, ToldFact
+from lfield.operator.client import unanswered
+from lfield.operator.team_query import directory_views, roster_from_files, roster_from_hosts
+from lfield.wire.observer_messages import AttributeReading, DirectoryEntry, Status
 
 REGISTRY = """
 registry: 1
@@ -49,11 +50,15 @@ def registry(tmp_path_factory):
 
 
 def told(refusal="", unknown=None, **facts):
-    return refusal, {name: ToldFact(value, age) for name, (value, age) in facts.items()}, unknown or {}
+    return (
+        refusal,
+        {name: AttributeReading(value, age) for name, (value, age) in facts.items()},
+        unknown or {},
+    )
 
 
 def status(**agents):
-    directory = [Told(agent, *said) for agent, said in agents.items()]
+    directory = [DirectoryEntry(agent, *said) for agent, said in agents.items()]
     return Status("alpha", "", 0.0, b"", b"", [], [], [], [], directory)
 
 
@@ -63,21 +68,23 @@ def refusals(registry, team, condition):
 
 
 def hosts(registry, answers, at=""):
-    return from_hosts(registry, AGENTS, views_of(answers), silent(answers), at).candidates("Hoist")
+    return roster_from_hosts(
+        registry, AGENTS, directory_views(states_of(answers)), unanswered(answers), at
+    ).candidates("Hoist")
 
 
 def test_from_the_files_only_what_is_written_is_known(registry):
-    first, second = from_files(registry, AGENTS).candidates("Hoist")
+    first, second = roster_from_files(registry, AGENTS).candidates("Hoist")
     assert (first.agent, first.host, dict(first.stated)) == ("first", "alpha", {})
     assert second.stated == {"payload": Fact(1.2), "battery": Fact(0.5)}
     assert (dict(first.facts), dict(second.facts)) == ({}, {})
     assert set(first.unknown) == {"battery", "armed", "fix", "note"}
     assert set(second.unknown) == {"armed", "fix", "note"}
-    assert from_files(registry, AGENTS).candidates("Boss") == ()
+    assert roster_from_files(registry, AGENTS).candidates("Boss") == ()
 
 
 def test_a_condition_on_what_only_devices_know(registry):
-    team = from_files(registry, AGENTS)
+    team = roster_from_files(registry, AGENTS)
     assert refusals(registry, team, "battery >= 0.6") == [
         "first: battery is not known: the team is not running",
         "second: battery 0.5 < 0.6",
@@ -85,8 +92,8 @@ def test_a_condition_on_what_only_devices_know(registry):
 
 
 def test_hops_are_counted_from_where_the_question_is_asked(registry):
-    assert [c.hops for c in from_files(registry, AGENTS).candidates("Hoist")] == [1, 1]
-    assert [c.hops for c in from_files(registry, AGENTS, "bravo").candidates("Hoist")] == [1, 0]
+    assert [c.hops for c in roster_from_files(registry, AGENTS).candidates("Hoist")] == [1, 1]
+    assert [c.hops for c in roster_from_files(registry, AGENTS, "bravo").candidates("Hoist")] == [1, 0]
 
 
 def test_live_values_come_with_their_age(registry):
@@ -151,11 +158,11 @@ def test_values_that_cannot_be_are_left_out(registry, facts):
 
 def test_a_host_that_tells_nonsense_counts_as_silent(registry):
     answers = {"alpha": WireError("a message cannot be read: Expected `array`, got `int`"), "bravo": status()}
-    assert views_of(answers) == {"bravo": {}}
-    assert silent(answers) == {"alpha": answers["alpha"]}
+    assert directory_views(states_of(answers)) == {"bravo": {}}
+    assert unanswered(answers) == {"alpha": answers["alpha"]}
     assert hosts(registry, answers)[0].refusal == "its host alpha does not answer"
 
 
 def test_a_host_without_a_directory_has_answered():
     answers = {"alpha": status()}
-    assert (views_of(answers), silent(answers)) == ({"alpha": {}}, {})
+    assert (directory_views(states_of(answers)), unanswered(answers)) == ({"alpha": {}}, {})

@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.errors import ProgramError, UsageError
-from lfield.operator.question import read_question
+from lfield.operator.query_parser import parse_query
 
 
 @cache
@@ -21,7 +21,7 @@ def registry() -> Registry:
 
 def asked(text: str) -> tuple[list[str], str | None]:
     """The primitives and the condition of a question."""
-    question = read_question(text, registry())
+    question = parse_query(text, registry())
     constraint = question.constraint.text.strip() if question.constraint is not None else None
     return [primitive.name for primitive in question.primitives], constraint
 

@@ -18,13 +18,14 @@ import msgspec
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.operator import places, runs
-from lfield.operator.places import Spot, unseen
-from lfield.operator.runs import Note, nothing_here, running, runs_here
+from lfield.operator import run_dirs, runs
+from lfield.operator.run_dirs import RunLocation, unreadable_hint
+from lfield.operator.runs import RunManifest, no_runs_hint, publish_run, runs_here
+from lfield.text import user_dirs
 
 DEPLOYMENT = b"d" * 32
 ADDRESSES = {"alpha": "127.0.0.1:4001", "bravo": "127.0.0.1:4002"}
-NOTE = Note("/m/tour.dL", DEPLOYMENT.hex(), 7, 10.5, 120.0, ADDRESSES, {"alpha": "alpha.sock"})
+NOTE = RunManifest("/m/tour.dL", DEPLOYMENT.hex(), 7, 10.5, 120.0, ADDRESSES, {"alpha": "alpha.sock"})
 
 
 @pytest.fixture
@@ -37,14 +38,13 @@ def tmp_path():
 @pytest.fixture(autouse=True)
 def folder(tmp_path, monkeypatch):
     """Where this user's runs are."""
-    for name in ("temporary", "run"):
+    for name in ("shared", "run"):
         (tmp_path / name).mkdir(mode=0o700)
-    monkeypatch.setattr(places, "temporary_folder", lambda: tmp_path / "temporary")
-    monkeypatch.setattr(places, "SERVICE", tmp_path / "run" / "lfield")
-    monkeypatch.setattr(places, "RUNTIMES", tmp_path / "run" / "user")
-    monkeypatch.setattr(places, "SHARED", tmp_path / "shared")
+    monkeypatch.setattr(run_dirs, "SERVICE", tmp_path / "run" / "lfield")
+    monkeypatch.setattr(run_dirs, "SESSIONS", tmp_path / "run" / "user")
+    monkeypatch.setattr(user_dirs, "SHARED", tmp_path / "shared")
     # What is open to the group is in test_places.
-    monkeypatch.setattr(places, "sharing", lambda: None)
+    monkeypatch.setattr(run_dirs, "shared_group_id", lambda: None)
     monkeypatch.delenv("LFIELD_RUNS", raising=False)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
@@ -60,15 +60,15 @@ def service(tmp_path, monkeypatch):
     return made
 
 
-def begun(note: Note = NOTE):
-    return running(note, pytest.fail)
+def begun(note: RunManifest = NOTE):
+    return publish_run(note, pytest.fail)
 
 
 def mode(path: Path) -> int:
     return path.lstat().st_mode & 0o777
 
 
-def changed(**fields) -> Note:
+def changed(**fields) -> RunManifest:
     return msgspec.structs.replace(NOTE, **fields)
 
 
@@ -76,10 +76,10 @@ def test_a_run_is_found_for_as_long_as_it_lives():
     assert runs_here() == []
     with begun() as doors:
         (run,) = runs_here()
-        assert run.note == NOTE
+        assert run.manifest == NOTE
         assert re.fullmatch("tour-[0-9a-f]{8}", run.id)
         assert dict(doors.addresses) == {"alpha": f"unix:{run.folder}/alpha.sock"}
-        assert (run.door("alpha"), run.door("bravo")) == (doors.addresses["alpha"], "")
+        assert (run.control_socket("alpha"), run.control_socket("bravo")) == (doors.addresses["alpha"], "")
     assert runs_here() == []
 
 
@@ -95,15 +95,14 @@ def test_only_its_user_can_read_it_and_nothing_is_left_behind(folder):
 def test_two_runs_of_one_mission_do_not_touch_each_other():
     with begun() as first:
         with begun(changed(started=11.0)) as second:
-            assert [run.note.started for run in runs_here()] == [10.5, 11.0]
+            assert [run.manifest.started for run in runs_here()] == [10.5, 11.0]
             assert first.addresses != second.addresses
-        assert [run.note.started for run in runs_here()] == [10.5]
+        assert [run.manifest.started for run in runs_here()] == [10.5]
 
 
-def test_what_no_command_could_find_does_not_begin(folder, tmp_path):
+def test_what_no_command_could_find_does_not_begin(folder):
     """Nobody could stop it, whatever keys there are."""
     folder.write_text("a file, not a folder")
-    (tmp_path / "temporary").chmod(0o777)
     with pytest.raises(OutputFileError) as error, begun():
         pytest.fail("it runs")
     assert str(error.value) == (
@@ -113,14 +112,13 @@ def test_what_no_command_could_find_does_not_begin(folder, tmp_path):
 
 
 def test_a_folder_that_somebody_else_made_ready_is_not_used(folder, tmp_path):
-    """In /tmp anybody can make it first, or a link in its place: the next one is used, and found."""
+    """Neither a link nor a directory that others may write to."""
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir(mode=0o700)
     folder.symlink_to(elsewhere)
-    with begun():
-        assert list(elsewhere.iterdir()) == []
-        (run,) = runs_here()
-        assert run.folder.is_relative_to(tmp_path / "temporary")
+    with pytest.raises(OutputFileError, match="it is a link"), begun():
+        pytest.fail("it runs")
+    assert list(elsewhere.iterdir()) == []
     folder.unlink()
     with begun():
         folder.chmod(0o777)
@@ -170,7 +168,7 @@ def test_what_is_left_of_a_killed_run_is_tidied_up(folder):
 
 def test_a_run_lives_while_a_process_that_inherited_its_lock_does(folder):
     """As hosts of `up --all` whose parent was killed: they land their vehicles and answer."""
-    run, lock = runs._begin(NOTE, pytest.fail)
+    run, lock = runs._create(NOTE, pytest.fail)
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE, pass_fds=[lock])
     os.close(lock)
     assert [found.folder for found in runs_here()] == [run.folder]
@@ -193,7 +191,7 @@ def test_names_of_missions_that_are_no_names_of_folders(file, name):
     with begun(changed(mission=file)):
         (run,) = runs_here()
         assert run.id.rpartition("-")[0] == name
-        assert run.note.mission == file
+        assert run.manifest.mission == file
 
 
 @dataclass
@@ -205,12 +203,12 @@ class Mission:
 
     @property
     def team(self):
-        return type("Team", (), {"deployment": DEPLOYMENT, "reached": self.hosts})
+        return type("Team", (), {"deployment": DEPLOYMENT, "addresses_by_host": self.hosts})
 
 
 def test_odd_hosts_have_odd_doors():
     hosts = ["alpha", "10.0.0.7", "a/../b", "fe80::1", "x" * 64, "-"]
-    note = runs.begun(Mission(dict.fromkeys(hosts, "h:1")), Path("tour.dL"), hosts)
+    note = runs.run_manifest(Mission(dict.fromkeys(hosts, "h:1")), Path("tour.dL"), hosts)
     assert Path(note.mission).is_absolute()
     assert list(note.doors.values()) == [
         "alpha.sock",
@@ -222,21 +220,16 @@ def test_odd_hosts_have_odd_doors():
     ]
     with begun(note):
         (run,) = runs_here()
-        assert run.note.doors == note.doors
+        assert run.manifest.doors == note.doors
 
 
 def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):
     deep = tmp_path / ("x" * 90)
     deep.mkdir()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(deep))
-    with begun():
-        (run,) = runs_here()
-        assert run.folder.is_relative_to(tmp_path / "temporary")
-        assert list(deep.iterdir()) == []
-        with monkeypatch.context() as alone:
-            alone.setenv("LFIELD_RUNS", "here")
-            with pytest.raises(OutputFileError, match="too long for a socket; set XDG_RUNTIME_DIR"), begun():
-                pytest.fail("it runs")
+    with pytest.raises(OutputFileError, match="too long for a socket; set XDG_RUNTIME_DIR"), begun():
+        pytest.fail("it runs")
+    assert list(deep.iterdir()) == []
 
 
 def test_the_folder_of_another_user_is_not_taken_for_ours(folder, tmp_path, monkeypatch):
@@ -244,17 +237,16 @@ def test_the_folder_of_another_user_is_not_taken_for_ours(folder, tmp_path, monk
     monkeypatch.setenv("XDG_RUNTIME_DIR", "/proc/1" if os.geteuid() else str(tmp_path / "gone"))
     with begun():
         (run,) = runs_here()
-        assert run.folder.parent == tmp_path / "temporary" / f"lfield-{os.geteuid()}"
+        assert run.folder.parent == tmp_path / "shared" / f"lfield-{os.geteuid()}"
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     with begun():
         assert [run.folder.parent for run in runs_here()] == [folder]
 
 
 def test_a_login_with_another_environment_finds_the_run(tmp_path, monkeypatch):
-    """Of cron or sudo: no XDG_RUNTIME_DIR, no TMPDIR."""
+    """Of cron or sudo: no XDG_RUNTIME_DIR."""
     user = os.geteuid()
     runtime = tmp_path / "run" / "user" / str(user)
-    (tmp_path / "shared").mkdir()
     runtime.mkdir(mode=0o700, parents=True)
     where = {"runtime": runtime / "lfield", "shared": tmp_path / "shared" / f"lfield-{user}"}
     with monkeypatch.context() as login:
@@ -262,7 +254,6 @@ def test_a_login_with_another_environment_finds_the_run(tmp_path, monkeypatch):
         in_runtime = begun()
         in_runtime.__enter__()
         login.delenv("XDG_RUNTIME_DIR")
-        login.setattr(places, "temporary_folder", lambda: tmp_path / "shared")
         in_shared = begun(changed(started=11.0))
         in_shared.__enter__()
     try:
@@ -285,10 +276,10 @@ def owned(folder: Path, user: int) -> None:
 @pytest.mark.parametrize("place", ["run/user/4242/lfield", "shared/lfield-4242"])
 def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, monkeypatch, place):
     base = tmp_path / place
-    base.parent.mkdir(parents=True)
+    base.parent.mkdir(parents=True, exist_ok=True)
     with monkeypatch.context() as login:
-        login.setattr(runs, "spots", lambda: [Spot(base)])
-        run, lock = runs._begin(NOTE, pytest.fail)
+        login.setattr(runs, "run_locations", lambda: [RunLocation(base)])
+        run, lock = runs._create(NOTE, pytest.fail)
     try:
         owned(base, 4242)
         (found,) = runs_here()
@@ -311,14 +302,14 @@ def test_root_finds_the_runs_of_other_users_in_their_own_name_only(tmp_path, mon
 def of_others(tmp_path, monkeypatch):
     """A run of user 4242, as its process has made it; more of them can be made."""
     base = tmp_path / "shared" / "lfield-4242"
-    base.parent.mkdir(parents=True)
+    base.parent.mkdir(parents=True, exist_ok=True)
     locks = []
 
     def make(**fields):
         with monkeypatch.context() as login:
-            login.setattr(runs, "spots", lambda: [Spot(base)])
+            login.setattr(runs, "run_locations", lambda: [RunLocation(base)])
             os.chown(base, 0, 0) if base.exists() else None
-            run, lock = runs._begin(changed(**fields), pytest.fail)
+            run, lock = runs._create(changed(**fields), pytest.fail)
         locks.append(lock)
         owned(base, 4242)
         return run
@@ -341,11 +332,11 @@ def test_whose_a_run_is_says_its_file_and_not_its_note(of_others):
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to others")
 def test_notes_of_another_user_take_no_more_than_one_note_may(of_others, monkeypatch):
     for _ in range(5):
-        size = len(msgspec.json.encode(of_others().note))
+        size = len(msgspec.json.encode(of_others().manifest))
     with begun():
-        monkeypatch.setattr(runs, "_MAX_NOTE", 3 * size + 1)
+        monkeypatch.setattr(runs, "_MAX_MANIFEST", 3 * size + 1)
         assert [run.is_foreign for run in runs_here()] == [False, True, True, True]
-        monkeypatch.setattr(runs, "_MOST_OF_OTHERS", 2)
+        monkeypatch.setattr(runs, "_MAX_FOREIGN", 2)
         assert [run.is_foreign for run in runs_here()] == [False, True, True]
 
 
@@ -359,14 +350,14 @@ def test_a_fifo_in_the_place_of_a_note_keeps_nobody(of_others):
 
 
 def test_who_finds_nothing_hears_where_was_looked(tmp_path, monkeypatch):
-    said = nothing_here()
+    said = no_runs_hint()
     for place in (
         tmp_path / "lfield",
         tmp_path / "run" / "lfield",
         tmp_path / "shared" / f"lfield-{os.geteuid()}",
     ):
         assert str(place) in said
-    assert "another TMPDIR or XDG_RUNTIME_DIR is found with that set the same" in said
+    assert "another XDG_RUNTIME_DIR set the same value" in said
     assert (str(tmp_path / "shared" / "lfield-*") in said) == (os.geteuid() == 0)
 
 
@@ -381,7 +372,7 @@ def test_a_service_shows_its_runs_to_its_group(service, folder):
 
 def test_who_may_only_read_the_note_of_a_killed_run_cannot_keep_it_listed(service):
     """A member of the group may open folder and note, and lock both for reading."""
-    run, lock = runs._begin(NOTE, pytest.fail)
+    run, lock = runs._create(NOTE, pytest.fail)
     held = [os.open(path, os.O_RDONLY) for path in (run.folder, run.folder / "note.json")]
     for opened in held:
         fcntl.flock(opened, fcntl.LOCK_SH)
@@ -419,17 +410,17 @@ def test_a_command_finds_the_runs_of_the_service_and_its_own(service, monkeypatc
     with begun():
         monkeypatch.delenv("RUNTIME_DIRECTORY")
         with begun(changed(started=11.0)):
-            assert [run.note.started for run in runs_here()] == [10.5, 11.0]
+            assert [run.manifest.started for run in runs_here()] == [10.5, 11.0]
         service.parent.chmod(0o777)
         assert runs_here() == []
 
 
 def test_a_service_that_this_user_may_not_look_at_is_told(service, monkeypatch):
-    assert unseen() == ""
+    assert unreadable_hint() == ""
     monkeypatch.setattr(os, "access", lambda path, how: False)
-    assert unseen().startswith(f"what runs in {service} this user may not see: use sudo")
+    assert unreadable_hint().startswith(f"what runs in {service} this user may not see: use sudo")
     service.rmdir()
-    assert unseen() == ""
+    assert unreadable_hint() == ""
 
 
 @pytest.mark.parametrize(

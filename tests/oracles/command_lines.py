@@ -24,7 +24,7 @@ MASKS = (
     (re.compile(r"\b\d\d:\d\d:\d\d\.\d{3}\b"), "TIME"),
     (re.compile(rf"\b{re.escape(__version__)}\b"), "VERSION"),
     (re.compile(rf"\({re.escape(socket.gethostname())}\)"), "(COMPUTER)"),
-    (re.compile(r"looked into \S+( and \S+)*"), "looked into FOLDERS"),
+    (re.compile(r"searched \S+( and \S+)*"), "searched FOLDERS"),
     # The bytes of bundles have names of Python modules in them, and messages.
     (re.compile(r"(\d+ bytes, )?bundle( +)[0-9a-f]{16}"), r"bundle\2DIGEST"),
     (re.compile(r"(?<=          )(drivers|texts) +\d+ bytes  [0-9a-f]{16}"), r"\1 DIGEST"),

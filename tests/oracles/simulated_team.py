@@ -17,12 +17,11 @@ import pytest
 from command_lines import recorded
 
 from lfield.clock import SystemClock
-from lfield.loop import spawn
-from lfield.mission.load import load_mission
-from lfield.net.tcp import TcpTransport
-from lfield.operator import ask
-from lfield.simulate.fleet import PORT, Fleet, copies
-from lfield.simulate.network import resident
+from lfield.event_loop import spawn
+from lfield.mission.loader import load_mission
+from lfield.net.tcp_transport import TcpTransport
+from lfield.operator import client
+from lfield.simulate.host_fleet import PORT, Fleet, copies, host_at_address
 
 DEPLOYMENT = Path(__file__).parent / "team" / "patrol.dL"
 #: Seconds of virtual time between two looks whether a command has ended.
@@ -39,11 +38,11 @@ class SimulatedTeam:
     def __init__(self, folder: Path, patch: pytest.MonkeyPatch) -> None:
         self.fleet = Fleet(load_mission(DEPLOYMENT, simulate=True), seed=1)
         self._folder = folder
-        self._process = self.fleet.station("desk", random.Random(2))
+        self._process = self.fleet.add_station("desk", random.Random(2))
         clock = self._process.loop.machine.clock
         patch.setattr(SystemClock, "monotonic", lambda self: clock.monotonic())
         patch.setattr(SystemClock, "time", lambda self: clock.time())
-        patch.setattr(ask, "TcpTransport", partial(TcpTransport, resident=resident))
+        patch.setattr(client, "TcpTransport", partial(TcpTransport, identify=host_at_address))
         patch.setattr(asyncio, "run", self._run)
         patch.setattr(asyncio, "Runner", partial(_Runner, self._run))
 

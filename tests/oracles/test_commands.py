@@ -31,6 +31,7 @@ def _own_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
 
 
+@pytest.mark.few(20)
 @pytest.mark.parametrize(("command", "case"), of(SHORT))
 def test_a_command_prints_what_it_did(golden, command: str, case: str, tmp_path: Path) -> None:
     golden(command).check(case, transcript(CASES[command][case], tmp_path))

@@ -1,7 +1,7 @@
 """The stories of 2,000 seeds come to what they came to: `outcomes.txt` has a digest for each.
 
 The digests cover what programs, devices and coordinators did in virtual time, and neither names of Python nor
-messages (lfield/simulate/judging/outcome.py). `make oracles` writes the file anew.
+messages (simulation_testing/invariants/outcome_recorder.py). `make oracles` writes the file anew.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from lfield.simulate.seeds import DIGITS, IN_A_LINE, lines_of, told
+from simulation_testing.seed_runner import DIGITS, IN_A_LINE, lines_of, run_seed
 
 FILE = Path(__file__).parent / "outcomes.txt"
 SEEDS = 2000
@@ -24,7 +24,7 @@ def frozen() -> list[str]:
 @pytest.mark.parametrize("first", range(0, SEEDS, IN_A_LINE))
 def test_stories_come_to_what_they_came_to(first: int) -> None:
     seeds = range(first, first + IN_A_LINE)
-    outcomes = [told(seed).outcome[:DIGITS] for seed in seeds]
+    outcomes = [run_seed(seed).outcome[:DIGITS] for seed in seeds]
     _, *expected = frozen()[first // IN_A_LINE].split()
     assert dict(zip(seeds, outcomes, strict=True)) == dict(zip(seeds, expected, strict=True))
 

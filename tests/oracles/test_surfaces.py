@@ -12,9 +12,9 @@ import pytest
 from command_lines import ROOT
 from golden_files import digest
 
-from lfield import exits
-from lfield.bytecode.disassemble import disassemble
-from lfield.capability.reading.reader import read_registry
+from lfield import exit_status
+from lfield.bytecode.disassembler import disassemble
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.cli.main import COMMANDS, MODULES
 from lfield.testing.golden import compile_text
 
@@ -53,7 +53,7 @@ def test_a_command_has_the_options_it_had(golden, command: str) -> None:
 
 
 def test_an_exit_status_means_what_it_did(golden) -> None:
-    meanings = "".join(f"{status:>4}  {words}\n" for status, words in exits.MEANINGS.items())
+    meanings = "".join(f"{status:>4}  {words}\n" for status, words in exit_status.MEANINGS.items())
     golden("options").check("exit statuses", meanings)
     golden("options").has_only([*COMMANDS, "exit statuses"])
 

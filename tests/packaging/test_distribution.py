@@ -58,8 +58,6 @@ def test_the_wheel_holds_the_packages_and_their_data(wheel):
     assert {
         "lfield/py.typed",
         "lfield/cli/main.py",
-        "lfield/docs/language.md",
-        "lfield/docs/bytecode.md",
         "lfield/driver/skeleton/manifest.yaml.in",
         "lfield/driver/skeleton/sensor/manifest.yaml.in",
         "lfield_can/axis.yaml",
@@ -75,10 +73,23 @@ def test_the_wheel_holds_the_packages_and_their_data(wheel):
     assert not [name for name in names if "__pycache__" in name or "/tests/" in name]
 
 
+def test_the_wheel_has_no_developer_tool_and_no_page(wheel):
+    """Scenarios, invariants, fault injection, the fuzzer and the pages are in the clone only."""
+    names = set(zipfile.ZipFile(wheel).namelist())
+    assert {name for name in names if name.startswith("lfield/simulate/") and "/computers/" not in name} == {
+        f"lfield/simulate/{name}.py"
+        for name in ("__init__", "hardware", "host_fleet", "journal_disk", "jumping_loop")
+    }
+    tools = {"docs", "fuzz", "engine_fuzzer", "simulation_testing", "invariants", "scenarios"}
+    assert [name for name in names if tools & set(name.split("/"))] == []
+
+
 def test_everything_of_the_packages_is_in_the_wheel(wheel):
     names = set(zipfile.ZipFile(wheel).namelist())
     for base in (ROOT / "lfield", *(ROOT / "drivers").glob("lfield_*"), ROOT / "sim-adapters/lfield_sim"):
         for path in base.rglob("*"):
+            if path.is_relative_to(ROOT / "lfield/docs"):
+                continue
             if path.suffix in (".py", ".yaml", ".typed", ".in", ".L", ".toml", ".dbc", ".js", ".css", ".svg"):
                 assert f"{base.name}/{path.relative_to(base).as_posix()}" in names
 
@@ -102,6 +113,7 @@ def test_the_metadata_names_licence_extras_and_entry_points(wheel):
     assert sorted(word.split(">")[0].strip() for word in core) == [
         "cryptography",
         "msgspec",
+        "platformdirs",
         "pyyaml",
         "rich",
     ]

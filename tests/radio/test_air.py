@@ -7,10 +7,10 @@ import statistics
 from collections.abc import Iterable
 
 import pytest
-from emulator.air import Air
 from emulator.cells import CELLS, Cell, Channel, Link
 from emulator.channel import SharedChannel
 from emulator.packets import TCP, UDP, Header, read_header
+from emulator.radio_model import Air
 
 NAMES = ("alpha", "bravo", "charlie")
 
@@ -72,7 +72,7 @@ def test_one_seed_is_one_fate_and_other_directions_do_not_change_it() -> None:
         busy.send(0.0, 1, 0, bytes([number]))
         busy.send(0.0, 0, 2, bytes([number]))
     arrivals(busy)
-    busy.take_lost()
+    busy.pop_lost()
     assert [d is None for d in fates(busy, 200)] == [d is None for d in first]
 
 
@@ -84,7 +84,7 @@ def test_bursts_take_both_directions_and_their_share_of_time() -> None:
         model.send(at, 0, 1, b"there")
         model.send(at, 1, 0, b"back")
         list(model.advance(at))
-        ways = [way for way, _ in model.take_lost()]
+        ways = [way for way, _ in model.pop_lost()]
         assert ways in ([], [(0, 1), (1, 0)])
         lost.append(bool(ways))
     assert statistics.mean(lost) == pytest.approx(0.1, abs=0.03)
@@ -104,7 +104,7 @@ def test_senders_take_turns_and_a_full_queue_delays_the_others_by_one_packet() -
     for number in range(5):
         assert channel.offer(0.0, 0, f"a{number}", 100)
     assert channel.offer(0.0, 2, "c", 100)
-    sent = list(channel.begun(10.0))
+    sent = list(channel.pop_started(10.0))
     assert [transmission.item for transmission in sent] == ["a0", "c", "a1", "a2", "a3", "a4"]
     assert [round(transmission.end, 6) for transmission in sent] == [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
 
@@ -112,7 +112,7 @@ def test_senders_take_turns_and_a_full_queue_delays_the_others_by_one_packet() -
 def test_a_free_channel_begins_when_the_packet_comes() -> None:
     channel = SharedChannel[str](Channel(rate=8000), 1)
     channel.offer(5.0, 0, "late", 100)
-    ((_, _, begin, end),) = channel.begun(7.0)
+    ((_, _, begin, end),) = channel.pop_started(7.0)
     assert (begin, end) == (5.0, 5.1)
     assert channel.next_event is None
 
@@ -122,7 +122,7 @@ def test_what_exceeds_the_queue_is_lost() -> None:
     for _ in range(5):
         model.send(0.0, 0, 1, bytes(100))
     # One is on the channel, two wait.
-    assert len(model.take_lost()) == 2
+    assert len(model.pop_lost()) == 2
     assert len(arrivals(model)) == 3
 
 

@@ -47,7 +47,7 @@ def echo(radio: Radio, name: str) -> None:
     assert server.stdout.readline() == b"ready\n"
 
 
-def ask(radio: Radio, name: str, address: str, patience: float = 5.0) -> str:
+def ask(radio: Radio, name: str, address: str, patience: float = 60.0) -> str:
     asked = [sys.executable, "-Sc", ASK, address, patience]
     return str(radio[name].run(asked, capture_output=True, text=True, check=True).stdout.strip())
 

@@ -20,11 +20,11 @@ def told(path: Path) -> list[list[str]]:
 def test_every_change_is_told_once(tmp_path):
     path, now, facts = tmp_path / "log", iter([1.0, 3.5]), {"mode": "AUTO LAND", "armed": True}
     log = StateLog(str(path), {"3": lambda: facts}, lambda: next(now))
-    log.look()
+    log.write_changes()
     facts["armed"] = False
-    log.look()
+    log.write_changes()
     log.close()
-    log.look()
+    log.write_changes()
     assert path.read_text().splitlines() == [
         "1.000000 3 mode=AUTO_LAND",
         "1.000000 3 armed=yes",
@@ -36,7 +36,7 @@ def test_without_a_file_nobody_is_asked():
     def asked():
         raise AssertionError
 
-    StateLog("", {"1": asked}).look()
+    StateLog("", {"1": asked}).write_changes()
 
 
 def test_a_file_that_cannot_be_written(tmp_path):

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from lfield import exits
-from lfield.mission.load import load_mission
+from lfield import exit_status
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.mobility.fates import Absent
-from lfield.mobility.hearsay import Hearsay
-from lfield.simulate.fleet import Fleet
-from lfield.simulate.weather import Weather
+from lfield.replication.locate.outcomes import UnavailableHosts
+from lfield.replication.membership.membership import Membership
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from simulation_testing.fault_injection import FaultRates
 
 PROGRAM = """
 resource Post {
@@ -53,19 +53,19 @@ class Honest:
         alive = {
             (known.agent, known.generation)
             for life in fleet.lives.values()
-            for known in life.core.mobility.knowledge()
+            for known in life.core.mobility.known_states()
             if known.state in ("RUN", "FROZEN", "PREPARED")
         }
         for start in alive:
             self.since.setdefault(start, fleet.now)
         for at, host, text in fleet.log[self.told :]:
-            if text.startswith("walker is lost"):
+            if text.startswith("walker lost: "):
                 old = {start for start in alive if at - self.since[start] > YOUNG}
                 assert not old, f"{host}: {text} while {old} live"
         self.told = len(fleet.log)
 
 
-WORDS = {exits.DONE: "done", exits.FAILED: "lost", exits.UNHEARD: "unheard"}
+WORDS = {exit_status.DONE: "done", exit_status.FAILED: "lost", exit_status.UNKNOWN_OUTCOME: "unheard"}
 
 
 def outcomes(fleet: Fleet) -> dict[str, str]:
@@ -78,7 +78,9 @@ def outcomes(fleet: Fleet) -> dict[str, str]:
 @pytest.mark.parametrize("edge", EDGES, ids="-".join)
 @pytest.mark.parametrize("way", ["a&b&c", "c&b&a", "b&b&b"])
 def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed):
-    fleet = Fleet(mission(tmp_path, way), seed, Honest(), lost_after=5.0, unreachable_after=8.0)
+    fleet = Fleet(
+        mission(tmp_path, way), seed, Honest(), options=FleetOptions(lost_after=5.0, unreachable_after=8.0)
+    )
     fleet.run(3.0)
     fleet.cut(*edge)
     fleet.run(80.0)
@@ -87,7 +89,7 @@ def test_one_edge_of_a_triangle_cut_changes_no_ending(tmp_path, edge, way, seed)
 
 @pytest.mark.parametrize("edge", EDGES, ids="-".join)
 def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
-    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, Honest(), lost_after=3.0)
+    fleet = Fleet(mission(tmp_path, "c&b&a&c"), 1, Honest(), options=FleetOptions(lost_after=3.0))
     for _ in range(6):
         fleet.run(2.5)
         fleet.cut(*edge)
@@ -102,14 +104,16 @@ def test_an_edge_that_heals_changes_nothing_either(tmp_path, edge):
 )
 def test_a_host_that_nobody_hears_is_not_heard_of_wherever_the_walker_was(tmp_path, way):
     """The same word for all who cannot know; those who have it go on."""
-    fleet = Fleet(mission(tmp_path, way), 2, Honest(), lost_after=4.0, unreachable_after=3.0)
+    fleet = Fleet(
+        mission(tmp_path, way), 2, Honest(), options=FleetOptions(lost_after=4.0, unreachable_after=3.0)
+    )
     fleet.run(10.0)
     for other in ("bravo", "carol"):
         fleet.cut("alpha", other)
     fleet.run(80.0)
     assert outcomes(fleet) == {"alpha": "unheard", "bravo": "done", "carol": "done"}
-    (told,) = [text for _, host, text in fleet.log if host == "alpha" and "is not heard of" in text]
-    assert "has not been heard for" in told
+    (told,) = [text for _, host, text in fleet.log if host == "alpha" and "outcome unknown" in text]
+    assert "has been unreachable for" in told
 
 
 def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
@@ -119,7 +123,7 @@ def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
     lines = [f"//Post:{host[0]}@{host}" for host in hosts]
     lines.append("//Walker:walker@alpha?b&c&d&d&d&d&d")
     (tmp_path / "mission.dL").write_text("\n".join(lines) + "\n")
-    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, Honest(), lost_after=4.0)
+    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 3, Honest(), options=FleetOptions(lost_after=4.0))
     for one, other in (("alpha", "carol"), ("alpha", "dana"), ("bravo", "dana")):
         fleet.later(12.0, lambda one=one, other=other: fleet.cut(one, other))
     fleet.run(80.0)
@@ -132,26 +136,31 @@ def test_a_chain_of_hosts_tells_of_its_far_end(tmp_path):
 @pytest.mark.parametrize("home", ["alpha", "bravo"])
 def test_whoever_has_proof_of_a_loss_tells_the_others_before_it_goes(tmp_path, home, seed, away):
     """Also the host that came back: no status depends on who looks first."""
-    fleet = Fleet(mission(tmp_path, "c&c&c&c&c", home), seed, Honest(), lost_after=4.0, keeps=False)
+    fleet = Fleet(
+        mission(tmp_path, "c&c&c&c&c", home),
+        seed,
+        Honest(),
+        options=FleetOptions(lost_after=4.0, keeps=False),
+    )
     fleet.run(8.0 + seed / 20)
     fleet.crash("carol")
     fleet.run(away)
     fleet.boot("carol")
     fleet.run(30.0)
     assert outcomes(fleet) == dict.fromkeys(HOSTS, "lost")
-    times = [at for at, _, text in fleet.log if text.startswith("walker is lost")]
+    times = [at for at, _, text in fleet.log if text.startswith("walker lost: ")]
     assert max(times) - min(times) < 2.0
 
 
 def test_a_host_that_dies_and_stays_away_proves_nothing(tmp_path):
-    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), lost_after=5.0)
+    fleet = Fleet(mission(tmp_path, "c&c&c&c&c"), 5, Honest(), options=FleetOptions(lost_after=5.0))
     fleet.run(8.0)
     fleet.crash("carol")
     fleet.run(30.0)
     assert outcomes(fleet) == {"alpha": "unheard", "bravo": "unheard"}
 
 
-ROUGH = Weather(cut=2.0, one_way=4.0, reset=6.0, kill=15.0, stop=15.0)
+ROUGH = FaultRates(cut=2.0, one_way=4.0, reset=6.0, kill=15.0, stop=15.0)
 ROUND = PROGRAM.replace("int i = 1; i < arg.length(); i = i + 1", "int i = 1; true; i = i % 3 + 1")
 
 
@@ -159,10 +168,12 @@ ROUND = PROGRAM.replace("int i = 1; i < arg.length(); i = i + 1", "int i = 1; tr
 @pytest.mark.parametrize("seed", range(12))
 def test_in_any_weather_nobody_says_lost_while_a_copy_lives(tmp_path, seed):
     fleet = Fleet(
-        mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5")), seed, Honest(),
-        unreachable_after=2.0, lost_after=4.0, keeps=False,
-    )  # fmt: skip
-    ROUGH.over(fleet, random.Random(seed))
+        mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5")),
+        seed,
+        Honest(),
+        options=FleetOptions(unreachable_after=2.0, lost_after=4.0, keeps=False),
+    )
+    ROUGH.inject(fleet, random.Random(seed))
     fleet.run(100.0)
 
 
@@ -171,8 +182,8 @@ def test_losses_are_told_in_bad_weather_at_all(tmp_path):
     told = set()
     for seed in range(12):
         way = mission(tmp_path, "a&b&c", program=ROUND.replace("4.0", "0.5"))
-        fleet = Fleet(way, seed, unreachable_after=2.0, lost_after=4.0, keeps=False)
-        ROUGH.over(fleet, random.Random(seed))
+        fleet = Fleet(way, seed, options=FleetOptions(unreachable_after=2.0, lost_after=4.0, keeps=False))
+        ROUGH.inject(fleet, random.Random(seed))
         fleet.run(100.0)
         told |= set(outcomes(fleet).values())
         if {"lost", "unheard"} <= told:
@@ -181,15 +192,15 @@ def test_losses_are_told_in_bad_weather_at_all(tmp_path):
 
 
 def test_a_judge_that_takes_silence_for_a_loss_is_found(tmp_path, monkeypatch):
-    """The invariant can fail: what hosts did before, planted again."""
+    """A host without an answer is taken for one that has ended."""
 
     def absent(self, answered, now, lost_after, unmet):
-        return Absent(gone=[host for host in HOSTS if host not in answered])
+        return UnavailableHosts(ended=[host for host in HOSTS if host not in answered])
 
     way = mission(tmp_path, "c&c&c&c&c")
-    fleet = Fleet(way, 0, Honest(), lost_after=4.0, keeps=False)
+    fleet = Fleet(way, 0, Honest(), options=FleetOptions(lost_after=4.0, keeps=False))
     fleet.run(8.0)
-    monkeypatch.setattr(Hearsay, "absent", absent)
+    monkeypatch.setattr(Membership, "unavailable_hosts", absent)
     fleet.cut("alpha", "carol")
     with pytest.raises(AssertionError, match="lost"):
         fleet.run(10.0)
@@ -202,7 +213,7 @@ def generations(fleet: Fleet) -> set[int]:
     return {
         known.generation
         for life in fleet.lives.values()
-        for known in life.core.mobility.knowledge()
+        for known in life.core.mobility.known_states()
         if known.agent == "walker"
     }
 
@@ -216,12 +227,12 @@ def test_after_a_crash_a_coordinator_goes_on_as_the_same_start(tmp_path):
         fleet.run(5.0)
         assert generations(fleet) == {1}
         # Its portals change nothing, so nothing of it was kept but that it began.
-        told = [text for _, _, text in fleet.log if text.startswith("walker begins again: ")]
+        told = [text for _, _, text in fleet.log if text.startswith("walker restarted: ")]
         assert len(told) == number
 
 
 def test_a_later_run_counts_on_from_the_disk(tmp_path):
-    fleet = Fleet(mission(tmp_path, "a"), 6, lost_after=4.0)
+    fleet = Fleet(mission(tmp_path, "a"), 6, options=FleetOptions(lost_after=4.0))
     for number in (1, 2, 3):
         fleet.run(20.0)
         assert fleet.left == dict.fromkeys(HOSTS, 0)
@@ -244,11 +255,13 @@ def test_without_its_disk_a_host_waits_for_all_and_hears_that_its_coordinator_go
     fleet.boot("alpha")
     fleet.run(30.0)
     assert "walker" not in fleet.lives["alpha"].core.machine.agents
-    why = "walker is not started before bravo was heard: this host has no record of earlier starts"
+    why = "walker not started: this host has no record of earlier starts, and bravo has to answer first"
     assert [host for _, host, text in fleet.log if text.startswith(why)] == ["alpha"]
     fleet.boot("bravo")
     fleet.run(3.0)
-    assert "walker is alive on another host: not started again" in [text.strip() for _, _, text in fleet.log]
+    assert "walker not started again: it is alive on another host" in [
+        text.strip() for _, _, text in fleet.log
+    ]
     assert generations(fleet) == {1}
 
 
@@ -257,7 +270,7 @@ def test_a_start_that_cannot_be_kept_does_not_begin(tmp_path):
     fleet.disks["alpha"].full, fleet.disks["alpha"].reserve = True, 0
     fleet.run(5.0)
     assert generations(fleet) == set()
-    (told,) = [text for _, host, text in fleet.log if host == "alpha" and "nothing can be kept" in text]
+    (told,) = [text for _, host, text in fleet.log if host == "alpha" and "journal write failed" in text]
     assert "no space is left" in told
     fleet.disks["alpha"].full = False
     fleet.run(20.0)

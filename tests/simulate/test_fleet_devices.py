@@ -7,14 +7,14 @@ from itertools import pairwise
 
 import pytest
 
-from lfield.devices.keeper import UNANSWERED
-from lfield.devices.lateness import BEAT
+from lfield.devices.guard_process import MAX_UNANSWERED
+from lfield.devices.scheduling_jitter import HEARTBEAT_INTERVAL
 from lfield.mission.bindings import SIM_SILENCE
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.computers.computer import Process
-from lfield.simulate.fleet import Fleet
-from lfield.simulate.weather import Weather
+from lfield.simulate.computers.simulated_computer import SimulatedProcess
+from lfield.simulate.host_fleet import Fleet
+from simulation_testing.fault_injection import FaultRates
 
 PROGRAM = """
 resource Post {
@@ -50,7 +50,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
     return load_mission(folder / "mission.dL", simulate=True)
 
 
-def guard_of(fleet: Fleet, host: str) -> Process:
+def guard_of(fleet: Fleet, host: str) -> SimulatedProcess:
     (guard,) = fleet.lives[host].process.children[-1:]
     return guard
 
@@ -59,7 +59,7 @@ def moves_at(fleet: Fleet, device: str, seconds: float = 20.0) -> None:
     """Go on until a device moves."""
     for _ in range(int(seconds / 0.01)):
         fleet.run(0.01)
-        if fleet.hardware[device].moving:
+        if fleet.hardware[device].is_moving:
             return
     raise AssertionError(f"{device} never moved")
 
@@ -67,9 +67,9 @@ def moves_at(fleet: Fleet, device: str, seconds: float = 20.0) -> None:
 def rests_within(fleet: Fleet, device: str, seconds: float) -> bool:
     """Whether a device comes to rest, and stays there for as long again."""
     fleet.run(seconds)
-    rests = not fleet.hardware[device].moving
+    rests = not fleet.hardware[device].is_moving
     fleet.run(seconds)
-    return rests and not fleet.hardware[device].moving
+    return rests and not fleet.hardware[device].is_moving
 
 
 def test_a_device_of_a_killed_host_is_made_safe_by_its_guard(mission: Mission) -> None:
@@ -101,9 +101,9 @@ def test_a_device_whose_guard_is_gone_is_stopped_by_its_own_watchdog_and_then_by
     else:
         guard.loop.freeze()
         assert rests_within(fleet, "b.fc", 2 * 0.5 + 0.1)
-    fleet.run(UNANSWERED * BEAT + 3.0)
+    fleet.run(MAX_UNANSWERED * HEARTBEAT_INTERVAL + 3.0)
     assert device.record[before].what == "land"
-    assert "b.fc: is in its safe state 'land': its guard died" in "".join(text for _, _, text in fleet.log)
+    assert "b.fc in safe state 'land': its guard died" in "".join(text for _, _, text in fleet.log)
 
 
 def test_a_device_of_a_computer_without_power_is_stopped_by_its_own_watchdog(mission: Mission) -> None:
@@ -113,6 +113,7 @@ def test_a_device_of_a_computer_without_power_is_stopped_by_its_own_watchdog(mis
     assert rests_within(fleet, "c.fc", 2 * 0.5 + 0.1)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(4))
 def test_in_any_weather_a_device_has_one_owner_and_none_moves_for_nobody(mission: Mission, seed: int) -> None:
     unowned: dict[str, float] = {}
@@ -120,15 +121,15 @@ def test_in_any_weather_a_device_has_one_owner_and_none_moves_for_nobody(mission
     def watch(fleet: Fleet) -> None:
         for name, hardware in fleet.hardware.items():
             assert len(hardware.owners) <= 1, f"{name} has {len(hardware.owners)} owners"
-            if hardware.owners or not hardware.moving:
+            if hardware.owners or not hardware.is_moving:
                 unowned.pop(name, None)
             else:
                 since = unowned.setdefault(name, fleet.now)
                 assert fleet.now - since < 1.01, f"{name} moves though nobody has had it since {since:.3f} s"
 
     fleet = Fleet(mission, seed, watch)
-    weather = Weather(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)
-    storm = weather.over(fleet, random.Random(seed))
+    weather = FaultRates(cut=5.0, kill=10.0, stop=8.0, power=10.0, guard_kill=6.0, guard_stop=6.0)
+    storm = weather.inject(fleet, random.Random(seed))
     fleet.run(60.0)
     assert {what.split()[0] for _, what in storm.faults} == {"cut", "kill", "stop", "power"}
     storm.end()

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet
 
 PROGRAM = """
 resource Post {
@@ -46,7 +46,7 @@ def test_a_portal_whose_caller_is_gone_commands_no_device(tmp_path: Path) -> Non
         fleet.run(0.1)
     machine = fleet.lives["alpha"].core.machine
     post, boss = machine.agents["p"], machine.agents["boss"]
-    assert machine.abandon(boss, "RestartException", "the mission is paused")
+    assert machine.detach_caller(boss, "RestartException", "the mission is paused")
     before = climbs()
     fleet.run(15.0)
     assert said("boss: the mission is paused at p") == 1

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from lfield import exits
-from lfield.mission.load import load_mission
+from lfield import exit_status
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.net import framed
-from lfield.simulate.fleet import Fleet, copies
-from lfield.simulate.weather import Weather
+from lfield.net import framed_link
+from lfield.simulate.host_fleet import Fleet, FleetOptions, copies
+from simulation_testing.fault_injection import FaultRates
 
 POST = """
 resource Post {
@@ -79,11 +79,11 @@ def said(fleet: Fleet, words: str) -> list[str]:
 def test_an_idle_host_sends_at_most_eight_messages_a_second(tmp_path, monkeypatch, hosts):
     sent: list[str] = []
 
-    def encode(message, encoded=framed.encode):
+    def encode(message, encoded=framed_link.encode):
         sent.append(type(message).__name__)
         return encoded(message)
 
-    monkeypatch.setattr(framed, "encode", encode)
+    monkeypatch.setattr(framed_link, "encode", encode)
     fleet = Fleet(team(tmp_path, hosts))
     fleet.run(10.0)
     sent.clear()
@@ -102,10 +102,10 @@ def test_walkers_go_everywhere_each_call_is_made_once_and_links_that_nobody_need
         numbers = [int(stamp.split()[1]) for stamp in made if stamp.startswith(walker)]
         assert sorted(numbers) == list(range(1, len(numbers) + 1))
         assert len(numbers) > 100
-    assert not said(fleet, "lost the link")
+    assert not said(fleet, " lost\n")
     for host, life in fleet.lives.items():
         # A walker stays for half a second, and links for ten.
-        assert life.core.hearsay.near <= links(fleet, host)
+        assert life.core.membership.neighbours <= links(fleet, host)
         assert len(links(fleet, host)) < 23
     held = Counter(frozenset((host, other)) for host in fleet.lives for other in links(fleet, host))
     assert set(held.values()) == {2}
@@ -119,73 +119,86 @@ def test_two_that_call_one_another_at_the_same_moment_have_one_link(tmp_path, se
     assert "host12" not in links(fleet, "host0")
     for one, other in (("host0", "host12"), ("host12", "host0")):
         life = fleet.lives[one]
-        life.process.loop.soon(lambda life=life, other=other: life.host.peers.reach(other), seed * 0.002)
+        life.process.loop.soon(
+            lambda life=life, other=other: life.host.peers.require_link(other), seed * 0.002
+        )
     fleet.run(1.0)
     assert "host12" in links(fleet, "host0")
     assert "host0" in links(fleet, "host12")
     connections = [
         connection
         for connection in fleet.network._connections
-        if not connection.over and {end.machine.name for end in connection.ends} == {"host0", "host12"}
+        if not connection.is_over and {end.machine.name for end in connection.ends} == {"host0", "host12"}
     ]
     assert len(connections) == 1
     fleet.run(25.0)
     assert "host12" not in links(fleet, "host0")
-    assert not said(fleet, "lost the link")
+    assert not said(fleet, " lost\n")
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("victim", ["host1", "host9"], ids=["a neighbour", "far off"])
 def test_a_host_dies_that_has_nothing_and_all_others_hear_how_it_ends(tmp_path, victim):
-    fleet = Fleet(team(tmp_path, 16, "w@host0?p12&p5&p7&p3", GUEST), 2, one_copy, lost_after=5.0)
+    fleet = Fleet(
+        team(tmp_path, 16, "w@host0?p12&p5&p7&p3", GUEST), 2, one_copy, options=FleetOptions(lost_after=5.0)
+    )
     fleet.run(6.0)
     fleet.crash(victim)
     fleet.run(30.0)
-    assert fleet.left == dict.fromkeys(fleet.lives.keys() | fleet.left.keys(), exits.DONE)
+    assert fleet.left == dict.fromkeys(fleet.lives.keys() | fleet.left.keys(), exit_status.DONE)
     assert len(fleet.left) == 15
 
 
 def test_a_host_dies_with_the_coordinator_and_all_say_that_it_is_not_heard_of(tmp_path):
-    fleet = Fleet(team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 3, one_copy, lost_after=5.0)
+    fleet = Fleet(
+        team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 3, one_copy, options=FleetOptions(lost_after=5.0)
+    )
     fleet.run(6.0)
     fleet.crash("host9")
     fleet.run(40.0)
-    assert set(fleet.left.values()) == {exits.UNHEARD}
+    assert set(fleet.left.values()) == {exit_status.UNKNOWN_OUTCOME}
     assert len(fleet.left) == 15
 
 
 def test_a_host_comes_back_without_the_coordinator_and_all_say_that_it_is_lost(tmp_path):
-    fleet = Fleet(team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 4, one_copy, lost_after=20.0)
+    fleet = Fleet(
+        team(tmp_path, 16, "w@host0?p9&p9&p9&p9", GUEST), 4, one_copy, options=FleetOptions(lost_after=20.0)
+    )
     fleet.run(6.0)
     fleet.crash("host9")
     fleet.run(1.0)
     fleet.boot("host9")
     fleet.run(40.0)
-    assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exits.FAILED)
+    assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exit_status.FAILED)
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_links_are_cut_and_nobody_takes_anybody_for_silent(tmp_path, seed):
     """Host 9 has no neighbour left that it can talk to; others still hear it."""
-    fleet = Fleet(team(tmp_path, 16, "w@host0?p9&p9&p9", GUEST), seed, one_copy, lost_after=6.0)
+    fleet = Fleet(
+        team(tmp_path, 16, "w@host0?p9&p9&p9", GUEST), seed, one_copy, options=FleetOptions(lost_after=6.0)
+    )
     fleet.run(6.0)
-    for other in sorted(fleet.lives["host9"].core.hearsay.near):
+    for other in sorted(fleet.lives["host9"].core.membership.neighbours):
         fleet.cut("host9", other)
     fleet.run(60.0)
-    assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exits.DONE)
+    assert fleet.left == dict.fromkeys((f"host{n}" for n in range(16)), exit_status.DONE)
 
 
-ROUGH = Weather(cut=1.0, one_way=2.0, reset=2.0, slow=4.0, kill=10.0, stop=10.0, power=30.0)
+ROUGH = FaultRates(cut=1.0, one_way=2.0, reset=2.0, slow=4.0, kill=10.0, stop=10.0, power=30.0)
 
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize("seed", range(3))
 def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
     fleet = Fleet(
-        team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), seed, one_copy, unreachable_after=3.0
+        team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER),
+        seed,
+        one_copy,
+        options=FleetOptions(unreachable_after=3.0),
     )
-    storm = ROUGH.over(fleet, random.Random(seed))
+    storm = ROUGH.inject(fleet, random.Random(seed))
     fleet.run(60.0)
     assert len(storm.faults) > 60
     assert sum(stamps(fleet).values()) > 30
@@ -194,7 +207,7 @@ def test_in_any_weather_no_start_has_two_copies(tmp_path, seed):
 @pytest.mark.few(0)
 def test_cut_and_broken_links_alone_make_no_call_twice(tmp_path):
     fleet = Fleet(team(tmp_path, 20, "w0@host0?w0 w5@host5?w5", WALKER), 5, one_copy)
-    Weather(cut=1.0, reset=1.0, one_way=2.0, slow=2.0).over(fleet, random.Random(5))
+    FaultRates(cut=1.0, reset=1.0, one_way=2.0, slow=2.0).inject(fleet, random.Random(5))
     fleet.run(60.0)
     made = stamps(fleet)
     assert set(made.values()) == {1}

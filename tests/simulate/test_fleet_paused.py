@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from secrets import token_bytes
 
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet, Life
-from lfield.wire.observing import Pause, named
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.wire.observer_messages import Pause, with_epoch
 
 PROGRAM = """
 resource Post {
@@ -37,9 +37,9 @@ class Desk:
         """The answer."""
 
 
-def say(life: Life, *, lift: bool) -> None:
-    order = named(Pause(token_bytes(16), lift), life.core.orders.epochs)
-    life.process.loop.enter(lambda: life.host.received("", order, Desk()))
+def say(life: HostLife, *, lift: bool) -> None:
+    order = with_epoch(Pause(token_bytes(16), lift), life.core.orders.epochs)
+    life.process.loop.enter(lambda: life.host.on_message("", order, Desk()))
 
 
 def latched(fleet: Fleet) -> str:

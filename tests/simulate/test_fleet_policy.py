@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 from msgspec import structs
 
-from lfield.driver.binding import WithoutPolicy
-from lfield.mission.load import load_mission
+from lfield.driver.binding import OrphanPolicy
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.fleet import Fleet
+from lfield.simulate.host_fleet import Fleet
 
 PROGRAM = """
 resource Post {
@@ -42,7 +42,7 @@ def mission(tmp_path_factory: pytest.TempPathFactory) -> Mission:
     mission = load_mission(folder / "mission.dL", simulate=True)
     bound = {
         agent: {
-            name: structs.replace(d, without_policy=WithoutPolicy(AFTER, "hold")) for name, d in of.items()
+            name: structs.replace(d, without_policy=OrphanPolicy(AFTER, "hold")) for name, d in of.items()
         }
         for agent, of in mission.bindings.devices.items()
     }
@@ -73,10 +73,10 @@ def test_a_vehicle_waits_so_long_for_a_coordinator_that_died_two_hosts_on(missio
     assert became(fleet, "a.fc") == []
     fleet.run(15.0)
     assert [what for _, what in became(fleet, "a.fc")] == ["hold"]
-    reason = "no coordinator that used it (pilot, last known at carol) has been heard of for 20 s"
+    reason = "no coordinator that used it (pilot, last known at carol) has been confirmed alive for 20 s"
     assert latched(fleet, "alpha") == {"a.fc": reason}
     assert latched(fleet, "bravo") == {}
-    assert f"a.fc: is in its safe state 'hold': {reason}" in "".join(text for _, _, text in fleet.log)
+    assert f"a.fc in safe state 'hold': {reason}" in "".join(text for _, _, text in fleet.log)
 
 
 def test_a_cut_link_to_a_live_coordinator_changes_nothing_and_its_end_does(mission: Mission) -> None:

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from lfield.journal.pages import Key
-from lfield.mission.load import load_mission
+from lfield.journal.records import RecordKey
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.mobility.copies import Copy
-from lfield.simulate.fleet import Fleet
+from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
+from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.vm.memory.layout import HEADER_WORDS
 
 PROGRAM = """
@@ -119,7 +119,7 @@ def test_the_host_that_comes_back_too_late_does_not_go_on(tmp_path: Path) -> Non
     fleet.boot(gone)
     run_until(fleet, "complete", 90.0)
     fleet.run(5.0)
-    (row,) = (k for k in fleet.lives[gone].core.mobility.knowledge() if k.generation == 1)
+    (row,) = (k for k in fleet.lives[gone].core.mobility.known_states() if k.generation == 1)
     assert (row.state, row.outcome) == ("EXITED", "superseded")
     assert len(said(fleet, "complete")) == 1
 
@@ -130,7 +130,7 @@ def test_the_host_that_comes_back_in_time_goes_on_itself(tmp_path: Path) -> None
     gone = holder(fleet)
     fleet.crash(gone)
     fleet.boot(gone)
-    run_until(fleet, "goes on where it was kept", 10.0)
+    run_until(fleet, "resumed from the journal", 10.0)
     run_until(fleet, "complete", 90.0)
     assert not said(fleet, "was recovered on")
 
@@ -142,7 +142,7 @@ def test_a_host_that_is_cut_off_stops_and_its_devices_go_safe_before_another_goe
     for other in {"alpha", "bravo", "charlie"} - {cut}:
         fleet.cut(cut, other)
     gone_on = run_until(fleet, "was recovered on", 20.0)
-    lost = run_until(fleet, f"the lease of {cut} has ended", 1.0)
+    lost = run_until(fleet, f"lease of {cut} ended", 1.0)
     assert at < lost <= at + LEASE * 1.01 + 0.1 < gone_on
     fleet.run(10.0)
     record = fleet.hardware[f"{cut[0]}.fc"].record
@@ -174,8 +174,8 @@ def test_a_coordinator_does_not_start_without_a_majority(tmp_path: Path) -> None
     for name in ("bravo", "charlie"):
         fleet.cut("alpha", name)
     fleet.run(20.0)
-    assert said(fleet, "walker is not started before a majority of the team can be heard")
-    assert not said(fleet, "stamp")
+    assert said(fleet, "walker not started: no majority of the members responds yet")
+    assert not said(fleet, "stamp ")
     fleet.heal("alpha", "charlie")
     run_until(fleet, "stamp 0", 10.0)
 
@@ -192,8 +192,8 @@ def test_who_has_lost_its_promises_gives_no_lease_before_it_has_heard_all(tmp_pa
     stamped = len(said(fleet, "stamp "))
     fleet.run(10.0)
     assert len(said(fleet, "stamp ")) == stamped
-    ((_, where, why),) = said(fleet, "the journal here is new, or has lost a promise")
-    assert (where, "no lease is given here before alpha was heard" in why) == (other, True)
+    ((_, where, why),) = said(fleet, "is new or has lost a vote")
+    assert (where, "and alpha must respond" in why) == (other, True)
     fleet.boot("alpha")
     run_until(fleet, "complete", 120.0)
 
@@ -207,8 +207,8 @@ def test_without_a_member_that_is_gone_for_good_the_others_go_on_by_new_members(
     fleet.power_off(other)
     fleet.lose_disk(other)
     fleet.boot(other)
-    run_until(fleet, f"no lease is given here before {gone} was heard", 20.0)
-    assert said(fleet, "start all hosts with a 'recovery: {members: [...]}' that leaves it out")
+    run_until(fleet, f"and {gone} must respond", 20.0)
+    assert said(fleet, "restart all hosts with a 'recovery: {members: [...]}' without it")
     fleet.run(20.0)
     assert not said(fleet, "complete")
     # One that still has the old members has no link: the two never count beside a majority of those.
@@ -231,7 +231,7 @@ def test_a_new_computer_under_the_name_of_a_member_is_heard_as_that(tmp_path: Pa
         fleet.power_off(name)
         fleet.lose_disk(name)
     fleet.boot(others[0])
-    run_until(fleet, f"no lease is given here before {others[1]} was heard", 20.0)
+    run_until(fleet, f"and {others[1]} must respond", 20.0)
     fleet.boot(others[1])
     run_until(fleet, "complete", 120.0)
 
@@ -245,7 +245,7 @@ def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_a
     (one, other) = {"alpha", "bravo", "charlie"} - {gone}
     promised = one if other == holder(fleet) else other
     fleet.crash(promised)
-    fleet.disks[promised].damage(Key("fence", "walker"))
+    fleet.disks[promised].damage(RecordKey("fence", "walker"))
     # Whoever goes on is cut off, and the old holder is back: it must not act.
     for name in (gone, promised):
         fleet.cut(holder(fleet), name)
@@ -253,7 +253,7 @@ def test_who_cannot_read_a_promise_any_more_gives_no_lease_before_it_has_heard_a
     fleet.boot(gone)
     fleet.boot(promised)
     fleet.run(30.0)
-    assert said(fleet, "heard: the journal here is new, or has lost a promise")
+    assert said(fleet, "is new or has lost a vote")
     assert not [line for line in said(fleet, "stamp ") if line[0] > at + LEASE * 1.01]
     fleet.heal_all()
     run_until(fleet, "complete", 120.0)
@@ -281,14 +281,14 @@ def test_a_witness_is_a_member(tmp_path: Path) -> None:
 
 
 def test_without_journals_the_interval_has_no_effect_and_that_is_said(tmp_path: Path) -> None:
-    fleet = Fleet(mission(tmp_path), 10, keeps=False)
-    run_until(fleet, "heartbeatInterval has no effect here: alpha keeps no journal", 5.0)
+    fleet = Fleet(mission(tmp_path), 10, options=FleetOptions(keeps=False))
+    run_until(fleet, "heartbeatInterval ignored: alpha has no journal", 5.0)
     run_until(fleet, "complete", 60.0)
 
 
-def spoil(fleet: Fleet, host: str) -> Copy:
+def spoil(fleet: Fleet, host: str) -> CoordinatorCopy:
     """What this host has kept of the walker is no sound block any more."""
-    copy = fleet.lives[host].core.mobility.newest("walker")
+    copy = fleet.lives[host].core.mobility.newest_copy("walker")
     assert copy is not None
     assert copy.block is not None
     copy.block = bytes(copy.block[: 8 * HEADER_WORDS]) + b"\xff" * (len(copy.block) - 8 * HEADER_WORDS)
@@ -302,17 +302,17 @@ def test_what_cannot_be_read_is_said_once_and_no_older_copy_goes_on(tmp_path: Pa
     fleet.power_off("bravo")
     copy, at = spoil(fleet, "alpha"), fleet.now
     fleet.run(40.0)
-    (told,) = said(fleet, "goes on nowhere by itself")
+    (told,) = said(fleet, "failover of walker impossible")
     assert told[1:] == (
         "alpha",
-        "walker goes on nowhere by itself: the newest that is left of it is on alpha, and cannot be read; if "
-        "whoever had it is gone for good, 'lfield recover walker' goes on from an older copy, and "
+        "failover of walker impossible: its newest checkpoint, on alpha, cannot be read; if the host that "
+        "held walker is gone for good, 'lfield recover walker' resumes an older checkpoint, and "
         "'lfield forget walker' ends it\n",
     )
-    assert copy.known().unreadable
+    assert copy.state_message().unreadable
     # alpha once, charlie twice: between them it had promised alpha, and heard of it by that.
-    assert len(said(fleet, "nobody was heard to hold walker")) == 3
-    assert len(said(fleet, "alpha has a newer copy of walker")) == 2
+    assert len(said(fleet, "walker suspected lost")) == 3
+    assert len(said(fleet, "failover of walker left to alpha")) == 2
     assert not said(fleet, "was recovered on")
     assert not [line for line in said(fleet, "stamp ") if line[0] > at]
     fleet.boot("bravo")

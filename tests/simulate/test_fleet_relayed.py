@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from lfield.mission.load import load_mission
-from lfield.mobility.relays import MOST_IN_A_SECOND
-from lfield.simulate.fleet import Fleet, copies
-from lfield.simulate.judging.witness import tap_calls
-from lfield.wire.coordinators import Accepted, Inquire, Known
-from lfield.wire.messages import Relayed, SignOfLife
+from lfield.mission.loader import load_mission
+from lfield.replication.transfer.query_relay import MAX_PER_SECOND
+from lfield.simulate.host_fleet import Fleet, FleetOptions, copies
+from lfield.wire.coordinator_messages import CoordinatorState, TransferAccepted, TransferQuery
+from lfield.wire.messages import LivenessCounter, RelayedMessage
+from simulation_testing.invariants.host_taps import tap_calls
 
 POST = """
 resource Post {
@@ -59,7 +59,9 @@ KNOWN_WITHIN, NOTICED_WITHIN = 2.0, 6.0
 class Team(Fleet):
     """Hosts a and b, and others that connect them: `path` has the names in between, which are in a row."""
 
-    def __init__(self, folder: Path, way: str, path: str = "c", recovered: str = "") -> None:
+    def __init__(
+        self, folder: Path, way: str, path: str = "c", recovered: str = "", call_timeout: float = 10.0
+    ) -> None:
         hosts = sorted({"a", "b", *path})
         lines = [f"//Post:{host}@{host}" for host in hosts] + ["//Walker:walker@a"]
         text = POST + WALKER.format(way=WAYS[way], recovered=recovered)
@@ -68,7 +70,8 @@ class Team(Fleet):
         self.row = ["a", *path, "b"]
         self.doubts: list[tuple[float, list[str]]] = []
         self.cut_at = float("inf")
-        super().__init__(load_mission(folder / "mission.dL", simulate=True), 1)
+        options = FleetOptions(unreachable_after=call_timeout)
+        super().__init__(load_mission(folder / "mission.dL", simulate=True), 1, options=options)
         # A new start waits for links with all hosts.
         self.later(0.5, lambda: self._only_in_a_row(hosts))
 
@@ -92,9 +95,9 @@ class Team(Fleet):
             # What is under way is lost with it.
             self.later(0.0, lambda: self.network.reset("a", "b"))
 
-    def known(self, host: str) -> Known | None:
+    def known(self, host: str) -> CoordinatorState | None:
         """What a host knows of the newest start."""
-        rows = self.lives[host].core.mobility.knowledge()
+        rows = self.lives[host].core.mobility.known_states()
         return max(rows, key=lambda row: row.generation, default=None)
 
     def waiting(self) -> list[str]:
@@ -129,14 +132,14 @@ def when_it_is_sent(team: Team, strike: Callable[[], None]) -> None:
 
 def when_it_has_arrived(team: Team, strike: Callable[[], None]) -> None:
     """The transfer has come; it is not on the disk there."""
-    tap(team, "b", "arrived", strike, before=False)
+    tap(team, "b", "on_transfer", strike, before=False)
 
 
 def when_it_is_acknowledged(team: Team, strike: Callable[[], None]) -> None:
     """The answer is lost."""
 
     def send(go: Callable[..., None], host: str, message: object) -> None:
-        if isinstance(message, Accepted) and host == "a":
+        if isinstance(message, TransferAccepted) and host == "a":
             strike()
         go(host, message)
 
@@ -144,10 +147,10 @@ def when_it_is_acknowledged(team: Team, strike: Callable[[], None]) -> None:
 
 
 def when_it_comes_back(team: Team, strike: Callable[[], None]) -> None:
-    """It has gone on from there, and the transfer back is lost with whatever was not answered yet."""
+    """It has moved on from there, and the transfer back is lost with whatever was not answered yet."""
 
     def send(go: Callable[..., None], host: str, message: object) -> None:
-        if not isinstance(message, Accepted):
+        if not isinstance(message, TransferAccepted):
             go(host, message)
 
     def send_transfer(go: Callable[..., None], *given: object) -> None:
@@ -194,6 +197,7 @@ def judged(team: Team, phase: Callable[[Team, Callable[[], None]], None], ways: 
     assert len(made) == len(set(made)), "no portal was called twice"
 
 
+@pytest.mark.few(5)
 @by_phase
 @pytest.mark.parametrize("way", WAYS)
 def test_a_third_host_carries_the_question_and_the_answer(tmp_path, phase, way):
@@ -208,6 +212,13 @@ def test_one_direction_is_silent(tmp_path, phase, ways):
 
 
 @by_phase
+@pytest.mark.parametrize("ways", ["ab", "ba"])
+@pytest.mark.few(3)
+def test_a_short_time_out_of_calls_makes_no_doubt_before_the_silent_link_is_closed(tmp_path, phase, ways):
+    judged(Team(tmp_path, "call", call_timeout=0.5), phase, ways)
+
+
+@by_phase
 @pytest.mark.few(2)
 def test_a_chain_of_hosts_carries_them(tmp_path, phase):
     judged(Team(tmp_path, "call", path="cdef"), phase, "both")
@@ -218,7 +229,7 @@ def test_a_chain_of_hosts_carries_them(tmp_path, phase):
 def test_under_leases_nothing_is_recovered_for_it(tmp_path, phase):
     team = Team(tmp_path, "call", recovered="heartbeatInterval(-1);")
     judged(team, phase, "both")
-    assert not any("is recovered" in text for _, _, text in team.log)
+    assert not any("recovered on this host" in text for _, _, text in team.log)
 
 
 CHAIN = """
@@ -237,10 +248,12 @@ def test_any_host_that_knows_better_ends_a_doubt_about_a_host_that_is_gone(tmp_p
     """Both the sender to such a host and the last holder, which sent it to another one, would doubt."""
     (tmp_path / "mission.L").write_text(POST + CHAIN)
     (tmp_path / "mission.dL").write_text("".join(f"//Post:{h}@{h}\n" for h in "awyz") + "//Walker:walker@a\n")
-    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, unreachable_after=2.0)
+    fleet = Fleet(
+        load_mission(tmp_path / "mission.dL", simulate=True), 1, options=FleetOptions(unreachable_after=2.0)
+    )
 
     def send(go: Callable[..., None], host: str, message: object) -> None:
-        if not (isinstance(message, Accepted) and host == "a"):
+        if not (isinstance(message, TransferAccepted) and host == "a"):
             go(host, message)
 
     def send_transfer(go: Callable[..., None], *given: object) -> None:
@@ -249,9 +262,9 @@ def test_any_host_that_knows_better_ends_a_doubt_about_a_host_that_is_gone(tmp_p
 
     tap_calls(fleet.lives["z"].host.peers, send)
     tap_calls(fleet.lives["y"].host.peers, send_transfer)
-    fleet.run(6.0)
+    fleet.run(16.0)
     assert set(fleet.lives) == {"a", "y"}
-    states = [fleet.lives[name].core.mobility.knowledge()[0].state for name in "ay"]
+    states = [fleet.lives[name].core.mobility.known_states()[0].state for name in "ay"]
     assert states == ["MOVED", "IN DOUBT"]
 
 
@@ -259,14 +272,22 @@ def test_one_sender_is_passed_on_so_often_and_no_more(tmp_path):
     team = Team(tmp_path, "call")
     team.run(0.5)
     core, sent = team.lives["c"].core, []
-    core.take()
-    for count in range(1, 3 * MOST_IN_A_SECOND):
-        question = Inquire("walker", 1, 9, 1)
-        core.received("a", Relayed(SignOfLife(0, 7, count), 1, question))
-        core.received("a", Relayed(SignOfLife(0, 7, count), 1, question))
-        sent += [effect for effect in core.take() if isinstance(getattr(effect, "message", None), Relayed)]
-    assert [effect.host for effect in sent] == ["b"] * MOST_IN_A_SECOND
-    core.received("a", Relayed(SignOfLife(99, 7, 1), 1, question))
-    core.received("a", Relayed(SignOfLife(1, 7, 1), 99, question))
-    core.received("a", Relayed(SignOfLife(2, 7, 1), 1, question))
-    assert not [effect for effect in core.take() if isinstance(getattr(effect, "message", None), Relayed)]
+    core.drain_effects()
+    for count in range(1, 3 * MAX_PER_SECOND):
+        question = TransferQuery("walker", 1, 9, 1)
+        core.on_message("a", RelayedMessage(LivenessCounter(0, 7, count), 1, question))
+        core.on_message("a", RelayedMessage(LivenessCounter(0, 7, count), 1, question))
+        sent += [
+            effect
+            for effect in core.drain_effects()
+            if isinstance(getattr(effect, "message", None), RelayedMessage)
+        ]
+    assert [effect.host for effect in sent] == ["b"] * MAX_PER_SECOND
+    core.on_message("a", RelayedMessage(LivenessCounter(99, 7, 1), 1, question))
+    core.on_message("a", RelayedMessage(LivenessCounter(1, 7, 1), 99, question))
+    core.on_message("a", RelayedMessage(LivenessCounter(2, 7, 1), 1, question))
+    assert not [
+        effect
+        for effect in core.drain_effects()
+        if isinstance(getattr(effect, "message", None), RelayedMessage)
+    ]

@@ -7,10 +7,10 @@ from secrets import token_bytes
 
 import pytest
 
-from lfield.journal.pages import BegunPage
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet, Life
-from lfield.wire.observing import EmergencyStop, Pause, named
+from lfield.journal.records import PendingCallRecord
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.wire.observer_messages import EmergencyStop, Pause, with_epoch
 
 PROGRAM = """
 resource Post {
@@ -83,7 +83,7 @@ class Team(Fleet):
 
     def begun(self, host: str) -> list[str]:
         """The outcomes of what a host has on its disk of calls that were begun there."""
-        return [page.outcome for page in self.disks[host].pages() if isinstance(page, BegunPage)]
+        return [page.outcome for page in self.disks[host].pages() if isinstance(page, PendingCallRecord)]
 
 
 def test_what_was_begun_is_on_the_disk_and_goes_when_it_was_fetched(tmp_path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_host_that_dies_between_begin_and_fetch_tells_of_its_restart_and_begin
     for _ in range(times):
         team.again("bravo")
     team.until("boss: restarted at one")
-    assert team.said("its host was started again while one.work() ran; it may have been done")
+    assert team.said("its host restarted while one.work() ran; it may have been executed")
     assert team.said("sets 1") == team.said("sets 2") == 1
     assert team.said("gives 2") == 1
 
@@ -134,7 +134,7 @@ def test_the_host_where_the_boss_waits_dies_and_it_goes_on_to_fetch_what_is_else
     team.again("carol")
     # It stood there only to fetch: nothing that it did is unknown, but the call was lost.
     team.until("boss: restarted at two")
-    assert team.said("boss goes on where it was kept", "carol") == 1
+    assert team.said("boss resumed from the journal", "carol") == 1
     assert team.said("sets 1") == team.said("sets 2") == 1
 
 
@@ -145,7 +145,7 @@ def test_who_is_recovered_where_it_had_begun_is_told_again_when_that_host_is_sta
     team = Team(tmp_path, 1.0, 8.0, "heartbeatInterval(1.0);" + BOTH)
     team.until("sets 2")
     team.crash("carol")
-    team.until("boss is recovered here")
+    team.until("boss recovered on this host")
     team.until("boss: restarted at")
     team.again("bravo")
     team.boot("carol")
@@ -162,7 +162,7 @@ def test_a_boss_that_ends_leaves_no_call_behind_also_where_it_could_not_tell(tmp
     team.until("gives 2")
     team.run(1.0)
     assert "fetches from bravo" in [agent.state for agent in team.lives["carol"].host.status().agents]
-    (begun,) = team.lives["bravo"].host.status().begun
+    (begun,) = team.lives["bravo"].host.status().pending_calls
     assert (begun.agent, begun.resource, begun.portal, begun.state) == ("boss", "one", "work", "running")
     team.until("boss: unreachable 0 0")
     team.run(5.0)
@@ -210,8 +210,8 @@ def test_a_time_limit_counts_for_how_long_the_host_of_the_boss_was_down(tmp_path
     assert team.now < began + 4.0
 
 
-def order(life: Life, *, lift: bool) -> EmergencyStop | Pause:
-    return named(Pause(token_bytes(16), lift), life.core.orders.epochs)
+def order(life: HostLife, *, lift: bool) -> EmergencyStop | Pause:
+    return with_epoch(Pause(token_bytes(16), lift), life.core.orders.epochs)
 
 
 def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp_path: Path) -> None:
@@ -220,7 +220,7 @@ def test_what_runs_for_a_boss_that_is_elsewhere_ends_when_its_host_is_paused(tmp
 
     def say(*, lift: bool) -> None:
         life = team.lives["bravo"]
-        life.process.loop.enter(lambda: life.host.received("", order(life, lift=lift), Desk()))
+        life.process.loop.enter(lambda: life.host.on_message("", order(life, lift=lift), Desk()))
 
     say(lift=False)
     team.run(2.0)

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from lfield import exits
+from lfield import exit_status
 from lfield.mission import bundle
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.fleet import Fleet
-from lfield.simulate.weather import Weather
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from simulation_testing.fault_injection import FaultRates
 
 PROGRAM = """
 resource Post { int n; init(string[] arg) { } portal count() emit int { n = n + 1; return n; } }
@@ -38,23 +38,23 @@ def mission(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
 
 def test_a_team_with_a_witness_comes_to_its_end(mission: Mission) -> None:
-    fleet = Fleet(mission, 3, lost_after=60.0)
+    fleet = Fleet(mission, 3, options=FleetOptions(lost_after=60.0))
     assert set(fleet.lives) == {"alpha", "bravo", "ground"}
     fleet.run(5.0)
     ground = fleet.lives["ground"].core
     assert ground.machine.agents == {}
     assert ground.mission.recovery.members == ("alpha", "bravo", "ground")
     fleet.run(60.0)
-    assert fleet.left == dict.fromkeys(("alpha", "bravo", "ground"), exits.DONE)
+    assert fleet.left == dict.fromkeys(("alpha", "bravo", "ground"), exit_status.DONE)
 
 
 def test_a_witness_comes_and_goes(mission: Mission) -> None:
     fleet = Fleet(mission, 5)
     first = fleet.lives["ground"]
-    Weather(cut=2.0, kill=6.0).over(fleet, random.Random(5), 60.0)
+    FaultRates(cut=2.0, kill=6.0).inject(fleet, random.Random(5), 60.0)
     fleet.run(90.0)
     assert not fleet.failed
     assert fleet.lives["ground"] is not first
     # It hears again how the coordinator ended, from those who keep it.
-    rows = fleet.lives["ground"].core.mobility.knowledge()
+    rows = fleet.lives["ground"].core.mobility.known_states()
     assert [(row.agent, row.state) for row in rows] == [("boss", "EXITED")]

@@ -20,7 +20,7 @@ SPEED = 3.0
 #: Seconds from a cold start until a vehicle may be armed.
 READY = 120.0
 #: Lines of what a command said that are shown when it failed.
-LAST_WORDS = 40
+MAX_LAST_LINES = 40
 
 #: One place after another, then velocities: all ways in which a vehicle is moved.
 TOUR = {
@@ -119,20 +119,20 @@ class Mission:
 class Command:
     """A running lfield command, its two streams in one file."""
 
-    def __init__(self, folder: Path, *words: str | Path) -> None:
+    def __init__(self, folder: Path, *arguments: str | Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self._file = folder / "said.txt"
         environment = {**os.environ, "LFIELD_RUNS": "here", "XDG_STATE_HOME": str(folder)}
         with self._file.open("wb") as output:
             self.process = subprocess.Popen(
-                [sys.executable, "-m", "lfield", *map(str, words)],
+                [sys.executable, "-m", "lfield", *map(str, arguments)],
                 cwd=ROOT,
                 env=environment,
                 stdin=subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
             )
-        self.words = " ".join(map(str, words))
+        self.arguments = " ".join(map(str, arguments))
 
     @property
     def said(self) -> str:
@@ -140,9 +140,9 @@ class Command:
         return self._file.read_text(errors="replace")
 
     @property
-    def last_words(self) -> str:
+    def last_lines(self) -> str:
         """The end of it, for people."""
-        return f"$ lfield {self.words}\n" + "\n".join(self.said.splitlines()[-LAST_WORDS:])
+        return f"$ lfield {self.arguments}\n" + "\n".join(self.said.splitlines()[-MAX_LAST_LINES:])
 
     def says(self, text: str, bound: float) -> bool:
         """Whether it says this within `bound` seconds, and before it ends."""
@@ -153,7 +153,7 @@ class Command:
 
     def wait_for(self, text: str, bound: float) -> None:
         """Wait until it has said this. Fails when it does not."""
-        assert self.says(text, bound), f"it did not say '{text}' within {bound:g} s\n{self.last_words}"
+        assert self.says(text, bound), f"it did not say '{text}' within {bound:g} s\n{self.last_lines}"
 
     def wait(self, bound: float) -> int:
         """Its exit status. Fails when it does not end."""
@@ -161,12 +161,12 @@ class Command:
             return self.process.wait(bound)
         except subprocess.TimeoutExpired:
             self.end()
-            raise AssertionError(f"it did not end within {bound:g} s\n{self.last_words}") from None
+            raise AssertionError(f"it did not end within {bound:g} s\n{self.last_lines}") from None
 
     def succeeds(self, bound: float) -> None:
         """Wait until it has ended with 0."""
         status = self.wait(bound)
-        assert status == 0, f"it ended with {status}\n{self.last_words}"
+        assert status == 0, f"it ended with {status}\n{self.last_lines}"
 
     def end(self) -> None:
         """End it, its devices safe; by force when it does not."""
@@ -183,5 +183,5 @@ class Command:
         """The process of its one guard. Fails when there is none."""
         file = Path(f"/proc/{self.process.pid}/task/{self.process.pid}/children")
         children = [int(word) for word in file.read_text().split()]
-        assert len(children) == 1, f"its guard is not there: {children}\n{self.last_words}"
+        assert len(children) == 1, f"its guard is not there: {children}\n{self.last_lines}"
         return children[0]

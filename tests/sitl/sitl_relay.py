@@ -12,7 +12,7 @@ from collections.abc import Iterator
 _AROUND = {0xFE: 8, 0xFD: 12}
 _SIGNED, _SIGNATURE = 0x01, 13
 #: Seconds between two looks at whether it is to end.
-LOOK = 0.2
+POLL_INTERVAL = 0.2
 
 
 class Frames:
@@ -50,11 +50,11 @@ class Relay:
     """
 
     def __init__(self, vehicle: str, loss: float, seed: int = 1) -> None:
-        self._loss, self._dice = loss, random.Random(seed)
+        self._loss, self._rng = loss, random.Random(seed)
         self._vehicle, self._peer = _connected(vehicle)
-        self._door = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._door.bind(("127.0.0.1", 0))
-        self.endpoint = f"udp:127.0.0.1:{self._door.getsockname()[1]}"
+        self._endpoint = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._endpoint.bind(("127.0.0.1", 0))
+        self.endpoint = f"udp:127.0.0.1:{self._endpoint.getsockname()[1]}"
         self._station: tuple[str, int] | None = None
         self.passed = self.lost = 0
         self._ended = False
@@ -66,25 +66,25 @@ class Relay:
         self._ended = True
         self._thread.join()
         self._vehicle.close()
-        self._door.close()
+        self._endpoint.close()
 
     def _run(self) -> None:
         down, up = Frames(), Frames()
         while not self._ended:
-            ready, _, _ = select.select([self._vehicle, self._door], [], [], LOOK)
+            ready, _, _ = select.select([self._vehicle, self._endpoint], [], [], POLL_INTERVAL)
             if self._vehicle in ready:
                 data, self._peer = _received(self._vehicle, self._peer)
                 for packet in down.cut(data):
                     if self._station is not None and self._passes():
-                        self._door.sendto(packet, self._station)
-            if self._door in ready:
-                data, self._station = self._door.recvfrom(65535)
+                        self._endpoint.sendto(packet, self._station)
+            if self._endpoint in ready:
+                data, self._station = self._endpoint.recvfrom(65535)
                 for packet in up.cut(data):
                     if self._passes():
                         self._to_vehicle(packet)
 
     def _passes(self) -> bool:
-        lost = self._dice.random() < self._loss
+        lost = self._rng.random() < self._loss
         self.lost += lost
         self.passed += not lost
         return not lost

@@ -30,7 +30,7 @@ REASONS: Mapping[int, str] = {
     errno.EADDRINUSE: "end what runs there, or give its endpoint in place of a path",
 }
 #: Lines of a simulator's own output that are shown when something failed.
-LAST_WORDS = 15
+LAST_LINES = 15
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ class Simulator:
         if self.is_running_elsewhere:
             return
         for kind, port in self.ports:
-            if is_taken(kind, port):
+            if is_port_in_use(kind, port):
                 raise OSError(errno.EADDRINUSE, f"port {port} of 127.0.0.1 is in use")
         folder.mkdir(parents=True)
         self._folder = folder
@@ -154,10 +154,10 @@ class Simulator:
         if self._folder is None:
             return "(it was started elsewhere)"
         lines = (self._folder / "output.txt").read_text(errors="replace").splitlines()
-        return "\n".join(lines[-LAST_WORDS:])
+        return "\n".join(lines[-LAST_LINES:])
 
 
-def is_taken(kind: socket.SocketKind, port: int) -> bool:
+def is_port_in_use(kind: socket.SocketKind, port: int) -> bool:
     """Whether somebody listens at a port of this computer."""
     with socket.socket(socket.AF_INET, kind) as one:
         if kind is socket.SOCK_STREAM:

@@ -22,7 +22,7 @@ RATES = {
 
 
 @dataclass(frozen=True)
-class Seen:
+class Observation:
     """One thing that was seen: when (CLOCK_MONOTONIC, s), what, and how."""
 
     at: float
@@ -44,7 +44,7 @@ class Watcher:
         self._changed, self._ended = threading.Condition(), False
         self.mode, self.armed, self.height, self.speed = "", False, math.nan, math.nan
         #: Every mode, arming, and text, in order.
-        self.seen: list[Seen] = []
+        self.observations: list[Observation] = []
         #: (when, m/s), of everything that was told.
         self.speeds: list[tuple[float, float]] = []
         #: (when, the vehicle's own seconds since its start), likewise.
@@ -76,9 +76,11 @@ class Watcher:
 
     def story(self, since: float = 0.0) -> str:
         """What was seen, one per line, with seconds since then."""
-        start = since or (self.seen[0].at if self.seen else 0.0)
+        start = since or (self.observations[0].at if self.observations else 0.0)
         lines = [
-            f"{each.at - start:8.2f} s  {each.what} {each.value}" for each in self.seen if each.at >= since
+            f"{each.at - start:8.2f} s  {each.what} {each.value}"
+            for each in self.observations
+            if each.at >= since
         ]
         return "\n".join(lines[-40:]) or "(nothing was seen)"
 
@@ -97,7 +99,7 @@ class Watcher:
             message = self._link.recv_match(blocking=True, timeout=0.2)
             if message is not None and message.get_srcSystem() == self._system:
                 with self._changed:
-                    self._take(message)
+                    self._on_message(message)
                     self._changed.notify_all()
 
     def _greet(self) -> None:
@@ -109,7 +111,7 @@ class Watcher:
             for kind, rate in RATES.items():
                 send.command_long_send(self._system, 1, number, 0, kind, 1e6 / rate, 0, 0, 0, 0, 0)
 
-    def _take(self, message) -> None:
+    def _on_message(self, message) -> None:
         kind = message.get_type()
         if kind == "HEARTBEAT" and message.get_srcComponent() == 1:
             self._note("mode", mavutil.mode_string_v10(message))
@@ -121,12 +123,12 @@ class Watcher:
         elif kind == "GLOBAL_POSITION_INT":
             self.height = message.relative_alt / 1000.0
         elif kind == "STATUSTEXT":
-            self.seen.append(Seen(time.monotonic(), "says", message.text))
+            self.observations.append(Observation(time.monotonic(), "says", message.text))
 
     def _note(self, what: str, value: object) -> None:
         if getattr(self, what) != value:
             setattr(self, what, value)
-            self.seen.append(Seen(time.monotonic(), what, f"{value} at {self.height:.1f} m"))
+            self.observations.append(Observation(time.monotonic(), what, f"{value} at {self.height:.1f} m"))
 
     def close(self) -> None:
         """Watch no longer."""

@@ -31,7 +31,7 @@ def test_set_up(field, figure):
     refused = field.up(mission, "--until-done")
     status = refused.wait(READY)
     if status:
-        assert "lfield setup" in refused.said, refused.last_words
+        assert "lfield setup" in refused.said, refused.last_lines
     field.lfield("setup", "--deploy", mission.deploy, "--yes").succeeds(60.0)
     figure("was set up already" if not status else "up refused a stock vehicle and named lfield setup")
 
@@ -52,7 +52,7 @@ def test_kit(field, figure):
     status = kit.wait(600.0)
     figure(kit.said.splitlines()[-1] if kit.said else "it said nothing")
     failed = "\n".join(line for line in kit.said.splitlines() if line.startswith("FAILED"))
-    assert status == 0, f"{failed or f'it ended with {status}'}\n{kit.last_words}"
+    assert status == 0, f"{failed or f'it ended with {status}'}\n{kit.last_lines}"
 
 
 def test_limits(field, figure):
@@ -75,7 +75,7 @@ def test_arming_right_after_opening(field, figure):
         if host.says("armed and disarmed", READY):
             done += 1
         else:
-            failed.append(host.last_words)
+            failed.append(host.last_lines)
         host.end()
     figure(f"{done} of {OPENINGS}")
     assert done == OPENINGS, "\n\n".join(failed)
@@ -121,7 +121,7 @@ def test_missions_over_a_bad_link(field, figure):
             if command.wait(300.0) == 0:
                 done += 1
             else:
-                failed.append(command.last_words)
+                failed.append(command.last_lines)
         finally:
             relay.close()
     figure(f"{done} of {MISSIONS} with {LOSS:.0%} loss")

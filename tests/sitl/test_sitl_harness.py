@@ -46,12 +46,12 @@ def test_packets_are_cut_out_of_a_stream_however_it_comes(numbers, pieces):
 def test_a_relay_loses_the_share_that_it_was_told_both_ways():
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
         vehicle.bind(("127.0.0.1", 0))
-        vehicle.settimeout(5.0)
+        vehicle.settimeout(60.0)
         relay = Relay(f"udp:127.0.0.1:{vehicle.getsockname()[1]}", 0.2)
         try:
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station:
                 station.connect(("127.0.0.1", int(relay.endpoint.rpartition(":")[2])))
-                station.settimeout(5.0)
+                station.settimeout(60.0)
                 for number in range(1, 501):
                     station.send(packet(number))
                     while relay.passed + relay.lost < number:
@@ -177,6 +177,7 @@ def test_what_cannot_be_tried_is_said_in_a_sentence(given, only, said):
     assert "Traceback" not in told.stdout + told.stderr
 
 
+@pytest.mark.few(0)
 @pytest.mark.process
 def test_a_check_runs_on_a_vehicle_that_runs_already_and_is_in_the_table():
     with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--climb", "8", "--land", "1.9") as fake:

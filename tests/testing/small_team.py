@@ -1,20 +1,20 @@
-"""A small simulated team whose portal calls are recorded, and of which some have doubles."""
+"""A small simulated team with recorded portal calls and optional doubles."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet, Life
-from lfield.testing.mission.calls import Calls, PortalCall
-from lfield.testing.mission.doubles import Doubles
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.testing.mission.call_record import CallRecorder, RecordedCall
+from lfield.testing.mission.resource_doubles import ResourceDoubles
 
 
 class SmallTeam(Fleet):
     """A program and a deployment, or those in the folder, on simulated computers.
 
-    The first trouble of a double is raised.
+    The first exception of a double is raised.
     """
 
     def __init__(
@@ -28,16 +28,16 @@ class SmallTeam(Fleet):
             (folder / "mission.L").write_text(program)
             (folder / "mission.dL").write_text("\n".join([*deployment.split(), ""]))
         mission = load_mission(folder / "mission.dL", simulate=True, doubled=doubles or {})
-        self.doubles = Doubles(mission, doubles or {})
-        self.calls = Calls(lambda: self.now)
-        super().__init__(mission, 1, watch=SmallTeam._look, born=self._watched)
+        self.doubles = ResourceDoubles(mission, doubles or {})
+        self.calls = CallRecorder(lambda: self.now)
+        super().__init__(mission, 1, watch=SmallTeam._look, on_start=self._watched)
 
-    def _watched(self, name: str, life: Life) -> None:
-        self.calls.watch(life.core.machine)
-        self.doubles.watch(life)
+    def _watched(self, name: str, life: HostLife) -> None:
+        self.calls.observe(life.core.machine)
+        self.doubles.attach(life)
 
     def _look(self) -> None:  # type: ignore[override]
-        self.doubles.take_turns()
+        self.doubles.release_monitors()
         if self.doubles.trouble:
             raise self.doubles.trouble.pop(0)
 
@@ -45,17 +45,17 @@ class SmallTeam(Fleet):
         return any(text in line for _, _, line in self.log)
 
     def until(self, text: str) -> None:
-        """Let time go on until it is said."""
+        """Advance time until a log line contains the text."""
         end = self.now + 60.0
         while not self.said(text):
             assert self.now < end, f"nobody has said {text!r}: {self.log}"
             self.run(0.05)
 
-    def call(self, portal: str) -> PortalCall:
+    def call(self, portal: str) -> RecordedCall:
         """The only call of a portal."""
         (found,) = (call for call in self.calls.record if call.portal == portal)
         return found
 
     def call_results(self, portal: str) -> list[object]:
-        """What the calls of a portal have given, in the order of their beginning."""
+        """The results of the calls of a portal, in the order of their start."""
         return [call.result for call in self.calls.record if call.portal == portal]

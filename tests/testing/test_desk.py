@@ -79,7 +79,7 @@ def test_what_a_story_raises_and_what_it_waits_for_in_vain(desk, servo):
     async def waits(servo):
         await servo.reads("position", lambda angle: angle > 1e9, 1e6)
 
-    with pytest.raises(Stuck, match="the story was not over after 30 s of virtual time"):
+    with pytest.raises(Stuck, match="the scenario has not ended after 30 s of virtual time"):
         desk.run(waits, servo, within=30.0)
     # Its guard is gone with it, and the next one finds the port free.
     assert desk.run(moves, servo) > 0.0
@@ -92,7 +92,7 @@ def test_a_device_that_is_not_there_is_told_as_by_lfield_kit(desk, servo):
 
 
 def test_two_fakes_cannot_have_one_port(desk, fake):
-    with pytest.raises(MissionTestError, match="dynamixel 2: cannot use /dev/ttyDXL: File exists"):
+    with pytest.raises(MissionTestError, match="dynamixel-2: cannot use /dev/ttyDXL: File exists"):
         desk.fake("dynamixel", *SERVO)
     other = desk.fake("dynamixel", *SERVO, "--listen", "/dev/other")
     assert (fake.endpoint, other.endpoint) == ("serial:/dev/ttyDXL:1000000", "serial:/dev/other:1000000")
@@ -100,9 +100,9 @@ def test_two_fakes_cannot_have_one_port(desk, fake):
 
 def test_a_kit_takes_its_silences_and_dead_guards_from_the_same_time(desk, servo):
     found = {finding.check: finding for finding in desk.try_kit(servo)}
-    unlimited = "a faster profile than its limit is refused"
+    unlimited = "a profile above its speed limit is refused"
     assert [check for check, finding in found.items() if finding.outcome != "passed"] == [unlimited]
-    assert "because its guard died" in found["a guard that dies comes back safe"].seen
+    assert "because its guard died" in found["the safe state follows the death of a guard"].seen
     assert found["its own watchdog"].outcome == "passed"
     assert len(found) == 21
 
@@ -163,7 +163,7 @@ def test_a_fake_without_serve_and_one_that_breaks(desk):
         async def serve(self, args):
             raise ZeroDivisionError("a bug")
 
-    with pytest.raises(MissionTestError, match="the fake of old 1 has failed by ZeroDivisionError: a bug"):
+    with pytest.raises(MissionTestError, match="the fake of old-1 has failed by ZeroDivisionError: a bug"):
         desk.fake(Broken())
 
 
@@ -172,5 +172,5 @@ def test_nothing_real_is_touched(desk):
         with socket.socket() as door:
             door.connect(("127.0.0.1", 9))
 
-    with pytest.raises(RealEndpoint, match="it wanted to connect"):
+    with pytest.raises(RealEndpoint, match="it tried to connect"):
         desk.run(story)

@@ -13,7 +13,7 @@ import pytest
 
 import lfield_sim.mavlink
 from lfield.errors import MissionTestError
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.mission_team import MissionTeam
 
 FLIGHT = Path(__file__).parents[2] / "examples" / "01-first-flight" / "mission.dL"
 PUMPS = """
@@ -34,8 +34,8 @@ def pumps(tmp_path):
     (tmp_path / "pumps.dL").write_text("//Pump:pump@alpha\n//Boss:boss@bravo\n")
     teams = []
 
-    def made(**options: object) -> Team:
-        teams.append(Team(tmp_path / "pumps.dL", **options))
+    def made(**options: object) -> MissionTeam:
+        teams.append(MissionTeam(tmp_path / "pumps.dL", **options))
         return teams[-1]
 
     yield made
@@ -43,27 +43,28 @@ def pumps(tmp_path):
         team.close()
 
 
+@pytest.mark.few(8)
 @pytest.mark.parametrize(
     ("ask", "told"),
     [
-        (lambda team: team.run(-1), "run(...): -1 is no time; give seconds from 0 on"),
-        (lambda team: team.run(math.nan), "run(...): nan is no time"),
-        (lambda team: team.run(math.inf), "run(...): inf is no time"),
-        (lambda team: team.run("1"), "run(...): '1' is no time"),
+        (lambda team: team.run(-1), "run(...): -1 is not a time; give seconds of at least 0"),
+        (lambda team: team.run(math.nan), "run(...): nan is not a time"),
+        (lambda team: team.run(math.inf), "run(...): inf is not a time"),
+        (lambda team: team.run("1"), "run(...): '1' is not a time"),
         (lambda team: team.run(), "run() takes one of these: seconds, until=..., until_done=True"),
         (lambda team: team.run(until=None), "run() takes one of these"),
         (lambda team: team.run(1.0, until_done=True), "run() takes one of these"),
-        (lambda team: team.run(until=""), "run(until=''): give words that somebody will say"),
-        (lambda team: team.run(until=5), "run(until=5): give words"),
-        (lambda team: team.run(until_done=True, at_most=math.nan), "run(at_most=...): nan is no time"),
-        (lambda team: team.at(math.nan, print), "at(nan, ...): nan is no time"),
-        (lambda team: team.when(10, print), "when(10, ...): a line is written as mission.L:42"),
-        (lambda team: team.when(None, print), "when(None, ...): a line is written as mission.L:42"),
+        (lambda team: team.run(until=""), "run(until=''): give text of a log line"),
+        (lambda team: team.run(until=5), "run(until=5): give text of a log line"),
+        (lambda team: team.run(until_done=True, at_most=math.nan), "run(at_most=...): nan is not a time"),
+        (lambda team: team.at(math.nan, print), "at(nan, ...): nan is not a time"),
+        (lambda team: team.when(10, print), "when(10, ...): write a line as mission.L:42"),
+        (lambda team: team.when(None, print), "when(None, ...): write a line as mission.L:42"),
         (lambda team: team.cut(["alpha"], "bravo"), "there is no host ['alpha']; there are: alpha, bravo"),
-        (lambda team: team.at(-1, print), "at(-1, ...): -1 is no time"),
-        (lambda team: team.at(1.0, "crash"), "at(1.0, ...): 'crash' is nothing to do; give a function"),
-        (lambda team: team.when("pumps.L:7", None), "when('pumps.L:7', ...): None is nothing to do"),
-        (lambda team: team.cut("alpha", "alpha"), "nothing lies between alpha and itself"),
+        (lambda team: team.at(-1, print), "at(-1, ...): -1 is not a time"),
+        (lambda team: team.at(1.0, "crash"), "at(1.0, ...): 'crash' is not a function; give one"),
+        (lambda team: team.when("pumps.L:7", None), "when('pumps.L:7', ...): None is not a function"),
+        (lambda team: team.cut("alpha", "alpha"), "alpha is given twice"),
         (lambda team: team.stop("nobody"), "there is no host 'nobody'; there are: alpha, bravo"),
     ],
 )
@@ -78,8 +79,8 @@ def test_what_cannot_be_asked_of_a_team_is_told(pumps, ask, told):
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        ({"seed": None}, "seed=None: give a whole number"),
-        ({"seed": 1.5}, "seed=1.5: give a whole number"),
+        ({"seed": None}, "seed=None: give an integer"),
+        ({"seed": 1.5}, "seed=1.5: give an integer"),
         ({"doubles": "x"}, "doubles='x': give a dict, as in doubles={\"pump\": Pump()}"),
         ({"doubles": None}, "doubles=None: give a dict"),
         ({"doubles": {"pump": None}}, "the double of pump is None: give an object with its portals"),
@@ -118,7 +119,7 @@ def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
     team.stop()
     team.power_off("alpha")
     team.run(1.0)
-    assert [mark.words for mark in team.marks] == ["alpha is killed", "alpha is switched off"]
+    assert [mark.text for mark in team.marks] == ["alpha is killed", "alpha is switched off"]
 
 
 @pytest.mark.parametrize(
@@ -141,7 +142,7 @@ def test_a_host_that_is_gone_can_be_killed_and_stopped(pumps):
 def test_a_team_that_is_closed_refuses_everything(pumps, ask):
     team = pumps()
     team.close()
-    with pytest.raises(MissionTestError, match=r"^this team is closed, and only tells what it has recorded"):
+    with pytest.raises(MissionTestError, match=r"^this team is closed; only its recorded data is available"):
         ask(team)
     assert not team._fleet.lives
 
@@ -165,7 +166,9 @@ def test_nobody_runs_the_team_within_a_run(pumps, ways):
     team = pumps(doubles={"pump": SimpleNamespace(flow=again)} if ways == "double" else {})
     if ways == "at":
         team.at(0.0, again)
-    with pytest.raises(MissionTestError, match="time goes on already: a double, an action or a condition"):
+    with pytest.raises(
+        MissionTestError, match="the team is running already: a double, an action or a condition"
+    ):
         team.run(until=again if ways == "until" else "got 3")
 
 
@@ -174,21 +177,21 @@ def test_a_mock_is_a_double_as_any_other(pumps):
     pump.flow.return_value = 8
     pumps(doubles={"pump": pump}).run(until="got 8")
     pump.flow.assert_called_once_with(3)
-    with pytest.raises(MissionTestError, match="has a method flwo, and Pump has no such portal"):
+    with pytest.raises(MissionTestError, match="has a method flwo, but Pump has no such portal"):
         pumps(doubles={"pump": Mock(spec=["flwo"])})
 
 
 def test_who_wants_to_end_python_ends_the_test_with_a_sentence(pumps, lfield_mission, monkeypatch):
     team = pumps()
     team.at(0.1, lambda: sys.exit(3))
-    with pytest.raises(MissionTestError, match=r"wants to end Python by sys.exit\(3\)"):
+    with pytest.raises(MissionTestError, match=r"called sys.exit\(3\)"):
         team.run(1.0)
 
     async def leaves(driver: object) -> None:
         sys.exit("no licence")
 
     monkeypatch.setattr("lfield_mavlink.driver.MavlinkDriver._open", leaves)
-    with pytest.raises(MissionTestError, match=r"wants to end Python by sys.exit\('no licence'\)"):
+    with pytest.raises(MissionTestError, match=r"called sys.exit\('no licence'\)"):
         lfield_mission(FLIGHT).run(5.0)
 
 

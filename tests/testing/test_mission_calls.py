@@ -167,5 +167,5 @@ def test_objects_are_equal_by_what_they_hold_however_deep() -> None:
     round_two.to.append(round_one)
     assert round_one == round_two
     assert "Ring(...)" in repr(round_one)
-    with pytest.raises(AttributeError, match="make another Ring"):
+    with pytest.raises(AttributeError, match="create another Ring"):
         round_one.to = None

@@ -15,10 +15,10 @@ import pytest
 from small_team import SmallTeam
 
 from lfield.errors import BindingError, DoubleError, LfieldError, ProgramError, Stuck
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.testing import After, LObject, Throws
-from lfield.testing.mission.doubles import Doubles
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.mission_team import MissionTeam
+from lfield.testing.mission.resource_doubles import ResourceDoubles
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PROGRAM = """
@@ -291,7 +291,7 @@ def test_a_double_that_ends_its_own_host_has_not_answered(tmp_path: Path, body: 
     assert team.call("flow").ended is None
     team.boot("bravo")
     team.until("the end")
-    assert team.said("thrown: bravo was started again")
+    assert team.said("thrown: bravo restarted")
     assert asked == [1]
 
 
@@ -374,12 +374,12 @@ def test_a_doubled_resource_needs_no_binding(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("returned", "told"),
     [
-        ("five", "gives int, and its double has returned str 'five': return a value of that type"),
-        (True, "gives int, and its double has returned bool True"),
-        (1.0, "gives int, and its double has returned float 1.0"),
-        (None, "gives int, and its double has returned NoneType None"),
-        (1 << 63, "gives int, and its double has returned int 9223372036854775808"),
-        (After(1.0, "five"), "gives int, and its double has returned str 'five'"),
+        ("five", "returns int, but its double has returned str 'five': return a value of that type"),
+        (True, "returns int, but its double has returned bool True"),
+        (1.0, "returns int, but its double has returned float 1.0"),
+        (None, "returns int, but its double has returned NoneType None"),
+        (1 << 63, "returns int, but its double has returned int 9223372036854775808"),
+        (After(1.0, "five"), "returns int, but its double has returned str 'five'"),
         ("x" * 200, f"has returned str 'xxx{75 * 'x'}…: return"),
     ],
 )
@@ -387,7 +387,7 @@ def test_a_value_of_another_type_is_told(tmp_path: Path, returned: object, told:
     team = team_of(tmp_path, "pump.flow(1, 2.0);", flow=lambda litres, seconds=0.0: returned)
     with pytest.raises(DoubleError) as caught:
         team.until("the end")
-    assert str(caught.value).startswith("the portal pump.flow(int, real) gives int")
+    assert str(caught.value).startswith("the portal pump.flow(int, real) returns int")
     assert told in str(caught.value)
     assert not team.said("thrown")
 
@@ -395,26 +395,26 @@ def test_a_value_of_another_type_is_told(tmp_path: Path, returned: object, told:
 @pytest.mark.parametrize(
     ("body", "returned", "told"),
     [
-        ("pump.stop();", 1, "gives nothing, and its double has returned int 1"),
+        ("pump.stop();", 1, "returns nothing, but its double has returned int 1"),
         (
             "pump.split(null);",
             [1.0, "x"],
-            "gives real[], and in it real, and its double has returned str 'x'",
+            "returns real[], and in it real, but its double has returned str 'x'",
         ),
         ("pump.split(null);", [True], "has returned bool True"),
-        ("pump.split(null);", 1 << 2000, "gives real[], and its double has returned int"),
-        ("pump.split(null);", [1 << 2000], "and in it real, and its double has returned int"),
+        ("pump.split(null);", 1 << 2000, "returns real[], but its double has returned int"),
+        ("pump.split(null);", [1 << 2000], "and in it real, but its double has returned int"),
         (
             "pump.go(null, null);",
             LObject("Spot"),
-            "gives Place, and its double has returned an object of Spot",
+            "returns Place, but its double has returned an object of Spot",
         ),
         (
             "pump.go(null, null);",
             LObject("Place", x=1.0),
             "has returned Place(x=1.0), whose fields are not x, m",
         ),
-        ("pump.go(null, null);", {"x": 1.0}, "gives Place, and its double has returned dict {'x': 1.0}"),
+        ("pump.go(null, null);", {"x": 1.0}, "returns Place, but its double has returned dict {'x': 1.0}"),
     ],
 )
 def test_a_part_of_another_type_is_told(tmp_path: Path, body: str, returned: object, told: str) -> None:
@@ -430,7 +430,7 @@ def test_a_portal_that_the_double_lacks_is_told_when_it_is_called(tmp_path: Path
     with pytest.raises(DoubleError) as caught:
         team.until("the end")
     assert str(caught.value) == (
-        "the mission calls pump.stop(), and the double of pump has no method stop: add one"
+        "the mission calls pump.stop(), but the double of pump has no method stop: add one"
     )
     assert isinstance(caught.value, LfieldError)
 
@@ -457,10 +457,10 @@ def test_who_waits_for_a_double_is_told_so(tmp_path: Path) -> None:
     (tmp_path / "mission.L").write_text(PROGRAM.replace("//body", "pump.flow(1);"))
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     double = SimpleNamespace(flow=lambda litres, seconds=0.0: After(1e6, 1))
-    made = Team(tmp_path / "mission.dL", doubles={"pump": double})
+    made = MissionTeam(tmp_path / "mission.dL", doubles={"pump": double})
     with closing(made) as team, pytest.raises(Stuck) as caught:
         team.run(until_done=True, at_most=5.0)
-    assert "pump on bravo: its double has not answered yet at Pump.flow (mission.L:" in str(caught.value)
+    assert "pump on bravo: its double has not returned yet at Pump.flow (mission.L:" in str(caught.value)
 
 
 def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None:
@@ -474,26 +474,25 @@ def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None
     [
         (
             {"bump": SimpleNamespace()},
-            "a double stands for 'bump', and the deployment has no such resource: did you mean 'pump'?",
+            "there is a double of 'bump', but the deployment has no such resource: did you mean 'pump'?",
         ),
         (
             {"xyzzy": SimpleNamespace()},
-            "a double stands for 'xyzzy', and the deployment has no such resource: it has pump and other",
+            "there is a double of 'xyzzy', but the deployment has no such resource: it has pump and other",
         ),
         (
             {"boss": SimpleNamespace()},
-            "a double stands for 'boss', which is a coordinator and has no portals: give doubles to "
-            "the resources that it calls",
+            "'boss' is a coordinator, which has no portals: give doubles to the resources that it calls",
         ),
         (
             {"pump": SimpleNamespace(flwo=lambda: 0)},
-            "the double of pump has a method flwo, and Pump has no such portal: did you mean 'flow'?; what "
-            "is for the double alone begins with an underscore",
+            "the double of pump has a method flwo, but Pump has no such portal: did you mean 'flow'?; "
+            "start the names of its own methods with an underscore",
         ),
         (
             {"pump": SimpleNamespace(xyzzy=lambda: 0)},
-            "the double of pump has a method xyzzy, and Pump has no such portal: its portals are flow, stop, "
-            "name, go, split and is; what is for the double alone begins with an underscore",
+            "the double of pump has a method xyzzy, but Pump has no such portal: its portals are flow, stop, "
+            "name, go, split and is; start the names of its own methods with an underscore",
         ),
         (
             {"pump": SimpleNamespace(flow=lambda litres: 0)},
@@ -505,7 +504,7 @@ def test_a_test_that_is_given_up_in_a_double_is_given_up(tmp_path: Path) -> None
             "the method name of the double of pump cannot take the 1 argument of the portal name(string): "
             "give it as many parameters",
         ),
-        ({"pump": Pump}, "the double of pump is the class Pump: give an object of it, Pump()"),
+        ({"pump": Pump}, "the double of pump is the class Pump: give an instance, Pump()"),
     ],
 )
 def test_a_double_that_does_not_fit_is_refused(
@@ -515,20 +514,20 @@ def test_a_double_that_does_not_fit_is_refused(
     (tmp_path / "mission.dL").write_text("\n".join([*DEPLOYMENT.split(), ""]))
     mission = load_mission(tmp_path / "mission.dL", simulate=True)
     with pytest.raises(DoubleError) as caught:
-        Doubles(mission, doubles)
+        ResourceDoubles(mission, doubles)
     assert str(caught.value) == told
 
 
 def test_an_exception_that_l_does_not_have_and_a_time_that_is_none_are_refused() -> None:
     with pytest.raises(DoubleError, match=r"'DeviceExeption'.*did you mean 'DeviceException'"):
         Throws("DeviceExeption", "x")
-    with pytest.raises(DoubleError, match="take one of Exception, Unreach"):
+    with pytest.raises(DoubleError, match="use one of Exception, Unreach"):
         Throws("xyzzy")
     for kind, message in ((3, ""), ("DeviceException", 3)):
         with pytest.raises(DoubleError, match="give the name of a built-in exception of L, and a text"):
             Throws(kind, message)  # type: ignore[arg-type]
     for seconds in (-1.0, math.nan, math.inf, "1"):
-        with pytest.raises(DoubleError, match="is no time to wait"):
+        with pytest.raises(DoubleError, match="is not a time"):
             After(seconds, 1)  # type: ignore[arg-type]
 
 
@@ -650,9 +649,12 @@ def test_live_attributes_are_what_the_double_says(tmp_path: Path, battery: objec
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        ({"batery": 0.9}, "says 'batery', and Copter has no such live attribute .* did you mean 'battery'"),
-        ({"battery": "full"}, "says battery = 'full', which is no real"),
-        ({"battery": math.nan}, "says battery = nan, which is no real"),
+        (
+            {"batery": 0.9},
+            "provides 'batery', but Copter has no such live attribute .* did you mean 'battery'",
+        ),
+        ({"battery": "full"}, "provides battery = 'full', which is not a value of type real"),
+        ({"battery": math.nan}, "provides battery = nan, which is not a value of type real"),
         (0.9, "the live_attributes of the double of sky are 0.9: give a dict"),
     ],
 )

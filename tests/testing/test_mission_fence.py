@@ -16,17 +16,17 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import MissionTestError, RealEndpoint
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.mission_team import MissionTeam
 
 PROGRAM = "coordinator Boss { init(string[] arg) { while (true) sleep(1.0); } }"
 
 
 @pytest.fixture
-def still(tmp_path, lfield_mission) -> Team:
+def still(tmp_path, lfield_mission) -> MissionTeam:
     """A team that does nothing."""
     (tmp_path / "still.L").write_text(PROGRAM)
     (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
-    team: Team = lfield_mission(tmp_path / "still.dL")
+    team: MissionTeam = lfield_mission(tmp_path / "still.dL")
     return team
 
 
@@ -140,6 +140,7 @@ DEEDS: dict[str, tuple[Callable[[], object], str]] = {
 }
 
 
+@pytest.mark.few(10)
 @pytest.mark.parametrize("name", DEEDS)
 def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(still, name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -153,7 +154,7 @@ def test_nothing_real_is_touched_also_by_who_says_nothing_of_it(still, name, tmp
             return
 
     still.at(0.5, silently)
-    with pytest.raises(RealEndpoint, match=f"it wanted to {said}"):
+    with pytest.raises(RealEndpoint, match=f"it tried to {said}"):
         still.run(1.0)
     assert not came
 
@@ -168,21 +169,21 @@ def test_what_was_connected_before_is_real_too(connected, still):
         lambda: connected.recvmsg_into([bytearray(1)]),
     ):
         still.at(still.now + 0.5, deed)
-        with pytest.raises(RealEndpoint, match="it wanted to use a socket"):
+        with pytest.raises(RealEndpoint, match="it tried to use a socket"):
             still.run(1.0)
     for deed in (lambda: connected.sendto(b"x", ("", 1)), lambda: connected.sendmsg([b"x"])):
         still.at(still.now + 0.5, deed)
-        with pytest.raises(RealEndpoint, match="it wanted to send to"):
+        with pytest.raises(RealEndpoint, match="it tried to send to"):
             still.run(1.0)
 
 
 def test_so_is_what_was_accepted_before(accepted, still):
     for deed in (lambda: accepted.send(b"x"), lambda: accepted.recv(1), lambda: accepted.recvmsg(1)):
         still.at(still.now + 0.5, deed)
-        with pytest.raises(RealEndpoint, match="it wanted to use a socket"):
+        with pytest.raises(RealEndpoint, match="it tried to use a socket"):
             still.run(1.0)
     still.at(still.now + 0.5, lambda: accepted.sendmsg([b"x"]))
-    with pytest.raises(RealEndpoint, match="it wanted to send to"):
+    with pytest.raises(RealEndpoint, match="it tried to send to"):
         still.run(1.0)
 
 
@@ -195,7 +196,7 @@ def test_no_process_is_ended_that_was_there_before(sleeper, still):
         lambda: signal.pidfd_send_signal(descriptor, signal.SIGKILL),
     ):
         still.at(still.now + 0.5, deed)
-        with pytest.raises(RealEndpoint, match="it wanted to send a signal to"):
+        with pytest.raises(RealEndpoint, match="it tried to send a signal to"):
             still.run(1.0)
     os.close(descriptor)
     still.close()
@@ -231,7 +232,7 @@ def test_nor_by_the_loop_that_a_driver_runs_in(still, deed, said):
 
     (life,) = still._fleet.lives.values()
     still.at(0.5, lambda: life.process.loop.enter(lambda: life.process.loop.create_task(silently())))
-    with pytest.raises(RealEndpoint, match=f"it wanted to {said}"):
+    with pytest.raises(RealEndpoint, match=f"it tried to {said}"):
         still.run(1.0)
 
 
@@ -273,7 +274,7 @@ def test_nor_while_a_mission_is_loaded_by_the_package_of_a_driver(
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "still.L").write_text(PROGRAM)
     (tmp_path / "still.dL").write_text("//Boss:boss@alpha\n")
-    with pytest.raises(pytest.fail.Exception, match="it wanted to reach"):
+    with pytest.raises(pytest.fail.Exception, match="it tried to reach"):
         lfield_mission(tmp_path / "still.dL")
     assert not has_been_knocked_at(door)
 
@@ -287,7 +288,7 @@ def test_nor_while_a_double_is_looked_at(door, tmp_path, lfield_mission):
 
     (tmp_path / "post.L").write_text("resource Post { init(string[] arg) { } }\n" + PROGRAM)
     (tmp_path / "post.dL").write_text("//Post:post@alpha\n//Boss:boss@alpha\n")
-    with pytest.raises(pytest.fail.Exception, match="it wanted to reach"):
+    with pytest.raises(pytest.fail.Exception, match="it tried to reach"):
         lfield_mission(tmp_path / "post.dL", doubles={"post": Eager()})
     assert not has_been_knocked_at(door)
     bound()
@@ -295,18 +296,18 @@ def test_nor_while_a_double_is_looked_at(door, tmp_path, lfield_mission):
 
 def test_nor_by_a_team_that_is_closed_meanwhile(still):
     still.at(0.5, still.close)
-    with pytest.raises(MissionTestError, match="cannot close the team"):
+    with pytest.raises(MissionTestError, match="cannot close it"):
         still.run(1.0)
     with pytest.raises(RealEndpoint):
         bound()
 
 
 def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):
-    with pytest.raises(RealEndpoint, match="it wanted to listen at"):
+    with pytest.raises(RealEndpoint, match="it tried to listen at"):
         bound()
     # It has been told, and goes on.
     still.run(1.0)
-    with pytest.raises(RealEndpoint, match="it wanted to reach"):
+    with pytest.raises(RealEndpoint, match="it tried to reach"):
         still.run(until=lambda: bool(socket.gethostbyname("localhost")))
     told: list[str] = []
 
@@ -320,7 +321,7 @@ def test_nor_by_the_test_itself_its_conditions_and_its_threads(still):
         thread = threading.Thread(target=reach_out)
         thread.start()
         thread.join()
-        with pytest.raises(RealEndpoint, match="it wanted to reach"):
+        with pytest.raises(RealEndpoint, match="it tried to reach"):
             end()
     assert len(told) == 2
 

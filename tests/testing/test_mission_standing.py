@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import Stuck
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.mission_team import MissionTeam
 
 PROGRAM = """
 resource Post {
@@ -38,7 +38,7 @@ def stuck_in(tmp_path: Path):
     def told(body: str, *, more: str = "", disturb=lambda team: None) -> list[str]:
         (tmp_path / "post.L").write_text(PROGRAM.replace("//body", body))
         (tmp_path / "post.dL").write_text(AGENTS + more)
-        team = Team(tmp_path / "post.dL")
+        team = MissionTeam(tmp_path / "post.dL")
         teams.append(team)
         disturb(team)
         with pytest.raises(Stuck) as stuck:
@@ -74,15 +74,15 @@ def test_who_holds_the_lock_that_is_waited_for_is_named(stuck_in):
 
 def test_a_coordinator_that_is_nowhere_is_named(stuck_in):
     lines = stuck_in("two.work();", disturb=lambda team: team.when("post.L:12", lambda: team.crash("alpha")))
-    assert of("boss", lines) == "boss is nowhere: it begins on alpha, which does not run"
+    assert of("boss", lines) == "boss is missing: it starts on alpha, which is not running"
     lines = stuck_in("two.slow();", disturb=lambda team: team.at(3.0, lambda: team.crash("bravo")))
-    assert of("boss", lines) == "boss is nowhere: it was on bravo, which does not run"
+    assert of("boss", lines) == "boss is missing: it was on bravo, which is not running"
     lines = stuck_in(
         "sleep(100.0);",
         more="//Other:other@bravo\n",
         disturb=lambda team: team.at(0.5, lambda: team.crash("bravo")),
     )
-    assert of("other", lines) == "other is nowhere: it begins on bravo, which does not run"
+    assert of("other", lines) == "other is missing: it starts on bravo, which is not running"
     assert of("boss", lines).startswith("boss on alpha: sleeping")
 
 
@@ -93,16 +93,16 @@ def test_a_coordinator_that_has_ended_is_told_as_that(stuck_in):
 
 def test_a_paused_team_says_so(stuck_in):
     lines = stuck_in("sleep(100.0);", disturb=lambda team: team.at(3.0, team.pause))
-    assert "alpha is paused: nothing runs there until it is resumed" in lines
+    assert "alpha is paused" in lines
 
 
 def test_who_waits_for_a_majority_to_begin_is_told_so(stuck_in):
-    def crash(team: Team) -> None:
+    def crash(team: MissionTeam) -> None:
         team.crash("bravo")
         team.crash("charlie")
 
     lines = stuck_in("heartbeatInterval(5.0); one.work();", more="//@charlie\n", disturb=crash)
-    told = "boss is nowhere: it has not begun on alpha; alpha said: boss is not started before a majority of"
+    told = "boss is on no host: it has not started on alpha; alpha logged: boss not started: no majority of"
     assert of("boss", lines).startswith(told)
 
 

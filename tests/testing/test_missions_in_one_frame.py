@@ -84,7 +84,7 @@ def truth(team, who, moment):
     return [point.north, point.east, -point.up]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("devices", [EARTH, HALL], ids=["earth", "hall"])
 def test_who_is_sent_to_anothers_place_comes_there(team, devices):
     team = team(devices)

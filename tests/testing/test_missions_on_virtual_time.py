@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import MissionTestError, Stuck
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.mission_team import MissionTeam
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 FLIGHT = EXAMPLES / "01-first-flight" / "mission.dL"
@@ -34,7 +34,7 @@ HOSTS = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
 def walk(tmp_path, lfield_mission):
     """Makes a team of two hosts without devices; `more` is what its boss does in the end."""
 
-    def made(more: str = "", **options: object) -> Team:
+    def made(more: str = "", **options: object) -> MissionTeam:
         (tmp_path / "walk.L").write_text(WALK.replace("//more", more))
         (tmp_path / "walk.dL").write_text(HOSTS)
         return lfield_mission(tmp_path / "walk.dL", **options)
@@ -56,6 +56,7 @@ def test_two_copters_fly_with_their_own_driver_and_fake(lfield_mission):
     assert team.has_moved
 
 
+@pytest.mark.few(0)
 def test_the_same_seed_is_the_same_flight_and_another_is_not(lfield_mission):
     seen = []
     for seed in (3, 3, 4):
@@ -154,7 +155,7 @@ def test_a_line_of_a_field_an_init_or_a_finally_is_one_too(tmp_path, lfield_miss
 @pytest.mark.parametrize("line", ["walk.L:1", "walk.L:900", "other.L:10", "walk.L", "10"])
 def test_a_line_without_code_is_none(walk, line):
     team = walk()
-    with pytest.raises(MissionTestError, match="is no line of the mission with code"):
+    with pytest.raises(MissionTestError, match="is not a line of the mission with code"):
         team.when(line, lambda: None)
 
 
@@ -183,7 +184,7 @@ def test_a_host_that_ends_by_itself_ends_the_test_with_its_words(lfield_mission,
     team = lfield_mission(FLIGHT, fakes={"lead.fc": ["silence=true"]})
     with pytest.raises(Stuck, match="alpha has ended by itself") as stuck:
         team.run(until_done=True)
-    assert any("alpha said:" in line and "lead.fc" in line for line in stuck.value.standing)
+    assert any("alpha logged:" in line and "lead.fc" in line for line in stuck.value.standing)
 
 
 def test_what_is_not_there_is_named_with_what_there_is(lfield_mission, walk):
@@ -196,7 +197,7 @@ def test_what_is_not_there_is_named_with_what_there_is(lfield_mission, walk):
         team.crash("lead")
     with pytest.raises(pytest.fail.Exception, match=r"there is no device 'nobody.fc' with a fake"):
         walk(fakes={"nobody.fc": ["silence=true"]})
-    with pytest.raises(pytest.fail.Exception, match=r"lead.fc: --fault: 'battery@lead.fc' is no fault"):
+    with pytest.raises(pytest.fail.Exception, match=r"lead.fc: --fault: 'battery@lead.fc' is not a fault"):
         lfield_mission(FLIGHT, fakes={"lead.fc": ["battery"]})
 
 
@@ -221,7 +222,7 @@ def test_a_person_pauses_a_mission_and_lets_it_go_on(walk):
     team.pause()
     team.run(20.0)
     assert (team.said("over"), team.ended) == (0, {})
-    assert [mark.words for mark in team.marks] == ["the mission is paused"]
+    assert [mark.text for mark in team.marks] == ["the mission is paused"]
     team.resume()
     team.run(until_done=True)
     assert (team.said("over"), team.ended) == (1, {"boss": "done"})

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from lfield import exits
+from lfield import exit_status
 
 pytestmark = pytest.mark.process
 
@@ -67,14 +67,15 @@ def test_a_conftest_that_asks_has_it(project):
     assert "1 passed" in said
 
 
+@pytest.mark.few(0)
 def test_lfield_test_tells_how_it_went_by_its_status(project):
     status, said = run(project, "-m", "lfield", "test", "test_walk.py", "-k", "it_ends")
-    assert (status, "1 passed" in said) == (exits.DONE, True), said
+    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
     status, said = run(project, "-m", "lfield", "test")
-    assert (status, "1 failed, 1 passed" in said) == (exits.FAILED, True), said
-    assert "nobody has said 'never' after 120 s of the mission, which has ended" in said
+    assert (status, "1 failed, 1 passed" in said) == (exit_status.FAILED, True), said
+    assert "no log line contains 'never' after 120 s of the mission, which has ended" in said
     status, said = run(project, "-m", "lfield", "test", "-k", "nothing")
-    assert status == exits.NO_INPUT, said
+    assert status == exit_status.NO_INPUT, said
     assert not (project / "tracks").exists(), "nobody has moved"
 
 
@@ -82,12 +83,12 @@ def test_the_words_of_lfield_test_may_stand_in_any_order(project):
     (project / "test_other.py").write_text("def test_it_ends_too():\n    pass\n")
     words = ("-k", "it_ends", "test_walk.py", "-x", "test_other.py", "-q")
     status, said = run(project, "-m", "lfield", "test", *words)
-    assert (status, "2 passed, 1 deselected" in said) == (exits.DONE, True), said
+    assert (status, "2 passed, 1 deselected" in said) == (exit_status.DONE, True), said
     assert "platform" not in said
     status, said = run(project, "-m", "lfield", "check", "walk.L", "--json", "walk.dL")
-    assert status == exits.DONE, said
+    assert status == exit_status.DONE, said
     status, said = run(project, "-m", "lfield", "test", "test_walk.py", "--xyzzy", "test_other.py")
-    assert status == exits.USAGE
+    assert status == exit_status.USAGE
     assert said.startswith("lfield: unrecognized arguments: --xyzzy")
 
 
@@ -118,7 +119,7 @@ def test_each_team_of_each_test_has_a_picture_of_its_own(tmp_path):
     words = ("test", ".", "-q", "-k", "moves or far", "--tracks", "seen")
     (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = --import-mode=importlib\n")
     status, said = run(tmp_path, "-m", "lfield", *words)
-    assert (status, "7 passed, 1 deselected" in said) == (exits.DONE, True), said
+    assert (status, "7 passed, 1 deselected" in said) == (exit_status.DONE, True), said
     pictures = sorted(file.name for file in (tmp_path / "seen").iterdir())
     long = f"test_walk.test_it_moves-{'x' * 300}"[:120]
     assert pictures == sorted(
@@ -137,15 +138,15 @@ def test_a_picture_that_cannot_be_written_fails_no_test(tmp_path):
     (tmp_path / "test_walk.py").write_text(test)
     (tmp_path / "taken").write_text("")
     status, said = run(tmp_path, "-m", "lfield", "test", "-k", "two_teams", "--tracks", "taken")
-    assert (status, "error" in said) == (exits.DONE, False), said
+    assert (status, "error" in said) == (exit_status.DONE, False), said
     assert f"tracks: {tmp_path}/taken/test_walk.test_two_teams~1.svg cannot be written: File exists" in said
 
 
 FLOWN = """
 import hashlib, sys
 from pathlib import Path
-from lfield.testing.mission.team import Team
-team = Team(Path(sys.argv[1]), seed=5)
+from lfield.testing.mission.mission_team import MissionTeam
+team = MissionTeam(Path(sys.argv[1]), seed=5)
 team.run(until_done=True)
 print(hashlib.sha256(repr((team.log, team.tracks, team.hops)).encode()).hexdigest())
 """
@@ -167,14 +168,14 @@ def test_without_pytest_it_says_what_to_install(project):
     (project / "pytest.py").write_text("raise ImportError\n")
     status, said = run(project, "-m", "lfield", "test")
     assert (status, said) == (
-        exits.UNAVAILABLE,
+        exit_status.UNAVAILABLE,
         "lfield: 'lfield test' needs pytest: pip install 'lfield[desk]'\n",
     )
 
 
 def test_a_picture_shows_every_device_and_what_was_done_to_it():
-    from lfield.testing.mission.picture import Mark, draw
-    from lfield.testing.mission.watching import Point
+    from lfield.testing.mission.recorders import Point
+    from lfield.testing.mission.track_picture import Mark, draw
 
     tracks = {
         "a.fc": [Point(0.0, 0.0, 0.0, 0.0), Point(1.0, 5.0, 1.0, 2.0)],
@@ -190,13 +191,13 @@ def test_a_picture_shows_every_device_and_what_was_done_to_it():
         texts
     )
     assert "height over 1 s, up to 2.0 m" in texts
-    with pytest.raises(ValueError, match="nobody has told where it was"):
+    with pytest.raises(ValueError, match="no device has a known position"):
         draw({"nowhere": []}, "empty")
 
 
 def test_names_of_devices_that_end_at_one_place_do_not_lie_on_each_other():
-    from lfield.testing.mission.picture import LINE, draw
-    from lfield.testing.mission.watching import Point
+    from lfield.testing.mission.recorders import Point
+    from lfield.testing.mission.track_picture import LINE, draw
 
     names = ["a.fc", "b.fc", "c.fc", "far.fc"]
     tracks = {

@@ -1,7 +1,8 @@
 """How a finding looks to the person who made the mistake."""
 
 from lfield.lang.frontend import check_text
-from lfield.text.source import MAX_SHOWN
+from lfield.text.message_tables import MAX_RENDERED, render_findings
+from lfield.text.source_text import MAX_SHOWN
 
 PROGRAM = """\
 resource Arm {
@@ -48,3 +49,11 @@ def test_of_a_long_line_only_the_surroundings_are_shown() -> None:
     _, line, caret, *_ = found.render().split("\n")
     assert len(line) <= 4 + MAX_SHOWN
     assert line[caret.index("^") : caret.rindex("~") + 1] == "intt"
+
+
+def test_three_thousand_errors_are_bounded_as_text() -> None:
+    unknown = "".join(f"int x{number} = y{number};\n" for number in range(3000))
+    found = check_text(f"resource Arm {{ init(string[] arg) {{\n{unknown}}} }}").diagnostics
+    lines = render_findings(found).split("\n")
+    assert (len(found), len(lines)) == (3000, 4 * MAX_RENDERED + 1)
+    assert lines[-1].startswith("... and 2950 more;")

@@ -16,15 +16,15 @@ from pathlib import Path
 
 import pytest
 
-from lfield.text.outlet import AT_ONCE, Backlog, Outlet, never_waiting
+from lfield.text.nonblocking_output import MAX_WRITE, LineBacklog, NonBlockingOutput, nonblocking_output
 
 PATIENCE = 30.0
 
 
-def all_of(backlog: Backlog) -> list[tuple[int, bytes]]:
+def all_of(backlog: LineBacklog) -> list[tuple[int, bytes]]:
     taken = []
     while backlog:
-        taken.append(backlog.take())
+        taken.append(backlog.drain())
     return taken
 
 
@@ -32,50 +32,50 @@ def all_of(backlog: Backlog) -> list[tuple[int, bytes]]:
 
 
 def test_lines_come_out_as_they_went_in():
-    backlog = Backlog()
+    backlog = LineBacklog()
     backlog.put(b"a\nb\n")
     backlog.put(b"c")
     backlog.put(b"d\ne")
-    assert backlog.take() == (0, b"a\nb\ncd\ne")
+    assert backlog.drain() == (0, b"a\nb\ncd\ne")
     assert not backlog
 
 
 def test_the_oldest_lines_go_first_and_are_counted():
-    backlog = Backlog(limit=8)
+    backlog = LineBacklog(limit=8)
     backlog.put(b"".join(b"%03d\n" % number for number in range(10)))
-    assert backlog.take() == (8, b"008\n009\n")
+    assert backlog.drain() == (8, b"008\n009\n")
     backlog.put(b"010\n")
-    assert backlog.take() == (0, b"010\n")
+    assert backlog.drain() == (0, b"010\n")
 
 
 def test_one_line_over_the_limit_is_kept_whole():
-    backlog = Backlog(limit=8)
+    backlog = LineBacklog(limit=8)
     backlog.put(b"short\n")
     backlog.put(b"a line that is longer\n")
-    assert backlog.take() == (1, b"a line that is longer\n")
+    assert backlog.drain() == (1, b"a line that is longer\n")
 
 
 def test_what_is_taken_at_once_is_whole_lines_that_no_pipe_tears():
     dice = random.Random(7)
     lines = [b"%d " % number * dice.randrange(1, 400) + b"\n" for number in range(500)]
-    backlog = Backlog()
+    backlog = LineBacklog()
     for line in lines:
         cut = dice.randrange(len(line))
         backlog.put(line[:cut])
         backlog.put(line[cut:])
     taken = [data for _, data in all_of(backlog)]
     assert b"".join(taken) == b"".join(lines)
-    assert all(data.endswith(b"\n") and (len(data) <= AT_ONCE or data.count(b"\n") == 1) for data in taken)
+    assert all(data.endswith(b"\n") and (len(data) <= MAX_WRITE or data.count(b"\n") == 1) for data in taken)
 
 
 def test_every_line_is_kept_or_counted():
-    dice, backlog, kept, lost, sent = random.Random(3), Backlog(limit=200), 0, 0, 0
+    dice, backlog, kept, lost, sent = random.Random(3), LineBacklog(limit=200), 0, 0, 0
     for _ in range(2000):
         if dice.random() < 0.8:
             backlog.put(b"x" * dice.randrange(40) + b"\n")
             sent += 1
         else:
-            dropped, data = backlog.take()
+            dropped, data = backlog.drain()
             kept, lost = kept + data.count(b"\n"), lost + dropped
     for dropped, data in all_of(backlog):
         kept, lost = kept + data.count(b"\n"), lost + dropped
@@ -87,11 +87,16 @@ def test_every_line_is_kept_or_counted():
 
 
 def a_pipe():
-    return os.pipe()
+    """With a buffer so small that it is full however rarely the writing thread is scheduled."""
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    return reading, writing
 
 
 def a_socket():
+    """With a small buffer, for the same reason."""
     ours, theirs = socket.socketpair()
+    theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
     return ours.detach(), theirs.detach()
 
 
@@ -138,18 +143,18 @@ class Reader:
 
 def test_nobody_waits_for_a_reader_and_what_is_missing_is_said_in_its_place(ends):
     reading, writing = ends
-    outlet = Outlet(writing, limit=20_000)
+    outlet = NonBlockingOutput(writing, limit=20_000)
     before = time.monotonic()
     for number in range(100_000):
         outlet.write(f"line {number:6} of the log\n")
-    assert time.monotonic() - before < 20
+    assert time.monotonic() - before < PATIENCE
     assert not outlet.drain(0.1)
     assert not fcntl.fcntl(writing, fcntl.F_GETFL) & os.O_NONBLOCK, "the shell has the same one"
     reader = Reader(reading)
     assert outlet.drain(PATIENCE)
     outlet.write("end\n")
     lines = reader.lines_when(b"end\n")
-    told = [number for number, line in enumerate(lines) if b"missing here" in line]
+    told = [number for number, line in enumerate(lines) if b"missing: output" in line]
     missing = sum(int(lines[number].split()[1]) for number in told)
     assert missing > 50_000
     assert missing + len(lines) - len(told) - 1 == 100_000
@@ -160,7 +165,7 @@ def test_nobody_waits_for_a_reader_and_what_is_missing_is_said_in_its_place(ends
 def test_a_stream_that_somebody_made_nonblocking_is_written_whole():
     reading, writing = os.pipe()
     os.set_blocking(writing, False)
-    outlet = Outlet(writing)
+    outlet = NonBlockingOutput(writing)
     for number in range(20_000):
         outlet.write(f"line {number:6}\n")
     assert Reader(reading).lines_when(b"line  19999\n") == [b"line %6d" % n for n in range(20_000)]
@@ -168,7 +173,7 @@ def test_a_stream_that_somebody_made_nonblocking_is_written_whole():
 
 def test_an_incomplete_line_waits_for_its_end_or_flush():
     reading, writing = os.pipe()
-    outlet = Outlet(writing)
+    outlet = NonBlockingOutput(writing)
     outlet.write("a prompt: ")
     outlet.flush()
     assert os.read(reading, 100) == b"a prompt: "
@@ -186,7 +191,7 @@ def test_what_cannot_be_written_is_told_once(gone, why):
     else:
         target = os.open("/dev/full", os.O_WRONLY)
     told: list[str | None] = []
-    outlet = Outlet(target, lost=lambda error: told.append(error.strerror))
+    outlet = NonBlockingOutput(target, lost=lambda error: told.append(error.strerror))
     for _ in range(3):
         outlet.write("a line\n")
         assert outlet.drain(PATIENCE)
@@ -199,10 +204,10 @@ def test_what_cannot_be_written_is_told_once(gone, why):
 
 def test_the_streams_of_a_process_are_outlets_for_the_duration(capfd):
     before = sys.stdout, sys.stderr
-    with never_waiting():
+    with nonblocking_output():
         print("output")
         print("log", file=sys.stderr)
-        assert isinstance(sys.stdout, Outlet)
+        assert isinstance(sys.stdout, NonBlockingOutput)
     assert (sys.stdout, sys.stderr) == before
     assert capfd.readouterr() == ("output\n", "log\n")
 
@@ -210,10 +215,10 @@ def test_the_streams_of_a_process_are_outlets_for_the_duration(capfd):
 def test_lost_program_output_is_told_in_the_log(capfd, monkeypatch):
     with Path("/dev/full").open("w") as full:
         monkeypatch.setattr(sys, "stdout", full)
-        with never_waiting("somebody: "):
+        with nonblocking_output("somebody: "):
             print("output")
     assert capfd.readouterr().err == (
-        "somebody: program output is lost from here on: No space left on device\n"
+        "somebody: program output discarded from here on: No space left on device\n"
     )
 
 
@@ -222,10 +227,10 @@ def test_streams_that_are_stuck_stay_outlets_and_the_end_is_not_far(monkeypatch)
     with os.fdopen(writing, "w") as stuck, monkeypatch.context() as patch:
         patch.setattr(sys, "stdout", stuck)
         before = time.monotonic()
-        with never_waiting():
+        with nonblocking_output():
             print("x" * 100_000)
         print("a last sentence")
-        assert time.monotonic() - before < 10
+        assert time.monotonic() - before < PATIENCE
         reader = Reader(reading)
         assert reader.lines_when(b"a last sentence\n") == [b"x" * 100_000, b"a last sentence"]
 
@@ -233,7 +238,7 @@ def test_streams_that_are_stuck_stay_outlets_and_the_end_is_not_far(monkeypatch)
 def test_a_process_without_streams(monkeypatch):
     monkeypatch.setattr(sys, "stdout", None)
     monkeypatch.setattr(sys, "stderr", None)
-    with never_waiting():
+    with nonblocking_output():
         assert (sys.stdout, sys.stderr) == (None, None)
 
 

@@ -8,51 +8,52 @@ from pathlib import Path
 
 import pytest
 
-from lfield.authority.folder import own_settings
-from lfield.errors import NoHome, OutputFileError
-from lfield.text.own_folders import cache_folder, own_folder, runtime_folder, state_folder
+from lfield.errors import NoHomeFolder, OutputFileError
+from lfield.text.user_dirs import cache_dir, config_dir, session_runtime_dir, state_dir
 
 
 @pytest.mark.parametrize(
-    ("environment", "folder"),
+    ("variables", "folder"),
     [
-        ({"VARIABLE": "/named", "HOME": "/home/me"}, "/named"),
-        ({"VARIABLE": "named", "HOME": "/home/me"}, "/home/me/.place/in"),
-        ({"VARIABLE": "", "HOME": "/home/me"}, "/home/me/.place/in"),
-        ({"VARIABLE": "/named", "HOME": "relative"}, "/named"),
+        ({"XDG_STATE_HOME": "/named", "HOME": "/home/me"}, "/named/lfield"),
+        ({"XDG_STATE_HOME": "named", "HOME": "/home/me"}, "/home/me/.local/state/lfield"),
+        ({"XDG_STATE_HOME": "", "HOME": "/home/me"}, "/home/me/.local/state/lfield"),
+        ({"XDG_STATE_HOME": "/named", "HOME": "relative"}, "/named/lfield"),
     ],
 )
-def test_the_variable_counts_before_the_home(environment, folder):
-    assert own_folder("VARIABLE", ".place/in", environment) == Path(folder)
+def test_the_variable_precedes_the_home_and_a_relative_path_is_ignored(monkeypatch, variables, folder):
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert state_dir() == Path(folder)
 
 
 @pytest.mark.parametrize("home", ["", ".", "relative"])
-def test_a_home_that_is_no_absolute_path_is_none(home):
-    with pytest.raises(NoHome, match=r"no home folder: set HOME, or VARIABLE, to the absolute path"):
-        own_folder("VARIABLE", ".place", {"HOME": home})
+def test_an_unknown_user_without_an_absolute_home_has_no_directory(monkeypatch, home):
+    monkeypatch.delenv("STATE_DIRECTORY", raising=False)
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setenv("HOME", home)
+    monkeypatch.setattr(os, "getuid", lambda: 54321)
+    with pytest.raises(NoHomeFolder, match=r"no home folder: set HOME, or XDG_STATE_HOME, to the absolute"):
+        state_dir()
 
 
-def test_where_no_home_is_named_it_is_that_of_the_user(monkeypatch):
-    home = pwd.getpwuid(os.geteuid()).pw_dir
-    assert own_folder("VARIABLE", ".place", {}) == Path(home, ".place")
-
-
-def test_a_user_whom_nobody_knows_has_none(monkeypatch):
-    monkeypatch.setattr(os, "geteuid", lambda: 54321)
-    with pytest.raises(NoHome):
-        own_folder("VARIABLE", ".place", {})
+def test_without_home_the_home_of_the_user_counts(monkeypatch):
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    monkeypatch.delenv("HOME", raising=False)
+    assert config_dir() == Path(pwd.getpwuid(os.getuid()).pw_dir, ".config/lfield")
 
 
 def test_a_service_needs_no_home(monkeypatch):
     monkeypatch.setenv("STATE_DIRECTORY", "/var/lib/lfield:/var/lib/other")
     monkeypatch.setenv("HOME", "")
-    assert state_folder() == Path("/var/lib/lfield")
+    assert state_dir() == Path("/var/lib/lfield")
 
 
 _FOLDERS = {
-    "XDG_STATE_HOME": state_folder,
-    "XDG_CACHE_HOME": cache_folder,
-    "XDG_CONFIG_HOME": lambda: own_settings(os.environ),
+    "XDG_STATE_HOME": state_dir,
+    "XDG_CACHE_HOME": cache_dir,
+    "XDG_CONFIG_HOME": config_dir,
 }
 
 
@@ -94,9 +95,9 @@ def test_a_runtime_folder_by_a_link_of_another_user_is_none(monkeypatch, tmp_pat
     (tmp_path / "mine").mkdir(mode=0o700)
     foreign(tmp_path / "run", tmp_path / "mine")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "run"))
-    assert runtime_folder() is None
+    assert session_runtime_dir() is None
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path / "mine"))
-    assert runtime_folder() == tmp_path / "mine"
+    assert session_runtime_dir() == tmp_path / "mine" / "lfield"
 
 
 def test_links_that_lead_round_are_refused(monkeypatch, tmp_path):
@@ -104,7 +105,7 @@ def test_links_that_lead_round_are_refused(monkeypatch, tmp_path):
     (tmp_path / "other").symlink_to("lfield")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     with pytest.raises(OutputFileError, match="too many symbolic links"):
-        cache_folder()
+        cache_dir()
 
 
 @pytest.mark.parametrize("variable", _FOLDERS)

@@ -1,27 +1,27 @@
-"""A user's own folder beside those of strangers: nobody takes its place away."""
+"""The runtime directory of a process: one rule, and private to its user."""
 
 from __future__ import annotations
 
 import os
-import tempfile
 
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.text.own_folders import own_place, own_places
+from lfield.text import user_dirs
+from lfield.text.user_dirs import private_runtime_dir, runtime_dir
 
-_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to a stranger")
 _STRANGER = 54321
 
 
 @pytest.fixture
 def shared(tmp_path, monkeypatch):
-    """A temporary folder as all users have one, and no runtime folder."""
+    """What /tmp is here; no unit and no session has a runtime directory."""
     folder = tmp_path / "tmp"
     folder.mkdir()
     folder.chmod(0o1777)
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
     monkeypatch.delenv("XDG_RUNTIME_DIR", raising=False)
-    monkeypatch.setattr(tempfile, "tempdir", str(folder))
+    monkeypatch.setattr(user_dirs, "SHARED", folder)
     return folder
 
 
@@ -29,53 +29,58 @@ def _usual(shared):
     return shared / f"lfield-{os.geteuid()}"
 
 
-def test_it_is_in_the_runtime_folder_where_there_is_one(shared, tmp_path, monkeypatch):
+def test_the_directory_of_a_unit_precedes_that_of_a_session_and_the_one_in_tmp(shared, tmp_path, monkeypatch):
+    assert runtime_dir() == _usual(shared)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    assert own_places("doors") == []
-    assert own_place("doors") == tmp_path / "doors"
-    assert own_places("doors") == [tmp_path / "doors"]
+    assert runtime_dir() == tmp_path / "lfield"
+    monkeypatch.setenv("RUNTIME_DIRECTORY", "/run/other:/run/lfield")
+    assert str(runtime_dir()) == "/run/lfield"
 
 
-def test_else_it_is_in_the_temporary_one_under_the_users_number(shared):
-    assert own_place("doors") == own_place("doors") == _usual(shared) / "doors"
-    assert own_places("doors") == [_usual(shared) / "doors"]
+@pytest.mark.parametrize("value", ["", "run", "relative/run"])
+def test_a_session_directory_must_be_absolute(shared, monkeypatch, value):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", value)
+    assert runtime_dir() == _usual(shared)
 
 
-def test_a_runtime_folder_that_others_may_write_to_is_none(shared, tmp_path, monkeypatch):
+def test_the_directory_in_tmp_does_not_depend_on_tmpdir(shared, tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    assert runtime_dir() == _usual(shared)
+
+
+def test_a_session_directory_that_others_may_write_to_is_not_used(shared, tmp_path, monkeypatch):
     loose = tmp_path / "loose"
     loose.mkdir()
     loose.chmod(0o777)
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(loose))
-    assert own_place("doors") == _usual(shared) / "doors"
+    assert private_runtime_dir("doors") == _usual(shared) / "doors"
+    assert (_usual(shared) / "doors").stat().st_mode & 0o777 == 0o700
 
 
-@_root
-def test_whoever_makes_it_first_does_not_take_it_away(shared):
-    _usual(shared).mkdir(mode=0o777)
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make what belongs to another user")
+def test_a_directory_of_another_user_is_refused(shared):
+    _usual(shared).mkdir(mode=0o755)
     os.chown(_usual(shared), _STRANGER, _STRANGER)
-    place = own_place("doors")
-    assert place.parent.name.startswith(f"{_usual(shared).name}-")
-    assert place.stat().st_uid == os.geteuid()
-    assert own_place("doors") == place, "the next process has the same"
-    assert own_places("doors") == [place]
+    with pytest.raises(OutputFileError, match="belongs to another user") as refused:
+        private_runtime_dir("doors")
+    assert refused.value.path == str(_usual(shared))
 
 
-@_root
-def test_what_strangers_have_under_such_a_name_is_not_looked_into(shared):
-    other = shared / f"{_usual(shared).name}-0a1b2c3d"
-    (other / "doors").mkdir(parents=True)
-    os.chown(other, _STRANGER, _STRANGER)
-    assert own_places("doors") == []
+def test_a_link_is_refused(shared, tmp_path):
+    (tmp_path / "target").mkdir(mode=0o700)
+    _usual(shared).symlink_to(tmp_path / "target")
+    with pytest.raises(OutputFileError, match="link"):
+        private_runtime_dir("doors")
+    assert list((tmp_path / "target").iterdir()) == []
 
 
-def test_a_folder_that_others_may_write_to_is_passed_over(shared):
-    place = own_place("doors")
-    place.chmod(0o777)
-    assert own_places("doors") == []
-    assert own_place("doors") != place
+def test_a_directory_that_others_may_write_to_is_refused(shared):
+    private_runtime_dir("doors").chmod(0o777)
+    with pytest.raises(OutputFileError, match="others may write"):
+        private_runtime_dir("doors")
 
 
-def test_where_others_could_remove_it_there_is_none(shared):
+def test_a_directory_that_others_could_remove_is_refused(shared):
     shared.chmod(0o777)
-    with pytest.raises(OutputFileError, match="others could remove what is in it"):
-        own_place("doors")
+    with pytest.raises(OutputFileError, match="others could remove files in it"):
+        private_runtime_dir("doors")

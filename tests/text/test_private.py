@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import OutputFileError
-from lfield.text.private import (
-    keeps,
-    let_read,
+from lfield.text.secure_files import (
+    grant_group_read,
+    is_trusted_dir,
     new_private_folder,
     private_folder,
     read_private,
@@ -100,7 +100,7 @@ def test_a_group_may_be_let_read_whatever_the_umask(path):
         new_private_folder(path.parent)
         write_private(path, b"data")
         for there in (path, path.parent):
-            let_read(there, os.getegid())
+            grant_group_read(there, os.getegid())
     finally:
         os.umask(before)
     assert (mode(path.parent.parent), mode(path.parent), mode(path)) == (0o700, 0o750, 0o640)
@@ -110,7 +110,7 @@ def test_a_group_that_may_read_already_is_let_be(path):
     """A service may have given its folder other rights, and may not change whose it is."""
     path.parent.mkdir(parents=True)
     path.parent.chmod(0o755)
-    let_read(path.parent, os.getegid())
+    grant_group_read(path.parent, os.getegid())
     assert mode(path.parent) == 0o755
 
 
@@ -125,7 +125,7 @@ def test_a_group_is_not_let_read_what_others_could_have_put_there(path, tmp_path
         path.mkdir()
         path.chmod(0o770)
     with pytest.raises(OutputFileError):
-        let_read(path, os.getegid())
+        grant_group_read(path, os.getegid())
     assert mode(elsewhere) == 0o700
 
 
@@ -134,11 +134,11 @@ def test_a_group_is_not_let_read_what_others_could_have_put_there(path, tmp_path
 )
 def test_what_a_folder_keeps(tmp_path, monkeypatch, others, kept):
     tmp_path.chmod(others)
-    assert keeps(tmp_path) == kept
-    assert not keeps(tmp_path / "nowhere")
+    assert is_trusted_dir(tmp_path) == kept
+    assert not is_trusted_dir(tmp_path / "nowhere")
     if os.getuid():
         monkeypatch.setattr(os, "geteuid", lambda: os.getuid() + 1)
-        assert not keeps(tmp_path)
+        assert not is_trusted_dir(tmp_path)
 
 
 def test_a_new_folder_is_new(path):
@@ -153,7 +153,7 @@ def test_a_new_folder_is_new(path):
 def test_a_folder_that_is_none_is_refused(path, tmp_path):
     path.parent.parent.mkdir()
     path.parent.symlink_to(tmp_path)
-    refused(path, "it is a link; name the folder that is meant")
+    refused(path, "it is a link; name its target instead")
     path.parent.unlink()
     path.parent.write_bytes(b"")
     refused(path, "it is not a folder")
@@ -169,7 +169,7 @@ def test_a_link_is_neither_written_through_nor_read(path, tmp_path):
     precious = tmp_path / "precious"
     precious.write_bytes(b"old")
     path.symlink_to(precious)
-    refused(path, "is no plain file; remove it")
+    refused(path, "is not a plain file; remove it")
     with pytest.raises(OSError, match="symbolic links"):
         read_private(path, 10)
     assert precious.read_bytes() == b"old"
@@ -187,7 +187,7 @@ def test_the_other_names_of_a_file_keep_what_was_there(path, tmp_path):
 def test_a_fifo_that_nobody_reads_or_writes_does_not_block(path):
     private_folder(path.parent)
     os.mkfifo(path)
-    refused(path, "is no plain file; remove it")
+    refused(path, "is not a plain file; remove it")
     with pytest.raises(PermissionError):
         read_private(path, 10)
 

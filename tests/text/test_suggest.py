@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from unittest.mock import patch
 
-from lfield.text import suggest
+from lfield.text import suggestions
 
 
 def test_the_likest_is_found_and_case_does_not_count() -> None:
-    assert suggest.closest("cuont", ["count", "mount", "x"]) == "count"
-    assert suggest.closest("COUNT", ["count"]) == "count"
-    assert suggest.closest("wing", ["count"]) is None
+    assert suggestions.closest("cuont", ["count", "mount", "x"]) == "count"
+    assert suggestions.closest("COUNT", ["count"]) == "count"
+    assert suggestions.closest("wing", ["count"]) is None
 
 
 def test_of_thousands_of_names_it_is_looked_for_near_in_the_alphabet() -> None:
     known = [f"value{number:05}" for number in range(10_000)]
-    assert suggest.closest("valeu05000", [*known, "valeur05000"]) == "valeur05000"
-    with patch.object(suggest, "get_close_matches", return_value=[]) as look:
-        suggest.closest("valeu05000", known)
-    assert len(look.call_args.args[1]) <= suggest.MOST
+    assert suggestions.closest("valeu05000", [*known, "valeur05000"]) == "valeur05000"
+    with patch.object(suggestions, "get_close_matches", return_value=[]) as look:
+        suggestions.closest("valeu05000", known)
+    assert len(look.call_args.args[1]) <= suggestions.MAX_NAMES
 
 
 def test_a_name_that_is_no_name_is_like_none() -> None:
     long = "a" * 10_000
-    assert suggest.closest(long, [f"{long}b"]) is None
+    assert suggestions.closest(long, [f"{long}b"]) is None

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from lfield.text.values import in_words
+from lfield.text.value_text import value_text
 
 
 @pytest.mark.parametrize(
@@ -23,4 +23,4 @@ from lfield.text.values import in_words
     ],
 )
 def test_a_number_is_never_longer_than_can_be_read(value, words):
-    assert in_words(value) == words
+    assert value_text(value) == words

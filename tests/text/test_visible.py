@@ -10,17 +10,17 @@ from hypothesis import strategies as st
 from rich.text import Text
 
 from lfield.cli.views.console import PlainConsole
-from lfield.text.findings import Table
-from lfield.text.source import Diagnostic, Source, Span
-from lfield.text.visible import (
+from lfield.text.message_tables import FindingTable
+from lfield.text.source_text import Diagnostic, Source, Span
+from lfield.text.terminal_escape import (
     ESCAPES,
-    as_text,
-    clipped,
-    continued,
-    in_one_line,
-    on_terminal,
-    unguarded,
-    visible,
+    escape,
+    escape_indented,
+    escape_line,
+    escaping_stream,
+    printable_argument,
+    truncate,
+    unescaped_stream,
 )
 
 
@@ -39,7 +39,7 @@ from lfield.text.visible import (
     ],
 )
 def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
-    assert visible(text) == shown
+    assert escape(text) == shown
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_what_a_terminal_would_obey_is_shown(text: str, shown: str) -> None:
     [("grün\n\x1b", "grün\n\x1b"), ("gr\udcf6\udcdfe", r"gr\u{dcf6}\u{dcdf}e"), ("\ud83e", r"\u{d83e}")],
 )
 def test_bytes_that_are_no_text_become_text(word: str, text: str) -> None:
-    assert as_text(word) == text
+    assert printable_argument(word) == text
     text.encode()
 
 
@@ -59,10 +59,10 @@ def test_what_an_encoding_does_not_have_is_an_escape_too() -> None:
 
 @given(st.text())
 def test_one_line_stays_one(text: str) -> None:
-    shown = in_one_line(text)
+    shown = escape_line(text)
     assert len(shown.splitlines()) <= 1
     assert not any(ord(ch) < 32 or 127 <= ord(ch) < 160 for ch in shown)
-    assert in_one_line(shown) == shown
+    assert escape_line(shown) == shown
 
 
 @pytest.mark.parametrize(
@@ -75,16 +75,16 @@ def test_one_line_stays_one(text: str) -> None:
     ],
 )
 def test_what_has_lines_begins_no_other_entry(text: str, shown: str) -> None:
-    assert continued(text) == shown
+    assert escape_indented(text) == shown
 
 
 def test_what_is_too_long_is_cut() -> None:
-    assert (clipped("abcd", 4), clipped("abcde", 4)) == ("abcd", "abc…")
+    assert (truncate("abcd", 4), truncate("abcde", 4)) == ("abcd", "abc…")
 
 
 def test_a_finding_is_short_and_orders_nothing() -> None:
     source = Source("a\x1bb.L", "x" * 7000)
-    found = Table("L9").message("L301", "no '{name}' here", "declare {name}")
+    found = FindingTable("L9").message("L301", "no '{name}' here", "declare {name}")
     drawn = found.at(Span(source, 0, 7000), name="x" * 7000).render()
     assert max(map(len, drawn.splitlines())) <= 260
     assert Diagnostic("L1", "an \x1b[31mid", Span(source, 0, 1), "say \a").render().splitlines() == [
@@ -103,13 +103,13 @@ class Screen(io.StringIO):
 def test_a_terminal_gets_no_orders_and_a_file_gets_all_bytes() -> None:
     text = "\x1b[31mred\x9b2J\ttab\r\n"
     screen, file = Screen(), io.StringIO()
-    print(text, end="", file=on_terminal(screen))
-    print(text, end="", file=on_terminal(file))
+    print(text, end="", file=escaping_stream(screen))
+    print(text, end="", file=escaping_stream(file))
     assert screen.getvalue() == "\\u{1b}[31mred\\u{9b}2J\ttab\\r\n"
     assert file.getvalue() == text
-    again = on_terminal(on_terminal(screen))
+    again = escaping_stream(escaping_stream(screen))
     again.flush()
-    assert (again.isatty(), unguarded(again), unguarded(file)) == (True, screen, file)
+    assert (again.isatty(), unescaped_stream(again), unescaped_stream(file)) == (True, screen, file)
 
 
 def test_a_table_on_a_terminal_has_the_control_sequences_of_rich_alone() -> None:

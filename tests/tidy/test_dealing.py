@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
+from _pytest.python import CallSpec
+from parametrized_cases import failures_of, sample
 
 
 @pytest.fixture
@@ -47,17 +48,56 @@ def test_a_worker_that_has_done_its_work_has_not_crashed(dealing):
     assert dealing.asked == []
 
 
-def test_a_few_cases_have_each_value_once_if_they_can(run):
-    cases = [
-        SimpleNamespace(
-            nodeid=f"test[{kind}-{seed}]", callspec=SimpleNamespace(indices={"kind": kind, "seed": seed})
+def cases(**counts):
+    """The cases of a test with two parameters, so many values of each."""
+    return [
+        CallSpec(
+            params={"kind": kind, "seed": seed},
+            indices={"kind": kind, "seed": seed},
+            _idlist=(f"{kind}-{seed}",),
         )
-        for kind in range(3)
-        for seed in range(20)
+        for kind in range(counts["kinds"])
+        for seed in range(counts["seeds"])
     ]
-    found = run.chosen(cases, 3)
-    assert sorted(case.callspec.indices["kind"] for case in found) == [0, 1, 2]
-    assert len({case.callspec.indices["seed"] for case in found}) == 3
-    assert run.chosen(cases[::-1], 3) == found
-    assert run.chosen(cases, 0) == []
-    assert sorted(case.nodeid for case in run.chosen(cases, 99)) == sorted(case.nodeid for case in cases)
+
+
+def test_a_few_cases_have_each_value_once_if_they_can():
+    every = cases(kinds=3, seeds=20)
+    found = sample("test", every, 3)
+    assert sorted(case.indices["kind"] for case in found) == [0, 1, 2]
+    assert len({case.indices["seed"] for case in found}) == 3
+    assert sample("test", every[::-1], 3) == found
+    assert sample("test", every, 0) == []
+    assert sorted(case.id for case in sample("test", every, 99)) == sorted(case.id for case in every)
+
+
+def test_all_merged_cases_are_checked_and_each_failure_is_reported():
+    def check(kind, seed, shared):
+        assert shared == "module"
+        seen.append((kind, seed))
+        if seed == 1:
+            pytest.skip("not here")
+        assert kind != 2, "wrong kind"
+
+    seen: list[tuple[int, int]] = []
+    failed = failures_of(cases(kinds=3, seeds=3), check, {"shared": "module"})
+    assert len(seen) == 9
+    assert [error.__notes__ for error in failed] == [["in case [2-0]"], ["in case [2-2]"]]
+    assert all("wrong kind" in str(error) for error in failed)
+
+
+def test_merged_cases_that_all_skip_are_skipped():
+    with pytest.raises(pytest.skip.Exception, match="nothing"):
+        failures_of(cases(kinds=2, seeds=1), lambda kind, seed: pytest.skip("nothing"), {})
+
+
+def test_the_time_limit_ends_merged_cases():
+    seen = []
+
+    def check(kind, seed):
+        seen.append(kind)
+        pytest.fail("Timeout (>240.0s) from pytest-timeout.")
+
+    with pytest.raises(pytest.fail.Exception, match="Timeout"):
+        failures_of(cases(kinds=2, seeds=1), check, {})
+    assert seen == [0]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import re
+import tomllib
 from collections import Counter
 from collections.abc import Iterator
 from functools import cache
@@ -11,8 +13,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PRODUCT = ("lfield", "drivers", "sim-adapters")
-EVERYTHING = (*PRODUCT, "tests", "examples")
+#: Packages of the tests that obey the rules of the product.
+TOOLS = ("tests/fuzz/engine_fuzzer", "tests/simulate/simulation_testing")
+PRODUCT = ("lfield", "drivers", "sim-adapters", *TOOLS)
+EVERYTHING = ("lfield", "drivers", "sim-adapters", "tests", "examples")
 
 MOST_FILES, MOST_LINES, LEAST_LINES, LONGEST_FUNCTION = 14, 400, 60, 60
 
@@ -26,38 +30,38 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
-    "drivers/lfield_mavlink/link/events.py": "what a link reports to its driver",
-    "lfield/driver/network/attempts.py": "the pauses between attempts to connect, and their log lines",
-    "lfield/authority/keys.py": "keys as bytes, and the names of their files",
-    "lfield/authority/minted.py": "keys of one run, in memory",
-    "lfield/authority/pages/making_pages.py": "where the folder of an authority has pages",
-    "lfield/wire/reservations.py": "what is said of reservations, all of it",
+    "drivers/lfield_can/log_messages.py": "the log lines of a driver",
+    "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",
+    "lfield/text/suggestions.py": "the known name that an unknown one resembles",
+    "drivers/lfield_mavlink/link/link_events.py": "what a link reports to its driver",
+    "lfield/authority/key_material.py": "keys as bytes, and the names of their files",
+    "lfield/authority/ephemeral_ca.py": "keys of one run, in memory",
+    "lfield/authority/web_ca/web_certificates.py": "where the folder of an authority has pages",
+    "lfield/wire/reservation_messages.py": "what is said of reservations, all of it",
     "lfield/capability/ways.py": "names that compiler and machine share",
     "lfield/clock.py": "a word that everybody speaks",
-    "lfield/devices/measuring.py": "what is done for lateness to decide",
+    "lfield/devices/jitter_measurement.py": "what is done for lateness to decide",
     "lfield/operator/web/page.py": "the one page, of the one component",
     "lfield/driver/settings.py": "a value that drivers and hosts share",
-    "lfield/operator/sight/following/beside.py": "what fails beside a body of code",
-    "lfield/host/process/stop_words.py": "what ends a host",
-    "lfield/host/dumping.py": "where the block of a dead agent goes",
+    "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
+    "lfield/host/process/shutdown_signals.py": "what ends a host",
+    "lfield/host/agent_dump.py": "where the block of a dead agent goes",
     "lfield/host/logbook.py": "the two streams of a host",
-    "lfield/host/sight/programs.py": "for how long programs have run",
-    "lfield/net/paths/reasons.py": "what errors of sockets mean, a table",
-    "lfield/net/waiting/bars.py": "the back-off of a member that sent too much",
-    "lfield/net/control.py": "the door of a fake, from outside",
-    "lfield/simulate/judging/breaches.py": "what a judge says, for all of them",
-    "lfield/simulate/judging/saved.py": "what is asked of simulated journals",
-    "lfield/simulate/time.py": "the jumping clock",
-    "lfield/testing/offers.py": "a team for golden programs",
-    "lfield/testing/reports.py": "the guard's end of a driver, for tests",
-    "lfield/text/numbers.py": "three types of options",
-    "lfield/text/findings.py": "the table class of all findings",
-    "lfield/text/values.py": "values of devices in words",
-    "lfield/vm/maths/library.py": "which instruction is which function, a table",
-    "lfield/vm/wasm/choice.py": "what may be chosen, without wasmtime",
-    "lfield/vm/wasm/calls.py": "how Python calls WebAssembly",
-    "lfield/vm/wasm/runtime/functions.py": "the runtime's text and its functions",
-    "lfield/vm/memory/parcels.py": "what waits to be fetched, as bytes",
+    "lfield/net/connections/socket_errors.py": "what errors of sockets mean, a table",
+    "lfield/net/scheduling/temporary_bans.py": "the back-off of a member that sent too much",
+    "lfield/net/fault_client.py": "the door of a fake, from outside",
+    "tests/simulate/simulation_testing/invariants/breaches.py": "what a judge says, for all of them",
+    "tests/simulate/simulation_testing/invariants/durability.py": "what is asked of simulated journals",
+    "lfield/simulate/jumping_loop.py": "the jumping clock",
+    "lfield/testing/still_team.py": "a team for golden programs",
+    "lfield/testing/kept_reports.py": "the guard's end of a driver, for tests",
+    "lfield/text/number_arguments.py": "three types of options",
+    "lfield/text/value_text.py": "values of devices in words",
+    "lfield/vm/maths/intrinsics.py": "which instruction is which function, a table",
+    "lfield/vm/wasm/engine_selection.py": "what may be chosen, without wasmtime",
+    "lfield/vm/wasm/native_calls.py": "how Python calls WebAssembly",
+    "lfield/vm/wasm/runtime/runtime_functions.py": "the runtime's text and its functions",
+    "lfield/vm/memory/serialised_results.py": "what waits to be fetched, as bytes",
 }
 
 
@@ -168,3 +172,53 @@ def private(name: str) -> bool:
 @pytest.mark.parametrize("path", files(*PRODUCT), ids=name_of)
 def test_nobody_uses_the_private_names_of_another_file(path: Path) -> None:
     assert seen_in(path)[1] == []
+
+
+#: Outside the wire and the host: what may read the snapshot of a host. All else reads the read model.
+SNAPSHOT_READERS = {
+    "lfield/operator/client.py",
+    "lfield/operator/team_model/host_model.py",
+    "lfield/operator/team_model/team_view.py",
+    "lfield/operator/team_model/team_state.py",
+}
+
+
+def test_only_the_read_model_reads_the_snapshot_of_a_host() -> None:
+    readers = {
+        name_of(path)
+        for path in files("lfield")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.ImportFrom) and "Status" in {alias.name for alias in node.names}
+    }
+    own = ("lfield/wire/", "lfield/host/")
+    assert {name for name in readers if not name.startswith(own)} == SNAPSHOT_READERS
+
+
+#: What may subscribe to a host: the clients of observers. Hosts ask one another with `Locate`.
+SUBSCRIBERS = {"lfield/operator/client.py", "lfield/operator/dashboard/event_stream/stream_cursor.py"}
+
+
+def test_only_the_clients_of_observers_subscribe_to_a_host() -> None:
+    texts = {path: path.read_text(encoding="utf-8") for path in files("lfield")}
+    asking = {
+        name_of(path)
+        for path, text in texts.items()
+        if "Subscribe(" in text
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] == "Subscribe"
+    }
+    assert asking == SUBSCRIBERS
+
+
+def test_only_the_core_creates_parts_of_a_host_and_all_are_in_the_contract() -> None:
+    host = {path: path.read_text(encoding="utf-8") for path in (ROOT / "lfield/host").rglob("*.py")}
+    modules = {path: re.findall(r"^class (\w+)\(Part\)", text, re.M) for path, text in host.items()}
+    parts = [part for found in modules.values() for part in found]
+    assert len(parts) > 10
+    created = re.compile(rf"\b(?:{'|'.join(parts)})\((?!Part\))")
+    assert [path.name for path, text in host.items() if created.search(text)] == ["core.py"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    contracts = project["tool"]["importlinter"]["contracts"]
+    (contract,) = (one for one in contracts if one["name"].startswith("The parts of a host"))
+    names = {name_of(path)[:-3].replace("/", ".") for path, found in modules.items() if found}
+    assert names <= set(contract["modules"])

@@ -1,10 +1,11 @@
-"""Each test of the machine on the reference engine, and on two that take turns and are compared."""
+"""Runs each test of the machine on two alternating engines that are compared, or on the reference engine."""
 
 from __future__ import annotations
 
 import pytest
+from parametrized_cases import engines
 
-from lfield.testing.engines import either_engine
+from switching_engine import either_engine
 
 #: What tries parts of one engine has no machine.
 PARTS = {"maths", "runtime", "wasm"}
@@ -13,4 +14,4 @@ engine = pytest.fixture(autouse=True)(either_engine)
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "engine" in metafunc.fixturenames and metafunc.definition.path.parent.name not in PARTS:
-        metafunc.parametrize("engine", ["reference", "both"], indirect=True)
+        metafunc.parametrize("engine", engines(metafunc.config), indirect=True)

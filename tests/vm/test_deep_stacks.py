@@ -6,10 +6,11 @@ import pytest
 
 from lfield.cli.views.journal_view import thread_lines
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, run_text, settle, team_for
-from lfield.vm.contract import Limits
-from lfield.vm.inspect.decode import view
-from lfield.vm.inspect.traceback import ends
+from lfield.testing.golden import GoldenWorld, compile_text, run_text, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.inspection.block_view import view
+from lfield.vm.inspection.traceback import split_ends
 from lfield.vm.machine import Machine
 
 FALLS = """
@@ -49,9 +50,11 @@ def test_what_is_inspected_has_both_ends_too() -> None:
     program = compile_text(
         "resource A { init(string[] a) { fall(0); } private void fall(int n) { fall(n + 1); } }"
     )
-    machine = Machine(program, team_for(program, []), 0, 1, Desk(), ManualClock(), random.Random(1))
-    agent = machine.start(machine.team[0], Limits(), generation=1)
-    settle(machine, ManualClock())
+    machine = Machine(
+        program, MachineTeam(team_for(program, []), 0, 1), GoldenWorld(), ManualClock(), random.Random(1)
+    )
+    agent = machine.start(machine.team[0], AgentLimits(), generation=1)
+    run_until_idle(machine, ManualClock())
     (thread,) = view(agent.block, program).threads
     lines = list(thread_lines(thread))
     assert (len(thread.frames), len(lines)) == (1000, 1 + 16 * 3 + 1)
@@ -60,6 +63,6 @@ def test_what_is_inspected_has_both_ends_too() -> None:
 
 @pytest.mark.parametrize(("count", "between"), [(0, 0), (16, 0), (17, 0), (18, 2), (1000, 984)])
 def test_one_frame_is_never_left_out_alone(count: int, between: int) -> None:
-    inner, left_out, outer = ends(range(count))
+    inner, left_out, outer = split_ends(range(count))
     assert left_out == between
     assert [*inner, *outer] == [i for i in range(count) if i < 10 or i >= count - 6 or not between]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from lfield.bytecode.program import Program
 from lfield.testing.golden import compile_text
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import Layouts
@@ -129,7 +129,7 @@ def test_a_deep_copy_that_has_no_room_writes_nothing() -> None:
     source, target = new_block(), Block.empty(program().digest, 1 << 17)
     places = build(source, [(1, 0, 0, "x" * 5000, [])])
     before = bytes(target.image())
-    with pytest.raises(Full) as full:
+    with pytest.raises(HeapFull) as full:
         deep_copy(source, places, target, Layouts(program()))
     assert full.value.words > 600
     assert bytes(target.image()) == before

@@ -6,16 +6,17 @@ import random
 
 import pytest
 
-from lfield.bytecode.acting import acting_methods
 from lfield.bytecode.encoding import decode, encode
 from lfield.bytecode.program import Program
+from lfield.bytecode.side_effects import effectful_methods
 from lfield.clock import ManualClock
-from lfield.compiler.build import compile_program
+from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction, Parameter
-from lfield.testing.golden import Desk, settle, team_for
-from lfield.vm.contract import Limits
-from lfield.vm.inspect.decode import view
+from lfield.testing.golden import GoldenWorld, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.inspection.block_view import view
 from lfield.vm.machine import Machine
 
 MOTOR = DeviceManifest(
@@ -73,14 +74,14 @@ coordinator Boss {
 """
 
 
-class Bench(Desk):
+class Bench(GoldenWorld):
     """Devices that remember what they are told."""
 
     def __init__(self) -> None:
         super().__init__()
         self.told: list[tuple[str, str, list[DeviceValue]]] = []
 
-    def device(self, agent, thread, call, values):
+    def call_device(self, agent, thread, call, values):
         self.told.append((call.field, call.instruction, values))
         return 0.25 if call.instruction == "angle" else None
 
@@ -92,10 +93,10 @@ def program() -> Program:
 
 def run(program: Program) -> tuple[Bench, Machine]:
     bench, clock = Bench(), ManualClock()
-    machine = Machine(program, team_for(program, []), 0, 1, bench, clock, random.Random(1))
+    machine = Machine(program, MachineTeam(team_for(program, []), 0, 1), bench, clock, random.Random(1))
     for member in machine.team:
-        machine.start(member, Limits(), generation=1)
-    settle(machine, clock)
+        machine.start(member, AgentLimits(), generation=1)
+    run_until_idle(machine, clock)
     return bench, machine
 
 
@@ -125,7 +126,7 @@ def test_the_devices_stay_those_of_the_resource(program: Program) -> None:
 
 
 def test_a_portal_that_commands_through_an_object_acts(program: Program) -> None:
-    acting = {program.method_name(i) for i in acting_methods(program)}
+    acting = {program.method_name(i) for i in effectful_methods(program)}
     assert "Walker.walk" in acting
     assert "Walker.looked" not in acting
 

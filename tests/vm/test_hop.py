@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
 from lfield.errors import BlockError
-from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm.agent import Agent, Member
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
+from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 
@@ -63,23 +63,24 @@ class TwoHosts:
 
     def __init__(self) -> None:
         team = [
-            Member(0, "here", "Post", "resource", 0),
-            Member(1, "there", "Post", "resource", 1),
-            Member(2, "walker", "Walker", "coordinator", 0),
+            TeamMember(0, "here", "Post", "resource", 0),
+            TeamMember(1, "there", "Post", "resource", 1),
+            TeamMember(2, "walker", "Walker", "coordinator", 0),
         ]
         self.clock = ManualClock()
-        self.desks = [Desk(), Desk()]
+        self.desks = [GoldenWorld(), GoldenWorld()]
         self.machines = [
-            Machine(program(), team, i, i + 1, self.desks[i], self.clock, random.Random(1)) for i in (0, 1)
+            Machine(program(), MachineTeam(team, i, i + 1), self.desks[i], self.clock, random.Random(1))
+            for i in (0, 1)
         ]
         self.images: list[bytes] = []
         for member in team:
-            self.machines[member.host].start(member, Limits(), generation=9)
+            self.machines[member.host].start(member, AgentLimits(), generation=9)
 
     def run(self) -> None:
         for _ in range(100):
             for machine in self.machines:
-                settle(machine, self.clock)
+                run_until_idle(machine, self.clock)
             if not self.step():
                 return
 
@@ -95,7 +96,7 @@ class TwoHosts:
         image = bytes(self.machines[source].pack(agent))
         self.images.append(image)
         machine = self.machines[1 - source]
-        machine.go(machine.admit(agent.member, image, agent.limits))
+        machine.unfreeze(machine.inject(agent.member, image, agent.limits))
         self.machines[source].release(agent)
 
     @property
@@ -120,11 +121,11 @@ def test_a_hop_carries_live_data_only() -> None:
 
 def test_a_resumed_coordinator_gets_the_exception_at_its_portal_call() -> None:
     hosts = TwoHosts()
-    settle(hosts.machines[0], hosts.clock)
+    run_until_idle(hosts.machines[0], hosts.clock)
     agent, target = hosts.desks[0].departures.pop()
     assert target.id == "there"
     hosts.machines[0].resume(agent, "UnreachableResourceException", "nobody there", "there")
-    settle(hosts.machines[0], hosts.clock)
+    run_until_idle(hosts.machines[0], hosts.clock)
     assert agent.ended == "died"
     assert agent.report.splitlines()[0] == "UnreachableResourceException: nobody there"
     assert "at Walker.lap (golden.L:27)" in agent.report
@@ -158,8 +159,8 @@ def test_hostile_bytes_are_refused_or_harmless(data: st.DataObject) -> None:
     hosts.machines[0].agents.pop("walker")
     hosts.desks[0].departures.clear()
     try:
-        walker = Member(2, "walker", "Walker", "coordinator", 0)
-        hosts.machines[1].go(hosts.machines[1].admit(walker, bytes(image), Limits()))
+        walker = TeamMember(2, "walker", "Walker", "coordinator", 0)
+        hosts.machines[1].unfreeze(hosts.machines[1].inject(walker, bytes(image), AgentLimits()))
     except BlockError:
         return
     hosts.run()
@@ -173,18 +174,18 @@ def with_word(image: bytes, word: int, value: int) -> bytes:
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        (lambda image: image[:-8], "its size is not what it says"),
-        (lambda image: image[:-3], "are no whole block"),
+        (lambda image: image[:-8], "its size does not match its header"),
+        (lambda image: image[:-3], "are not a whole block"),
         (lambda image: b"\0" * 8 + image[8:], "wrong magic or version"),
         (lambda image: image[:8] + b"\0" * 32 + image[40:], "it belongs to another program"),
         (lambda image: image[: 8 * layout.W_SELF] + b"\x01" + image[8 * layout.W_SELF + 1 :], "roots"),
-        (lambda image: with_word(image, layout.W_HOPS, (1 << 63) - 1), "its header is not sound"),
-        (lambda image: with_word(image, layout.W_INTERVAL, -1), "its heartbeat interval is not sound"),
+        (lambda image: with_word(image, layout.W_HOPS, (1 << 63) - 1), "its header is not valid"),
+        (lambda image: with_word(image, layout.W_INTERVAL, -1), "its heartbeat interval is not valid"),
         (lambda image: with_word(image, layout.W_INTERVAL, 86_400_001), "its heartbeat interval"),
-        (lambda image: with_word(image[:256], layout.W_TOP, 32), "its size is not what it says"),
+        (lambda image: with_word(image[:256], layout.W_TOP, 32), "its size does not match its header"),
     ],
 )
 def test_unsound_blocks_say_why(change, reason) -> None:  # type: ignore[no-untyped-def]
     hosts = TwoHosts()
     with pytest.raises(BlockError, match=reason):
-        hosts.machines[1].admit(hosts.machines[1].team[2], change(travelling()), Limits())
+        hosts.machines[1].inject(hosts.machines[1].team[2], change(travelling()), AgentLimits())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfield.testing.golden import run_text
-from lfield.vm.contract import Limits
+from lfield.vm.engine_interface import AgentLimits
 
 GOOD = """
 resource Good { init(string[] arg) { } portal hello() emit string { return "still here"; } }
@@ -14,18 +14,18 @@ resource Good { init(string[] arg) { } portal hello() emit string { return "stil
 CASES = {
     "heap": (
         "Node n = null; while (true) n = new Node(n);",
-        Limits(heap=64 << 10),
+        AgentLimits(heap=64 << 10),
         "the heap is over its limit",
     ),
-    "call_depth": ("deeper(1);", Limits(call_depth=50), "calls are nested deeper than 50"),
+    "call_depth": ("deeper(1);", AgentLimits(call_depth=50), "calls are nested deeper than 50"),
     "array_length": (
         "int[] a = new int[101];",
-        Limits(array_length=100),
+        AgentLimits(array_length=100),
         "an array of 101 is over the limit of 100",
     ),
     "string_length": (
         'string s = "0123456789"; while (true) s = s + s;',
-        Limits(string_length=1000),
+        AgentLimits(string_length=1000),
         "a string of 1280 is over the limit of 1000",
     ),
 }
@@ -63,12 +63,12 @@ coordinator B { init(string[] arg) {
     sleep(0.5);
     try { findSlow("slow").wait(); } catch (LimitException e) { print(e.message()); } } }
 """,
-        Limits(threads=1),
+        AgentLimits(threads=1),
     )
-    assert desk.output == ["slow serves its limit of 1 threads"]
+    assert desk.output == ["slow already serves its limit of 1 threads"]
 
 
-@pytest.mark.few(4)
+@pytest.mark.few(2)
 @pytest.mark.parametrize(
     ("body", "reason"),
     [
@@ -89,7 +89,7 @@ resource Bad { init(string[] arg) { """
         + """ } private int deeper(int n) { return deeper(n + 1) + 1; } }
 coordinator Main { init(string[] arg) { print(findGood("good").hello()); } }
 """,
-        Limits(heap=64 << 10),
+        AgentLimits(heap=64 << 10),
     )
     assert desk.output == ["still here"]
     died = [a.report for a in desk.endings if a.ended == "died"]
@@ -122,6 +122,6 @@ resource Hoarder {
 }
 coordinator Main { init(string[] arg) { print(findHoarder("hoarder").hoard() > 10); } }
 """,
-        Limits(heap=64 << 10),
+        AgentLimits(heap=64 << 10),
     )
     assert desk.output == ["true"]

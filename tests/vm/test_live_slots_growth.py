@@ -12,7 +12,7 @@ from lfield.bytecode.opcodes import BY_CODE
 from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program
 from lfield.errors import ProgramError
 from lfield.testing.golden import compile_text
-from lfield.vm.memory.flow import Edge, Node, solve
+from lfield.vm.memory.data_flow import Edge, Node, solve
 from lfield.vm.memory.liveness import LiveSlots
 
 GOLDEN = Path(__file__).parents[1] / "golden"
@@ -80,8 +80,8 @@ def _compare(program: Program) -> int:
     for number, record in enumerate(program.core.methods):
         sets, slots = _plainly(program, record), LiveSlots(program, number)
         for pc in range(record.entry, record.end):
-            assert slots.before(pc) == sets[pc - record.entry]
-            assert slots.caught(pc) == _caught_plainly(record, sets, pc)
+            assert slots.live_at(pc) == sets[pc - record.entry]
+            assert slots.live_in_handlers(pc) == _caught_plainly(record, sets, pc)
             compared += 1
     return compared
 
@@ -101,6 +101,7 @@ def test_of_golden_programs_too():
     assert compared > 1000
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     short, long = (_boss(SHAPES[shape](n)) for n in (30, 300))

@@ -13,19 +13,19 @@ from hypothesis import strategies as st
 
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm.agent import Member
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
+from lfield.vm.agent import MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block, HeapFull
+from lfield.vm.memory.block_verifier import BlockVerifier
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import Layouts
-from lfield.vm.memory.soundness import Soundness
-from lfield.vm.offers import Found, SearchGivenUp, Shapes, UnknownWay, ways, write_offers
+from lfield.vm.offer_objects import FoundOffer, OfferClasses, SearchIncomplete, UnknownWay, ways, write_offers
 
 TEAM = """
 resource Crane {
@@ -56,22 +56,22 @@ def program(body: str = "") -> Program:
     return compile_text(TEAM + BOSS % body, registry=registry())
 
 
-def members(host: int = 0) -> list[Member]:
+def members(host: int = 0) -> list[TeamMember]:
     return [
-        Member(0, "crane", "Crane", "resource", host),
-        Member(1, "copter", "Copter", "resource", host),
-        Member(2, "hand", "Hand", "resource", host),
-        Member(3, "boss", "Boss", "coordinator", 0, ("any",)),
+        TeamMember(0, "crane", "Crane", "resource", host),
+        TeamMember(1, "copter", "Copter", "resource", host),
+        TeamMember(2, "hand", "Hand", "resource", host),
+        TeamMember(3, "boss", "Boss", "coordinator", 0, ("any",)),
     ]
 
 
-def direct(way: str, member: int, **facts: object) -> Found:
-    return Found(way, f"agent{member}", "host", "direct", 0.5, member, **facts)
+def direct(way: str, member: int, **facts: object) -> FoundOffer:
+    return FoundOffer(way, f"agent{member}", "host", "direct", 0.5, member, **facts)
 
 
 CLIMB, GRIP = direct("byCopter", 1), direct("byHand", 2)
 PARTS = {"of_grip_and_climb_hand": GRIP, "of_grip_and_climb_sky": CLIMB}
-WHOLE = Found("of_grip_and_climb", "hand+copter", "a+b", "composed: ...", 0.25, parts=PARTS)
+WHOLE = FoundOffer("of_grip_and_climb", "hand+copter", "a+b", "composed: ...", 0.25, parts=PARTS)
 
 _texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=12)
 _fact = st.tuples(
@@ -80,7 +80,7 @@ _fact = st.tuples(
 
 
 @st.composite
-def offers(draw: st.DrawFn) -> Found:
+def offers(draw: st.DrawFn) -> FoundOffer:
     """An offer of Lift with any facts, by any way, and its parts with any."""
     facts = [tuple(column) for column in zip(*draw(st.lists(_fact, max_size=4)), strict=True)]
     names, numbers, texts, ages = facts or ((), (), (), ())
@@ -88,9 +88,9 @@ def offers(draw: st.DrawFn) -> Found:
     said |= {"names": names, "numbers": numbers, "texts": texts, "ages": ages}
     way = draw(st.sampled_from(["byCrane", "as_climb_lifts", "of_grip_and_climb"]))
     if way == "byCrane":
-        return Found(way, member=draw(st.sampled_from([0, 3])), **said)
+        return FoundOffer(way, member=draw(st.sampled_from([0, 3])), **said)
     parts = PARTS if way == "of_grip_and_climb" else {way: CLIMB}
-    return Found(way, parts=parts, **said)
+    return FoundOffer(way, parts=parts, **said)
 
 
 def new_block(limit: int = 1 << 17) -> Block:
@@ -99,7 +99,7 @@ def new_block(limit: int = 1 << 17) -> Block:
     return block
 
 
-def read(block: Block, place: int, name: str = "Lift") -> Found:
+def read(block: Block, place: int, name: str = "Lift") -> FoundOffer:
     """An offer as it stands in a block."""
     index = program().class_index[name]
     head = block.w[place]
@@ -113,11 +113,11 @@ def read(block: Block, place: int, name: str = "Lift") -> Found:
     said = (agent, host, kind, block.r[facts + 4])
     (way, target), *_ = filled.items()
     if block.w[target] & 0xFF == layout.PROXY:
-        return Found(way, *said, block.w[target + 1], {}, names, numbers, texts, ages)
+        return FoundOffer(way, *said, block.w[target + 1], {}, names, numbers, texts, ages)
     kinds = {"as_climb_lifts": "Climb", "of_grip_and_climb_hand": "Grip", "of_grip_and_climb_sky": "Climb"}
     parts = {field: read(block, part, kinds[field]) for field, part in filled.items()}
     own = "of_grip_and_climb" if len(parts) > 1 else way
-    return Found(own, *said, -1, parts, names, numbers, texts, ages)
+    return FoundOffer(own, *said, -1, parts, names, numbers, texts, ages)
 
 
 def elements(block: Block, place: int) -> range:
@@ -132,16 +132,16 @@ def reals(block: Block, place: int) -> tuple[float, ...]:
     return tuple(block.r[i] for i in elements(block, place))
 
 
-def read_all(block: Block, array: int) -> list[Found]:
+def read_all(block: Block, array: int) -> list[FoundOffer]:
     return [read(block, block.w[i]) for i in elements(block, array)]
 
 
-def written(block: Block, found: list[Found]) -> int:
-    return write_offers(block, Shapes(program()), program().class_index["Lift"], found, 0.0)
+def written(block: Block, found: list[FoundOffer]) -> int:
+    return write_offers(block, OfferClasses(program()), program().class_index["Lift"], found, 0.0)
 
 
 @given(st.lists(offers(), max_size=6))
-def test_offers_are_ordinary_objects(found: list[Found]) -> None:
+def test_offers_are_ordinary_objects(found: list[FoundOffer]) -> None:
     """Read back, looked through as bytes from a peer would be, collected, and copied deeply."""
     layouts = Layouts(program())
     block, other = new_block(), new_block()
@@ -150,7 +150,7 @@ def test_offers_are_ordinary_objects(found: list[Found]) -> None:
     (copy,) = deep_copy(block, [array], other, layouts)
     assert read_all(other, copy) == found
     block.w[layout.W_THREADS] = 0
-    soundness = Soundness(program(), Layouts(program()), ["Crane", "Copter", "Hand", "Crane"])
+    soundness = BlockVerifier(program(), Layouts(program()), ["Crane", "Copter", "Hand", "Crane"])
     block.w[layout.W_CLASS] = program().class_index["Boss"]
     soundness.check_heap(bytes(block.image()), 1 << 17)
     block.w[layout.W_ID] = array
@@ -161,7 +161,7 @@ def test_offers_are_ordinary_objects(found: list[Found]) -> None:
 def test_equal_words_are_written_once() -> None:
     few, many = new_block(), new_block()
     names, numbers, texts, ages = ("payload", "colour"), (1.0, math.nan), (None, "red"), (0.0, 0.0)
-    one = Found("byCrane", "agent", "a host", "direct", 0.5, 0, {}, names, numbers, texts, ages)
+    one = FoundOffer("byCrane", "agent", "a host", "direct", 0.5, 0, {}, names, numbers, texts, ages)
     found = [one] * 100
     written(few, found[:1])
     written(many, found)
@@ -172,10 +172,10 @@ def test_equal_words_are_written_once() -> None:
 
 @pytest.mark.parametrize("agent", ["a", "a very long name " * 50])
 def test_full_writes_nothing_and_says_how_many_words_are_needed_at_least(agent: str) -> None:
-    found = [WHOLE, *(Found("byCrane", f"{agent}{i}", "h", "direct", 0.5, 0) for i in range(100))]
+    found = [WHOLE, *(FoundOffer("byCrane", f"{agent}{i}", "h", "direct", 0.5, 0) for i in range(100))]
     block = Block.empty(program().digest, 1 << 17)
     before = bytes(block.image())
-    with pytest.raises(Full) as full:
+    with pytest.raises(HeapFull) as full:
         written(block, found)
     assert bytes(block.image()) == before
     roomy = new_block()
@@ -195,12 +195,12 @@ def test_full_writes_nothing_and_says_how_many_words_are_needed_at_least(agent: 
         direct("byWinch", 0),
         direct("facts", 0),
         direct("as_climb_lifts", 0),
-        Found("byCrane", "a", "h", "equivalent", 0.5, parts={"byCrane": CLIMB}),
-        Found("of_grip_and_climb", "a", "h", "composed", 0.5, parts={"of_grip_and_climb": GRIP}),
+        FoundOffer("byCrane", "a", "h", "equivalent", 0.5, parts={"byCrane": CLIMB}),
+        FoundOffer("of_grip_and_climb", "a", "h", "composed", 0.5, parts={"of_grip_and_climb": GRIP}),
     ],
 )
-def test_a_way_that_the_program_was_not_built_with(found: Found) -> None:
-    with pytest.raises(UnknownWay, match="the program knows no way"):
+def test_a_way_that_the_program_was_not_built_with(found: FoundOffer) -> None:
+    with pytest.raises(UnknownWay, match="the program has no realisation"):
         written(new_block(), [found])
 
 
@@ -218,28 +218,28 @@ def test_the_ways_of_a_program() -> None:
     }
 
 
-class Asked(Desk):
+class Asked(GoldenWorld):
     """A world that always finds the same."""
 
-    def __init__(self, found: list[Found]) -> None:
+    def __init__(self, found: list[FoundOffer]) -> None:
         super().__init__()
         self.found = found
         self.queries: list[tuple[str, str | None]] = []
 
-    def offers(self, agent: object, capability: str, constraint: str | None) -> list[Found]:
+    def offers(self, agent: object, capability: str, constraint: str | None) -> list[FoundOffer]:
         self.queries.append((capability, constraint))
         if constraint == "too much":
-            raise SearchGivenUp("nobody was found, but there is more")
+            raise SearchIncomplete("nobody was found, but there is more")
         return self.found
 
 
-def run(body: str, found: list[Found], heap: int = 1 << 20) -> Asked:
+def run(body: str, found: list[FoundOffer], heap: int = 1 << 20) -> Asked:
     """The coordinator alone on a host with all resources."""
     desk, clock = Asked(found), ManualClock()
-    machine = Machine(program(body), members(), 0, 1, desk, clock, random.Random(1))
+    machine = Machine(program(body), MachineTeam(members(), 0, 1), desk, clock, random.Random(1))
     for member in members():
-        machine.start(member, Limits(heap=heap), generation=1)
-    settle(machine, clock)
+        machine.start(member, AgentLimits(heap=heap), generation=1)
+    run_until_idle(machine, clock)
     return desk
 
 
@@ -264,13 +264,14 @@ def test_nobody_found_in_a_search_that_was_cut_is_an_exception() -> None:
 def test_offers_by_an_unknown_way_are_an_exception_that_can_be_caught() -> None:
     body = "try { who = findLift(); } catch (ConstraintException e) { print(e.message()); }"
     desk, clock = Asked([]), ManualClock()
-    machine = Machine(program(body), members(), 0, 1, desk, clock, random.Random(1))
+    machine = Machine(program(body), MachineTeam(members(), 0, 1), desk, clock, random.Random(1))
     for member in members():
-        machine.start(member, Limits(), generation=1)
+        machine.start(member, AgentLimits(), generation=1)
     desk.offers = lambda *asked: [] if asked[2] else [direct("byWinch", 0)]  # type: ignore[method-assign]  # one answer
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert desk.output == [
-        "the program knows no way 'byWinch' of Lift: build it again with the registry that the hosts have"
+        "the program has no realisation 'byWinch' of Lift: build it again with the registry that the hosts "
+        "have"
     ]
 
 
@@ -281,21 +282,23 @@ def test_offers_travel_with_the_coordinator_and_are_called_where_they_lead() -> 
         'print(who[2].agent() + who[2].way() + f2s(who[1].attribute("payload")) + i2s(hops()));'
     )
     facts = {"names": ("payload",), "numbers": (2.5,), "texts": (None,), "ages": (0.0,)}
-    equivalent = Found(
+    equivalent = FoundOffer(
         "as_climb_lifts", "copter", "b", "equivalent", 0.5, -1, {"as_climb_lifts": CLIMB}, **facts
     )
     team = members(1)
     desks, clock = [Asked([direct("byCrane", 0), equivalent, WHOLE]), Asked([])], ManualClock()
-    machines = [Machine(program(body), team, i, i + 1, desks[i], clock, random.Random(1)) for i in (0, 1)]
+    machines = [
+        Machine(program(body), MachineTeam(team, i, i + 1), desks[i], clock, random.Random(1)) for i in (0, 1)
+    ]
     for member in team:
-        machines[member.host].start(member, Limits(), generation=1)
+        machines[member.host].start(member, AgentLimits(), generation=1)
     for machine in (*machines, *machines):
-        settle(machine, clock)
+        run_until_idle(machine, clock)
         for desk in desks:
             while desk.departures:
                 agent, to = desk.departures.pop()
                 image = bytes(machines[1 - to.host].pack(agent))
-                machines[to.host].go(machines[to.host].admit(agent.member, image, Limits()))
+                machines[to.host].unfreeze(machines[to.host].inject(agent.member, image, AgentLimits()))
                 machines[1 - to.host].release(agent)
     assert desks[1].output == [
         "crane 1.0", "crane 0.5", "copter 2.0", "copter 0.5", "hand", "copter 3.0", "hand", "copter 0.5",

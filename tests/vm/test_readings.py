@@ -7,14 +7,15 @@ import random
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.compiler.build import compile_program
+from lfield.compiler.program_builder import compile_program
 from lfield.errors import DeviceError
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, Instruction
-from lfield.testing.golden import Desk, settle, team_for
-from lfield.vm.contract import Limits, Reading
+from lfield.testing.golden import GoldenWorld, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.machine import Machine
-from lfield.vm.memory.values import word_of
+from lfield.vm.memory.word_codec import bits_of_real
 
 GAUGE = DeviceManifest(
     "Gauge",
@@ -26,7 +27,7 @@ GAUGE = DeviceManifest(
 )
 
 
-class Telemetry(Desk):
+class Telemetry(GoldenWorld):
     """A world with one gauge; every question to it is counted."""
 
     def __init__(self, clock: ManualClock) -> None:
@@ -35,9 +36,13 @@ class Telemetry(Desk):
         self.known = Reading()
 
     def set(self, level: float, lasts: float = 1.0) -> None:
-        self.level, self.known.word, self.known.until = level, word_of(level), self.clock.monotonic() + lasts
+        self.level, self.known.word, self.known.until = (
+            level,
+            bits_of_real(level),
+            self.clock.monotonic() + lasts,
+        )
 
-    def device(self, agent, thread, call, values):
+    def call_device(self, agent, thread, call, values):
         self.questions += 1
         if call.instruction == "name":
             return "g"
@@ -45,7 +50,7 @@ class Telemetry(Desk):
             raise DeviceError("g", "the last level is too old", kind="DeviceTimeoutException")
         return self.level
 
-    def reading(self, agent, call):
+    def telemetry_reading(self, agent, call):
         return self.known if call.instruction == "level" else None
 
 
@@ -57,8 +62,8 @@ def start():
         clock = ManualClock()
         world = Telemetry(clock)
         world.set(1.5)
-        machine = Machine(program, team_for(program, []), 0, 1, world, clock, random.Random(1))
-        machine.start(machine.team[0], Limits(), 1)
+        machine = Machine(program, MachineTeam(team_for(program, []), 0, 1), world, clock, random.Random(1))
+        machine.start(machine.team[0], AgentLimits(), 1)
         return machine, world, clock
 
     return started
@@ -68,7 +73,7 @@ def test_the_host_is_asked_once_however_often_the_program_looks(start):
     machine, world, clock = start(
         "real s = 0.0; for (int i = 0; i < 100; i = i + 1) s = s + g.level(); print(s);"
     )
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert world.output == ["150.0"]
     assert world.questions == 1
 
@@ -77,7 +82,7 @@ def test_a_reading_follows_the_telemetry(start):
     machine, world, clock = start("print(g.level()); sleep(0.5); print(g.level());")
     machine.run()
     world.set(2.5, lasts=10.0)
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert world.output == ["1.5", "2.5"]
 
 
@@ -86,13 +91,13 @@ def test_what_is_too_old_is_asked_again_and_is_an_exception(start):
         "print(g.level()); sleep(2.0);"
         "try { print(g.level()); } catch (DeviceTimeoutException e) { print(e.message()); }"
     )
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert world.output == ["1.5", "g: the last level is too old"]
 
 
 def test_text_is_asked_each_time(start):
     machine, world, clock = start("print(g.name()); print(g.name());")
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert world.questions == 2
 
 

@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, team_for
+from lfield.testing.golden import GoldenWorld, compile_text, team_for
 from lfield.vm import machine as machine_module
-from lfield.vm.contract import Limits
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory.collector import collect
 
@@ -51,11 +52,11 @@ coordinator Filler {
 def run(slice_length: int, monkeypatch: pytest.MonkeyPatch, collecting: bool) -> list[str]:
     monkeypatch.setattr(machine_module, "SLICE", slice_length)
     program = compile_text(BUSY)
-    desk, clock = Desk(), ManualClock()
+    desk, clock = GoldenWorld(), ManualClock()
     team = team_for(program, [("Store", "store", ""), ("Filler", "a", "")])
-    machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
+    machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
     for member in team:
-        machine.start(member, Limits(), 1)
+        machine.start(member, AgentLimits(), 1)
     while (pause := machine.run()) is not None:
         clock.advance(pause)
         if collecting:
@@ -67,6 +68,6 @@ def run(slice_length: int, monkeypatch: pytest.MonkeyPatch, collecting: bool) ->
 @pytest.mark.parametrize("collecting", [False, True])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17, 100_000])
 def test_output_is_the_same(slice_length: int, collecting: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("ROUND", "TURNS"):
+    for name in ("SLICES_PER_RUN", "TURNS_PER_RUN"):
         monkeypatch.setattr(machine_module, name, 1 if collecting else 200)
     assert run(slice_length, monkeypatch, collecting) == ["index 3 of an array of length 3", "365"]

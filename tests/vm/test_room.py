@@ -13,15 +13,15 @@ import pytest
 
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
 from lfield.vm import scheduler
-from lfield.vm.agent import Member
-from lfield.vm.contract import Limits
+from lfield.vm.agent import MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import HEADER_WORDS, Layouts
-from lfield.vm.memory.parcels import parcel_made
+from lfield.vm.memory.serialised_results import serialise_built
 
 #: Of ten times as many things, at most so many times as much is moved.
 GROWTH = 15
@@ -65,24 +65,26 @@ def work(monkeypatch: pytest.MonkeyPatch) -> Work:
     return done
 
 
-def run(body: str, count: int, posts: int = 1, limits: Limits | None = None, arguments: int = 0) -> Desk:
+def run(
+    body: str, count: int, posts: int = 1, limits: AgentLimits | None = None, arguments: int = 0
+) -> GoldenWorld:
     """A boss that works with a number of posts."""
     program: Program = compile_text(TEXT % body)
-    team = [Member(i, f"post{i}", "Post", "resource", 0) for i in range(posts)]
-    team.append(Member(posts, "boss", "Boss", "coordinator", 0, (str(count), *["word"] * arguments)))
-    desk, clock = Desk(), ManualClock()
-    machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
+    team = [TeamMember(i, f"post{i}", "Post", "resource", 0) for i in range(posts)]
+    team.append(TeamMember(posts, "boss", "Boss", "coordinator", 0, (str(count), *["word"] * arguments)))
+    desk, clock = GoldenWorld(), ManualClock()
+    machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
     for member in (team[0], team[-1]):
-        machine.start(member, limits or Limits(heap=1 << 22), generation=1)
-    settle(machine, clock)
+        machine.start(member, limits or AgentLimits(heap=1 << 22), generation=1)
+    run_until_idle(machine, clock)
     return desk
 
 
-def found(count: int) -> Desk:
+def found(count: int) -> GoldenWorld:
     return run("print(findPost().length());", count, posts=count)
 
 
-def born(count: int) -> Desk:
+def born(count: int) -> GoldenWorld:
     return run('print("born");', count, arguments=count)
 
 
@@ -92,7 +94,9 @@ def test_room_for_all_proxies_is_made_at_once(work: Work) -> None:
 
 
 @pytest.mark.parametrize("things", [found, born])
-def test_the_work_of_making_room_grows_as_what_is_made(things: Callable[[int], Desk], work: Work) -> None:
+def test_the_work_of_making_room_grows_as_what_is_made(
+    things: Callable[[int], GoldenWorld], work: Work
+) -> None:
     assert things(FEW).output
     few, work.words, work.collections = work.words, 0, 0
     assert things(MANY).output
@@ -107,7 +111,7 @@ def test_a_parcel_of_many_small_things_is_made_in_few_attempts() -> None:
         attempts.append(block)
         return [block.new_string("word") for _ in range(MANY)][-1]
 
-    parcel = parcel_made(bytes(32), make)
+    parcel = serialise_built(bytes(32), make)
     assert len(parcel) == 8 * (HEADER_WORDS + 3 * MANY)
     assert len(attempts) < 15
 
@@ -128,5 +132,5 @@ def test_what_needs_room_in_several_pieces_is_over_the_limit_when_all_do_not_fit
     for (int i = 0; i < count; i = i + 1) n = new Node(n, i);
     try { together { p.take(n); } print("called"); } catch (LimitException e) { print("full"); }
     """
-    said = {run(body, count, limits=Limits(heap=16 << 10)).output[0] for count in range(240, 340)}
+    said = {run(body, count, limits=AgentLimits(heap=16 << 10)).output[0] for count in range(240, 340)}
     assert said == {"called", "full"}

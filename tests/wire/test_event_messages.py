@@ -14,25 +14,25 @@ from lfield.wire.codec import decode, encode
 from lfield.wire.events import KINDS, TELEMETRY, Event, as_fields
 from lfield.wire.fields import MAX_TEXT
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.observing import Status
-from lfield.wire.watching import MAX_EVENTS, Events, Seen, Watch
+from lfield.wire.observer_messages import Status
+from lfield.wire.subscription_messages import MAX_EVENTS, EventAck, EventBatch, Subscribe
 
 REPEATABLE = settings(derandomize=True, deadline=None)
-LEFT = events.Left("Tour:one", 1, 7, "b", "gate", "pass", 1424)
-CAME = events.Came("Tour:one", 1, 7, "a", 1424)
+LEFT = events.MigrationStarted("Tour:one", 1, 7, "b", "gate", "pass", 1424)
+CAME = events.MigrationArrived("Tour:one", 1, 7, "a", 1424)
 STATUS = Status("a", "a:1", 0.5, b"h" * 32, b"h" * 32, [], [], [], [], [])
 
 TEXTS = st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=128)
 SECONDS = st.floats(0.0, 1e9)
 BY_TYPE = {
     "Name": TEXTS,
-    "MaybeName": st.just("") | TEXTS,
+    "OptionalName": st.just("") | TEXTS,
     "Text": TEXTS,
     "Label": TEXTS,
     "Count": st.integers(0, 2**63 - 1),
     "Ordinal": st.integers(0, 2**62),
-    "Age": SECONDS,
-    "Age | None": SECONDS | st.none(),
+    "Duration": SECONDS,
+    "Duration | None": SECONDS | st.none(),
     "Share | None": st.floats(0.0, 1.0) | st.none(),
     "Count | None": st.integers(0, 2**63 - 1) | st.none(),
     "bool": st.booleans(),
@@ -59,7 +59,7 @@ def back(message):
 
 
 def batch(*told, **changes):
-    return msgspec.structs.replace(Events(5, 1, 1.7e9, 2.5, 0, len(told), list(told)), **changes)
+    return msgspec.structs.replace(EventBatch(5, 1, 1.7e9, 2.5, 0, len(told), list(told)), **changes)
 
 
 @REPEATABLE
@@ -70,7 +70,7 @@ def test_whatever_happened_comes_back(told, lost):
 
 
 @pytest.mark.parametrize(
-    "message", [Watch(), Watch(2**63 - 1, 2**62, 20.0), Seen(3), batch(), batch(snapshot=STATUS)]
+    "message", [Subscribe(), Subscribe(2**63 - 1, 2**62, 20.0), EventAck(3), batch(), batch(snapshot=STATUS)]
 )
 def test_what_a_watcher_says_and_hears_comes_back(message):
     assert back(message) == message
@@ -115,20 +115,20 @@ def test_no_kind_has_a_field_with_the_name_of_one_of_all():
 @pytest.mark.parametrize(
     "message",
     [
-        Watch(-1),
-        Watch(1, 2**62 + 1),
-        Watch(telemetry=-1.0),
-        Watch(telemetry=math.nan),
-        Watch(telemetry=20.5),
-        Seen(-1),
+        Subscribe(-1),
+        Subscribe(1, 2**62 + 1),
+        Subscribe(telemetry=-1.0),
+        Subscribe(telemetry=math.nan),
+        Subscribe(telemetry=20.5),
+        EventAck(-1),
         batch(*[Event(1, 1.0, 1.0, 0, CAME)] * (MAX_EVENTS + 1)),
         batch(Event(-1, 1.0, 1.0, 0, CAME)),
         batch(Event(1, math.nan, 1.0, 0, CAME)),
         batch(Event(1, 1.0, -1.0, 0, CAME)),
-        batch(Event(1, 1.0, 1.0, 0, events.Logged("x" * (MAX_TEXT + 1)))),
-        batch(Event(1, 1.0, 1.0, 0, events.Came("", 1, 1, "a", 1))),
-        batch(Event(1, 1.0, 1.0, 0, events.Finished("one", 1, "asleep"))),
-        batch(Event(1, 1.0, 1.0, 0, events.Measured("one.fc", {"at": None}, 0.5))),
+        batch(Event(1, 1.0, 1.0, 0, events.LineLogged("x" * (MAX_TEXT + 1)))),
+        batch(Event(1, 1.0, 1.0, 0, events.MigrationArrived("", 1, 1, "a", 1))),
+        batch(Event(1, 1.0, 1.0, 0, events.AgentFinished("one", 1, "asleep"))),
+        batch(Event(1, 1.0, 1.0, 0, events.DeviceTelemetry("one.fc", {"at": None}, 0.5))),
         batch(Event(1, 1.0, 1.0, 0, STATUS)),
         batch(lost={"left": -1}),
         batch(now=math.inf),

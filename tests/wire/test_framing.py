@@ -32,7 +32,7 @@ def test_frames_come_out_as_they_went_in_wherever_the_stream_is_cut(frames, data
     pieces = [stream[i:j] for i, j in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
     decoder = FrameDecoder(LIMITS)
     assert cut(decoder, *pieces) == frames
-    assert not decoder.unfinished
+    assert not decoder.is_mid_frame
 
 
 @REPEATABLE
@@ -51,13 +51,13 @@ def test_any_bytes_give_frames_or_a_wire_error(stream, size):
 def test_a_whole_frame_is_what_feeding_it_gives_and_nothing_else_is_whole(stream, before):
     decoder, other = FrameDecoder(LIMITS), FrameDecoder(LIMITS)
     assert cut(decoder, before) == cut(other, before) == []
-    found = decoder.whole(stream)
-    assert decoder.unfinished == other.unfinished
+    found = decoder.decode_single_frame(stream)
+    assert decoder.is_mid_frame == other.is_mid_frame
     if found is not None:
         assert cut(other, stream) == [(found[0], bytes(found[1]))]
     else:
         with suppress(WireError):
-            assert len(cut(other, stream)) != 1 or before or other.unfinished or len(stream) < HEADER_SIZE
+            assert len(cut(other, stream)) != 1 or before or other.is_mid_frame or len(stream) < HEADER_SIZE
 
 
 @REPEATABLE
@@ -76,14 +76,14 @@ def test_bytes_fed_one_frame_at_a_time_give_the_same_one_by_one(frames, end, siz
     with suppress(WireError):
         for piece in (stream[start : start + size] for start in range(0, len(stream), size)):
             while piece:
-                taken = decoder.one(piece)
+                taken = decoder.next_frame_length(piece)
                 assert taken > 0
                 step = cut(decoder, piece[:taken])
                 assert len(step) <= 1
                 found += step
                 piece = piece[taken:]
     assert found == expected
-    assert decoder.unfinished == other.unfinished
+    assert decoder.is_mid_frame == other.is_mid_frame
 
 
 def test_a_whole_frame_is_not_copied():
@@ -97,7 +97,7 @@ def test_a_cut_frame_shows_as_unfinished():
     for stream in (b"\x00", b"\x00\x00\x00\x05\x01ab"):
         decoder = FrameDecoder(LIMITS)
         assert cut(decoder, stream) == []
-        assert decoder.unfinished
+        assert decoder.is_mid_frame
 
 
 @pytest.mark.parametrize(

@@ -7,20 +7,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import WireError
-from lfield.wire.orders import (
+from lfield.wire.order_messages import (
     MAGIC,
     MAX_DATAGRAM,
     Epochs,
-    For,
     Order,
+    OrderTarget,
     SignedAnswer,
-    confirmed,
     decode_answer,
     decode_datagram,
     decode_order,
     devices_of,
     encode_datagram,
     encode_part,
+    order_confirmation,
     short_reason,
 )
 
@@ -36,7 +36,7 @@ def signed(answer: bytes, certificate: int) -> SignedAnswer:
     st.text(max_size=500),
 )
 def test_a_confirmation_fits_with_a_certificate_and_counts_what_it_leaves_out(devices, trouble):
-    answer = confirmed(ID, Epochs(), devices, trouble)
+    answer = order_confirmation(ID, Epochs(), devices, trouble)
     assert len(encode_datagram(signed(encode_part(answer), 490))) <= MAX_DATAGRAM
     told = devices_of(answer)
     assert len(told) + answer.more == len(devices)
@@ -46,7 +46,7 @@ def test_a_confirmation_fits_with_a_certificate_and_counts_what_it_leaves_out(de
 
 def test_what_is_not_safe_is_told_first():
     devices = {f"arm{number}.fc": "" for number in range(100)} | {"zulu.fc": "it does not answer"}
-    answer = confirmed(ID, Epochs(), devices, "")
+    answer = order_confirmation(ID, Epochs(), devices, "")
     assert answer.unsafe == {"zulu.fc": "it does not answer"}
     assert answer.more > 0
 
@@ -59,7 +59,7 @@ def test_a_reason_is_cut_between_characters(text):
 
 
 def test_an_order_that_names_a_host_twice_is_none():
-    order = Order("stop", ID, "", (For("alpha", bytes(8)), For("alpha", b"x" * 8)))
+    order = Order("stop", ID, "", (OrderTarget("alpha", bytes(8)), OrderTarget("alpha", b"x" * 8)))
     with pytest.raises(WireError, match="twice"):
         decode_order(encode_part(order))
 

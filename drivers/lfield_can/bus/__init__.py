@@ -1,1 +1,1 @@
-"""The CAN bus: frames in and out, over python-can or socketcand, opened again after it was lost."""
+"""The CAN bus: frames in and out, by python-can or socketcand, reopened after a loss."""

@@ -1,4 +1,4 @@
-"""One open interface of python-can, with a thread that reads and one that writes: the loop never waits."""
+"""An open interface of python-can, with a reader and a writer thread: the loop never blocks."""
 
 from __future__ import annotations
 
@@ -19,56 +19,58 @@ from typing import Any
 import can
 
 from lfield.driver import DeviceError
-from lfield_can.bus.endpoint import Place
-from lfield_can.bus.frames import GONE, Frame, Listener
+from lfield_can.bus.endpoint import Endpoint
+from lfield_can.bus.frames import BUS_LOST, Frame, Listener
 
-#: Seconds that one look for a frame lasts; also how soon a closed connection is noticed.
+#: Seconds of one read; also the delay until a closed connection is noticed.
 WAIT = 0.2
-#: A frame that could not leave within so many seconds is dropped: a late command is worse than none.
-FRESH = 0.05
-#: Seconds between two tries while the send buffer is full.
-AGAIN = 0.002
-#: Frames that may wait to be sent.
+#: A frame is dropped if the interface has not accepted it within this many seconds: a late command is worse
+#: than none. A newer frame follows a posted one (heartbeat, SYNC, repeated setpoint). The sender of any other
+#: awaits the result: a busy computer that delays the writer thread must not fail the call.
+POST_TIMEOUT, SEND_TIMEOUT = 0.05, 0.5
+#: Seconds between two attempts while the send buffer is full.
+RETRY_INTERVAL = 0.002
+#: Send queue in frames.
 BACKLOG = 256
-#: Frames that may wait for the loop; when it is late by more, the oldest are dropped.
+#: Receive queue in frames; the oldest are dropped.
 INBOX = 10_000
 #: Bytes of one line of an adapter; a frame of CAN FD takes 140.
 LONGEST_LINE = 4096
 
-# They log every trouble with a traceback; ours is told in sentences by the driver's notes.
+# They log every problem with a traceback; the driver's notes report it instead.
 for _library in ("can", "canopen", "cantools"):
     logging.getLogger(_library).setLevel(logging.CRITICAL + 1)
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A frame to send until a time; `sent` gets '' or the reason why it was not."""
+    """A frame to send before a deadline; `sent` gets '' or the reason for a failure."""
 
     message: can.Message
     until: float
     sent: Future[str]
 
 
-async def open_connection(place: Place, listener: Listener) -> Connection:
-    """Open an endpoint. Raises DeviceError."""
+async def open_connection(place: Endpoint, listener: Listener) -> Connection:
+    """Opens an endpoint. Raises DeviceError."""
     return await asyncio.to_thread(Connection, place, listener, asyncio.get_running_loop())
 
 
-def _opened(place: Place) -> can.BusABC:
-    """Open an interface now; blocks for a moment. Raises DeviceError."""
+def _opened(place: Endpoint) -> can.BusABC:
+    """Opens an interface; blocks briefly. Raises DeviceError."""
     arguments: dict[str, Any] = dict(place.arguments)
     try:
         return can.Bus(ignore_config=True, **arguments)
-    except Exception as error:  # every interface raises its own kinds, and some none of python-can's
-        raise DeviceError("endpoint", f"cannot open {place.text}: {_words(error)}") from None
+    except Exception as error:  # interfaces raise various exceptions, some not of python-can
+        raise DeviceError("endpoint", f"cannot open {place.text}: {_error_text(error)}") from None
 
 
 def lock_tty(path: str) -> int:
-    """Become the only owner of a serial port; the descriptor that holds the lock. Raises DeviceError."""
+    """Locks a serial port; returns the descriptor that holds the lock. Raises DeviceError."""
     try:
         fd = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:
-        raise DeviceError("endpoint", f"cannot open {path}: {_words(error)}") from None
+        raise DeviceError("endpoint", f"cannot open {path}: {_error_text(error)}") from None
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
@@ -82,12 +84,21 @@ def lock_tty(path: str) -> int:
 class Connection:
     """An open interface of python-can."""
 
-    def __init__(self, place: Place, listener: Listener, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(
+        self,
+        place: Endpoint,
+        listener: Listener,
+        loop: asyncio.AbstractEventLoop,
+        monotonic: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.malformed = 0
+        self._monotonic = monotonic
         self._listener, self._loop = listener, loop
         self._inbox: deque[can.Message] = deque(maxlen=INBOX)
         self._woken = threading.Event()
         self._closing = threading.Event()
+        #: Held while `_closing` is set or a job is queued: after `_closing` is set, no job is queued.
+        self._queueing = threading.Lock()
         self._jobs: queue.Queue[Job | None] = queue.Queue(BACKLOG)
         self._lock = lock_tty(place.tty) if place.tty else None
         try:
@@ -99,41 +110,46 @@ class Connection:
             threading.Thread(target=work, name=name, daemon=True).start()
 
     async def send(self, frame: Frame) -> str:
-        """Have a frame sent; '' once it is, or why it was not."""
-        return await asyncio.wrap_future(self._queued(frame))
+        """Sends a frame after all earlier ones; '' when it was sent, or the reason for a failure.
+
+        A frame whose sender is cancelled while it is queued is not sent.
+        """
+        return await asyncio.wrap_future(self._queued(frame, SEND_TIMEOUT))
 
     def post(self, frame: Frame) -> None:
-        """Have a frame sent, or not; never waits."""
-        self._queued(frame)
+        """Queues a frame; never waits."""
+        self._queued(frame, POST_TIMEOUT)
 
-    def _queued(self, frame: Frame) -> Future[str]:
-        job = Job(_message(frame), time.monotonic() + FRESH, Future())
-        if self._closing.is_set():
-            job.sent.set_result(GONE)
-            return job.sent
-        try:
-            self._jobs.put_nowait(job)
-        except queue.Full:
-            job.sent.set_result("too many frames wait to be sent")
+    def _queued(self, frame: Frame, within: float) -> Future[str]:
+        job = Job(_message(frame), self._monotonic() + within, Future())
+        with self._queueing:
+            if self._closing.is_set():
+                job.sent.set_result(BUS_LOST)
+                return job.sent
+            try:
+                self._jobs.put_nowait(job)
+            except queue.Full:
+                job.sent.set_result("the send queue is full")
         return job.sent
 
     @property
-    def off(self) -> bool:
-        """Whether the interface itself says that its controller is off the bus."""
+    def is_off(self) -> bool:
+        """Whether the interface reports bus off."""
         try:
             return bool(self._bus.state is can.BusState.ERROR)
         except Exception:  # many interfaces cannot tell
             return False
 
     async def close(self) -> None:
-        """Give the interface back."""
+        """Closes the interface."""
         await asyncio.to_thread(self._shut)
 
     def _shut(self) -> None:
-        self._closing.set()
-        with suppress(queue.Full):  # then the writer is awake, and looks at _closing
+        with self._queueing:
+            self._closing.set()
+        with suppress(queue.Full):  # otherwise the writer is awake and checks _closing
             self._jobs.put_nowait(None)
-        with suppress(Exception):  # it may be gone already
+        with suppress(Exception):  # it may be closed already
             self._bus.shutdown()
         self._unlock()
 
@@ -147,40 +163,42 @@ class Connection:
     def _read(self) -> None:
         while not self._closing.is_set():
             try:
-                # Not `recv`: what makes no sense is an empty look too, and counts here.
+                # Not `recv`: invalid frames also end the read, and are counted here.
                 message, _ = self._bus._recv_internal(WAIT)
             except (ValueError, IndexError, KeyError):
                 self.malformed += 1
                 continue
             except Exception as error:  # OSError, CanError, SerialException, TypeError of a closed port
-                self._fail(_words(error))
+                self._fail(_error_text(error))
                 return
             if message is not None:
                 self._received(message)
-            # slcan keeps what has no end of line, however long it gets.
+            # slcan keeps input without an end of line, of any length.
             elif len(getattr(self._bus, "_buffer", b"")) > LONGEST_LINE:
-                self._fail("what comes in are no frames")
+                self._fail("the received data is not CAN frames")
                 return
 
     def _received(self, message: can.Message) -> None:
-        """Wake the loop, once for all that comes until it is awake."""
+        """Wakes the loop once for all frames until it runs."""
         self._inbox.append(message)
         if not self._woken.is_set():
             self._woken.set()
             self._in_loop(self._drain)
 
     def _fail(self, reason: str) -> None:
-        if not self._closing.is_set():
+        with self._queueing:
+            if self._closing.is_set():
+                return
             self._closing.set()
-            self._in_loop(self._listener.lost, reason)
+        self._in_loop(self._listener.lost, reason)
 
     def _in_loop(self, callback: Callable[..., None], *arguments: object) -> None:
-        with suppress(RuntimeError):  # the loop has ended, and with it whoever would listen
+        with suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(callback, *arguments)
 
     def _drain(self) -> None:
-        """On the loop."""
-        # Cleared first: a frame that comes while this runs wakes the loop again.
+        """Runs on the loop."""
+        # Cleared first: a frame that arrives while this runs wakes the loop again.
         self._woken.clear()
         for _ in range(len(self._inbox)):
             message = self._inbox.popleft()
@@ -193,34 +211,36 @@ class Connection:
 
     def _write(self) -> None:
         while not self._closing.is_set() and (job := self._jobs.get()) is not None:
-            job.sent.set_result(self._sent(job))
-        # Whoever still waits is told; later ones find no connection.
+            if job.sent.set_running_or_notify_cancel():  # False when its sender was cancelled
+                job.sent.set_result(self._sent(job))
+        # Fail the remaining jobs; later ones find no connection.
         with suppress(queue.Empty):
             while True:
-                if (job := self._jobs.get_nowait()) is not None:
-                    job.sent.set_result(GONE)
+                job = self._jobs.get_nowait()
+                if job is not None and job.sent.set_running_or_notify_cancel():
+                    job.sent.set_result(BUS_LOST)
 
     def _sent(self, job: Job) -> str:
-        reason = "it waited for too long"
+        reason = "it was queued for too long"
         while not self._closing.is_set():
-            left = job.until - time.monotonic()
+            left = job.until - self._monotonic()
             if left <= 0.0:
                 return reason
             try:
                 self._bus.send(job.message, timeout=left)
                 return ""
             except can.CanError as error:
-                # Mostly a full buffer. Where the interface is broken, the reader finds out.
-                reason = _words(error)
-                time.sleep(AGAIN)
+                # Usually a full buffer. The reader detects a failed interface.
+                reason = _error_text(error)
+                time.sleep(RETRY_INTERVAL)
             except Exception as error:
-                self._fail(_words(error))
-                return _words(error)
-        return GONE
+                self._fail(_error_text(error))
+                return _error_text(error)
+        return BUS_LOST
 
 
-def _words(error: Exception) -> str:
-    """An exception as the end of a sentence; the first line of it, since some carry a traceback."""
+def _error_text(error: Exception) -> str:
+    """The first line of an exception, as the end of a sentence; some contain a traceback."""
     text = (getattr(error, "strerror", None) or str(error) or repr(error)).strip()
     return text.splitlines()[0][:200]
 

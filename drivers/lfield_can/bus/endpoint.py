@@ -30,11 +30,11 @@ _SLCAN = re.compile(r"(?P<tty>/[^@?]+)(@(?P<baud>[0-9]{2,8}))?")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class Endpoint:
     """A parsed endpoint.
 
-    `arguments` are the keyword arguments of `can.Bus`; `tty` is the serial port that must have one owner, and
-    `server` the host and port of a socketcand server, which needs no python-can.
+    `arguments` are the keyword arguments of `can.Bus`; `tty` is the serial port to be locked, and `server`
+    the host and port of a socketcand server, which needs no python-can.
     """
 
     text: str
@@ -43,56 +43,56 @@ class Place:
     server: tuple[str, int] | None = field(default=None)
 
 
-def parse_endpoint(text: str) -> Place:
-    """The place of an endpoint. Raises DeviceError with a sentence on how to write one."""
+def parse_endpoint(text: str) -> Endpoint:
+    """Parses an endpoint. Raises DeviceError with the syntax."""
     interface, colon, rest = text.partition(":")
     channel, _, query = rest.partition("?")
     if not colon or not channel:
-        raise _wrong(text, f"write {SYNTAX}")
+        raise _syntax_error(text, f"write {SYNTAX}")
     if interface not in _KNOWN and interface not in (others := _interfaces()):
         known = ", ".join(sorted({*_KNOWN, *others}))
-        raise _wrong(text, f"python-can has no interface '{interface}'; it has {known}")
+        raise _syntax_error(text, f"python-can has no interface '{interface}'; it has {known}")
     try:
         pairs = parse_qsl(query, strict_parsing=bool(query), keep_blank_values=True)
     except ValueError:
-        raise _wrong(text, f"write {SYNTAX}") from None
+        raise _syntax_error(text, f"write {SYNTAX}") from None
     options = {key: _value(value) for key, value in pairs}
     return _READERS.get(interface, _any)(text, interface, channel, options)
 
 
 def _interfaces() -> frozenset[str]:
-    """Those of python-can, which takes long to import: only a bus that is none of the usual ones needs it."""
+    """The interfaces of python-can, which is slow to import: only needed for unusual ones."""
     import can
 
     return frozenset(can.VALID_INTERFACES)
 
 
-def _any(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
-    return Place(text, {"interface": interface, "channel": channel, **options})
+def _any(text: str, interface: str, channel: str, options: dict[str, Value]) -> Endpoint:
+    return Endpoint(text, {"interface": interface, "channel": channel, **options})
 
 
-def _slcan(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
+def _slcan(text: str, interface: str, channel: str, options: dict[str, Value]) -> Endpoint:
     match = _SLCAN.fullmatch(channel)
     if match is None:
-        raise _wrong(text, "write slcan:/dev/ttyACM0@115200?bitrate=500000")
-    # By default the interface sleeps for two seconds, for the sake of boards that restart when opened.
+        raise _syntax_error(text, "write slcan:/dev/ttyACM0@115200?bitrate=500000")
+    # By default the interface sleeps two seconds, for boards that restart when opened.
     arguments: dict[str, Value] = {"interface": interface, "channel": match["tty"], "sleep_after_open": 0.0}
     if match["baud"]:
         arguments["tty_baudrate"] = int(match["baud"])
-    return Place(text, {**arguments, **options}, tty=match["tty"])
+    return Endpoint(text, {**arguments, **options}, tty=match["tty"])
 
 
-def _socketcand(text: str, interface: str, channel: str, options: dict[str, Value]) -> Place:
+def _socketcand(text: str, interface: str, channel: str, options: dict[str, Value]) -> Endpoint:
     match = _SOCKETCAND.fullmatch(channel)
     if match is None or not 0 < int(match["port"]) < 65536:
-        raise _wrong(text, "write socketcand:HOST:PORT/CHANNEL, as in socketcand:127.0.0.1:29536/can0")
+        raise _syntax_error(text, "write socketcand:HOST:PORT/CHANNEL, as in socketcand:127.0.0.1:29536/can0")
     if options:
-        raise _wrong(text, "socketcand takes no parameters; its server sets the bit rate")
+        raise _syntax_error(text, "socketcand takes no parameters; its server sets the bit rate")
     server = (match["host"].strip("[]"), int(match["port"]))
-    return Place(text, {"interface": interface, "channel": match["channel"]}, server=server)
+    return Endpoint(text, {"interface": interface, "channel": match["channel"]}, server=server)
 
 
-_READERS: Mapping[str, Callable[[str, str, str, dict[str, Value]], Place]] = {
+_READERS: Mapping[str, Callable[[str, str, str, dict[str, Value]], Endpoint]] = {
     "slcan": _slcan,
     "socketcand": _socketcand,
 }
@@ -100,7 +100,7 @@ _KNOWN = frozenset({"socketcan", "virtual", *_READERS})
 
 
 def _value(text: str) -> Value:
-    """`500000` is a number, `true` a boolean, everything else text."""
+    """Converts a value: `500000` to a number, `true` to a boolean, others are text."""
     if text in ("true", "false"):
         return text == "true"
     for kind in (int, float):
@@ -111,5 +111,5 @@ def _value(text: str) -> Value:
     return text
 
 
-def _wrong(text: str, reason: str) -> DeviceError:
+def _syntax_error(text: str, reason: str) -> DeviceError:
     return DeviceError("endpoint", f"'{text}' is not a CAN bus: {reason}")

@@ -1,6 +1,6 @@
-"""A CAN frame as the protocols see it, error frames in words, and what carries them.
+"""CAN frames, error frames in words, and the interface for transports.
 
-Nothing here knows python-can.
+Independent of python-can.
 """
 
 from __future__ import annotations
@@ -9,18 +9,18 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-#: Set in the key of a frame with an extended id, so that 0x123 and 0x00000123 stay two ids.
+#: Flag in the key of a frame with an extended id: 0x123 and 0x00000123 are different ids.
 EXTENDED = 1 << 31
 
 
-#: Set in the key of a parameter group of SAE J1939, which no id of a frame has.
+#: Flag in the key of a parameter group of SAE J1939; not part of any frame id.
 _GROUP = 1 << 30
-#: Below this PDU format the next byte of an id is an address, and no part of the group (SAE J1939-21, 5.1.2).
+#: Below this PDU format the next byte of an id is an address, not part of the group (SAE J1939-21, 5.1.2).
 _BROADCAST_FORMATS = 0xF0
 
 
 class Frame(NamedTuple):
-    """One data frame: an id of 11 bits, or of 29 when `extended`, and up to 8 bytes, or 64 when `fd`."""
+    """A data frame: an 11-bit id, or 29-bit when `extended`, and up to 8 bytes, or 64 when `fd`."""
 
     id: int
     data: bytes = b""
@@ -29,26 +29,26 @@ class Frame(NamedTuple):
 
     @property
     def key(self) -> int:
-        """What frames are dispatched by."""
+        """The key for dispatching."""
         return self.id | EXTENDED if self.extended else self.id
 
 
 def group_of(identifier: int) -> int:
-    """The key of the J1939 parameter group of an id of 29 bits: without priority and addresses."""
+    """The key of the J1939 parameter group of a 29-bit id: without priority and addresses."""
     group = identifier >> 8 & 0x3FFFF
     if group >> 8 & 0xFF < _BROADCAST_FORMATS:
         group &= 0x3FF00
     return EXTENDED | _GROUP | group
 
 
-#: Error classes in the id of an error frame (linux/can/error.h); what they say about the bus.
+#: Error classes in the id of an error frame (linux/can/error.h), and their meaning.
 ERROR_CLASSES: Mapping[int, str] = {
     0x001: "no answer before the timeout",
     0x002: "lost arbitration",
     0x004: "controller trouble",
     0x008: "protocol violation",
     0x010: "transceiver trouble",
-    0x020: "nobody acknowledged a frame",
+    0x020: "no acknowledgement of a frame",
     0x040: "bus off",
     0x080: "bus error",
     0x100: "controller restarted",
@@ -66,8 +66,8 @@ CONTROLLER: Mapping[int, str] = {
 }
 
 
-def error_words(identifier: int, data: bytes) -> str:
-    """An error frame in words, as in `bus off` or `controller trouble (send buffer full)`."""
+def error_text(identifier: int, data: bytes) -> str:
+    """Describes an error frame, such as `bus off` or `controller trouble (send buffer full)`."""
     words = []
     for bit, meaning in ERROR_CLASSES.items():
         if not identifier & bit:
@@ -75,19 +75,20 @@ def error_words(identifier: int, data: bytes) -> str:
         detail = data[1] if bit == 0x004 and len(data) > 1 else 0
         details = ", ".join(text for mask, text in CONTROLLER.items() if detail & mask)
         words.append(f"{meaning} ({details})" if details else meaning)
-    return ", ".join(words) or "an error of no class"
+    return ", ".join(words) or "an error of unknown class"
 
 
 # -- interfaces ------------------------------------------------------------------------------------------
 
-#: Why a frame was not sent by an interface that has failed.
-GONE = "the bus is lost"
+#: Why a failed interface did not send a frame.
+BUS_LOST = "the bus is lost"
 
 
 @dataclass(frozen=True, slots=True)
 class Listener:
-    """What an interface calls, on the loop: with every data frame, with the id and data of every error frame,
-    and once with the reason why the interface has failed."""
+    """Callbacks of an interface, on the loop: for every data frame, for the id and data of every error frame,
+    and once for the reason of a failure.
+    """
 
     frame: Callable[[Frame], None]
     error: Callable[[int, bytes], None]
@@ -95,22 +96,22 @@ class Listener:
 
 
 class Interface(Protocol):
-    """It works until its first failure; then it is closed and another one is opened.
+    """A transport that works until its first failure; then it is closed and another one is opened.
 
-    `malformed` counts what came in and was no frame.
+    `malformed` counts invalid frames.
     """
 
     malformed: int
 
     @property
-    def off(self) -> bool:
-        """Whether the interface itself says that its controller is off the bus."""
+    def is_off(self) -> bool:
+        """Whether the interface reports bus off."""
 
     async def send(self, frame: Frame) -> str:
-        """Send a frame; '' once the interface has taken it, else the reason why it has not."""
+        """Sends a frame; '' when the interface has accepted it, else the reason for a failure."""
 
     def post(self, frame: Frame) -> None:
-        """Send a frame, or not; never waits."""
+        """Queues a frame; never waits."""
 
     async def close(self) -> None:
-        """Give it back."""
+        """Closes it."""

@@ -1,7 +1,7 @@
-"""A client of socketcand, on the loop (https://github.com/linux-can/socketcand/blob/master/doc/protocol.md).
+"""An asyncio client of socketcand (https://github.com/linux-can/socketcand/blob/master/doc/protocol.md).
 
-Not python-can's: that one needs a thread to read and one to send, finds nothing for ever and at once when its
-server has died, and takes an answer that comes together with the first frame for a wrong one.
+python-can's client needs two threads, loops without data when its server has died, and rejects an answer that
+arrives together with the first frame.
 """
 
 from __future__ import annotations
@@ -12,27 +12,27 @@ from typing import cast
 
 from lfield.driver import DeviceError
 from lfield.driver.network import Lookup, connected
-from lfield_can.bus.endpoint import Place
-from lfield_can.bus.frames import GONE, Frame, Listener
+from lfield_can.bus.endpoint import Endpoint
+from lfield_can.bus.frames import BUS_LOST, Frame, Listener
 
-#: Seconds that a server may take to connect and to answer.
+#: Seconds for a server to connect and to answer.
 ANSWER = 2.0
-#: Bytes that may wait to be sent, here and in the kernel, some hundred frames each: a late command is worse
-#: than none.
+#: Bytes in the send buffers, here and in the kernel, some hundred frames each: a late command is worse than
+#: none.
 BACKLOG = 4096
-#: Bytes of the longest message; what is longer is none.
+#: Bytes of the longest valid message.
 LONGEST = 256
-#: Digits of an id of 11 bits and of one of 29, and the highest of each.
+#: Hexadecimal digits of an 11-bit and a 29-bit id, and the highest of each.
 STANDARD, EXTENDED = 3, 8
 STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFFFFFF
-#: Bytes of data in a frame that is not of CAN FD.
+#: Bytes of data in a classic frame.
 LONGEST_DATA = 8
-#: By host and port: a name that hangs while it is resolved is not asked for a second time meanwhile.
+#: By host and port: a resolver that hangs is not called a second time.
 _lookups: dict[tuple[str, int], Lookup] = {}
 
 
-async def open_socketcand(place: Place, listener: Listener) -> Socketcand:
-    """Connect and open the bus of an endpoint. Raises DeviceError."""
+async def open_socketcand(place: Endpoint, listener: Listener) -> Socketcand:
+    """Connects to a server and opens the bus of an endpoint. Raises DeviceError."""
     assert place.server is not None
     lookup = _lookups.setdefault(place.server, Lookup(*place.server, socket.SOCK_STREAM))
     client = Socketcand(listener)
@@ -42,17 +42,17 @@ async def open_socketcand(place: Place, listener: Listener) -> Socketcand:
             await client.greet(str(place.arguments["channel"]))
     except OSError as error:
         await client.close()
-        # A TimeoutError of asyncio says nothing.
+        # A TimeoutError of asyncio has no text.
         reason = error.strerror or str(error) or f"no greeting within {ANSWER:g} s"
         raise DeviceError("endpoint", f"cannot open {place.text}: {reason}") from None
     return client
 
 
 class Socketcand(asyncio.Protocol):
-    """A connection in raw mode, once it was greeted."""
+    """A connection in raw mode."""
 
-    #: The protocol does not tell.
-    off = False
+    #: The protocol does not report it.
+    is_off = False
 
     def __init__(self, listener: Listener) -> None:
         self.malformed = 0
@@ -62,51 +62,51 @@ class Socketcand(asyncio.Protocol):
         self._answers: asyncio.Queue[bytes] | None = asyncio.Queue()
 
     async def greet(self, channel: str) -> None:
-        """Open a bus and have all its frames. Raises ConnectionError."""
+        """Opens a bus in raw mode. Raises ConnectionError."""
         await self._expect(b"hi")
         for command in (f"< open {channel} >", "< rawmode >"):
             self._write(command.encode())
             await self._expect(b"ok")
         self._answers = None
 
-    async def _expect(self, wanted: bytes) -> None:
+    async def _expect(self, expected: bytes) -> None:
         assert self._answers is not None
         answer = await self._answers.get()
-        if answer != wanted:
+        if answer != expected:
             raise ConnectionError(f"the server says '{answer.decode(errors='replace')}'")
 
     # -- sending ------------------------------------------------------------------------------------------
 
     async def send(self, frame: Frame) -> str:
-        """Send a frame; '' or why it was not sent."""
+        """Sends a frame; '' or the reason for a failure."""
         return self._send(frame)
 
     def post(self, frame: Frame) -> None:
-        """Send a frame, or not; never waits."""
+        """Queues a frame; never waits."""
         self._send(frame)
 
     def _send(self, frame: Frame) -> str:
         if frame.fd:
-            return "socketcand has no frames of CAN FD"
+            return "socketcand does not support CAN FD"
         digits = EXTENDED if frame.extended else STANDARD
         data = frame.data.hex(" ")
         return self._write(f"< send {frame.id:0{digits}X} {len(frame.data)} {data} >".encode())
 
     def _write(self, message: bytes) -> str:
         if self._transport is None or self._transport.is_closing():
-            return GONE
+            return BUS_LOST
         if self._transport.get_write_buffer_size() > BACKLOG:
-            return "too many frames wait to be sent"
+            return "the send queue is full"
         self._transport.write(message)
         return ""
 
     async def close(self) -> None:
-        """Hang up; nobody is told."""
+        """Closes the connection without a callback."""
         transport, self._transport = self._transport, None
         if transport is not None:
             transport.abort()
 
-    # -- what comes in ------------------------------------------------------------------------------------
+    # -- received data ------------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """It is connected."""
@@ -115,14 +115,16 @@ class Socketcand(asyncio.Protocol):
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BACKLOG)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """The server has hung up, unless we have."""
+        """The server has closed the connection."""
         if self._transport is None:
             return
         self._transport = None
         if self._answers is not None:
             self._answers.put_nowait(b"nothing")
         else:
-            reason = getattr(exc, "strerror", None) or (str(exc) if exc else "the other end has hung up")
+            reason = getattr(exc, "strerror", None) or (
+                str(exc) if exc else "the server has closed the connection"
+            )
             self._listener.lost(reason)
 
     def data_received(self, data: bytes) -> None:
@@ -130,17 +132,17 @@ class Socketcand(asyncio.Protocol):
         *messages, self._unread = (self._unread + data).split(b">")
         for message in messages:
             _, _, text = message.rpartition(b"<")
-            self._take(text.strip())
+            self._on_text(text.strip())
         if len(self._unread) > LONGEST:
             self.malformed += 1
             self._unread = b""
 
-    def _take(self, text: bytes) -> None:
+    def _on_text(self, text: bytes) -> None:
         words = text.split()
         if (frame := _frame(words)) is not None:
             self._listener.frame(frame)
         elif (identifier := _error(words)) is not None:
-            # The protocol has no data with it.
+            # The protocol has no data for it.
             self._listener.error(identifier, b"\0")
         elif self._answers is not None:
             self._answers.put_nowait(text)
@@ -148,25 +150,25 @@ class Socketcand(asyncio.Protocol):
             self.malformed += 1
 
 
-def _frame(words: list[bytes]) -> Frame | None:
+def _frame(fields: list[bytes]) -> Frame | None:
     """`frame ID TIME DATA`."""
-    if len(words) < 3 or words[0] != b"frame":
+    if len(fields) < 3 or fields[0] != b"frame":
         return None
     try:
-        identifier, data = int(words[1], 16), bytes.fromhex(b"".join(words[3:]).decode())
+        identifier, data = int(fields[1], 16), bytes.fromhex(b"".join(fields[3:]).decode())
     except ValueError:
         return None
-    extended = len(words[1]) != STANDARD
+    extended = len(fields[1]) != STANDARD
     if not 0 <= identifier <= (EXTENDED_ID if extended else STANDARD_ID) or len(data) > LONGEST_DATA:
         return None
     return Frame(identifier, data, extended)
 
 
-def _error(words: list[bytes]) -> int | None:
+def _error(fields: list[bytes]) -> int | None:
     """The id in `error ID TIME`."""
-    if len(words) != 3 or words[0] != b"error":
+    if len(fields) != 3 or fields[0] != b"error":
         return None
     try:
-        return int(words[1], 16) & EXTENDED_ID
+        return int(fields[1], 16) & EXTENDED_ID
     except ValueError:
         return None

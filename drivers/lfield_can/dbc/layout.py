@@ -1,7 +1,7 @@
-"""Where the signals of a message are in its bytes, and what they mean. Pure.
+"""Bit layout of signals in a message, and their physical values. Pure.
 
-Bits are counted as DBC files count them: bit 0 is the lowest of byte 0, bit 8 the lowest of byte 1. The start
-of an Intel signal is its lowest bit, that of a Motorola signal its highest. Signals may overlap.
+Bits are numbered as in DBC files: bit 0 is the lowest of byte 0, bit 8 the lowest of byte 1. The start of an
+Intel signal is its lowest bit, that of a Motorola signal its highest. Signals may overlap.
 """
 
 from __future__ import annotations
@@ -12,29 +12,29 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-#: Bytes of the longest frame, and the lengths that a frame of CAN FD can have beyond 8 bytes (ISO 11898-1).
+#: Bytes of the longest frame, and lengths of CAN FD frames beyond 8 bytes (ISO 11898-1).
 LONGEST, FD_LENGTHS = 64, (12, 16, 20, 24, 32, 48, 64)
-#: Bytes of the longest frame that is not of CAN FD.
+#: Bytes of the longest classic frame.
 LONGEST_CLASSIC = 8
-#: IEEE 754 by its length in bits: its format in `struct`, and its greatest value.
+#: IEEE 754 by length in bits: `struct` format and greatest value.
 FLOATS: Mapping[int, tuple[str, float]] = {
     16: ("e", 65504.0),
     32: ("f", struct.unpack("<f", b"\xff\xff\x7f\x7f")[0]),
     64: ("d", math.inf),
 }
-#: Tools write the ends of a range with six digits: a value may miss one by this share.
+#: Relative rounding of range ends, which tools write with six digits.
 ROUNDING = 5e-6
 
 
 class OutOfRange(ValueError):
-    """A value that a signal cannot carry; the message is a sentence."""
+    """A value that a signal cannot represent; the message is a sentence."""
 
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One signal. `minimum` and `maximum` are None where the file gives no range ([0|0]).
+    """One signal. `minimum` and `maximum` are None if the file gives no range ([0|0]).
 
-    `multiplexer_ids` are the values of the multiplexer `multiplexer_signal` under which it is in its message.
+    `multiplexer_ids` are the values of `multiplexer_signal` with which it is in its message.
     """
 
     name: str
@@ -54,23 +54,23 @@ class Signal:
 
     @property
     def first(self) -> int:
-        """Its first bit in the order in which it is written."""
+        """Its first bit in written order."""
         return self.start ^ 7 if self.is_motorola else self.start
 
     @property
     def end(self) -> int:
-        """Bits that its message must have at least: it lies in whole bytes up to there."""
+        """The minimum number of bits of its message, in whole bytes."""
         return self.first + self.length
 
     def is_selected(self, raw: Mapping[str, int | float]) -> bool:
-        """Whether the multiplexer, as it is, has the signal in the message."""
+        """Whether the multiplexer values select the signal."""
         if self.multiplexer_signal is None:
             return True
         value = raw.get(self.multiplexer_signal)
         return value is not None and any(value in ids for ids in self.multiplexer_ids)
 
     def extract(self, data: bytes) -> int | float:
-        """Its raw value in bytes that are long enough."""
+        """Its raw value in sufficiently long data."""
         if self.is_motorola:
             bits = int.from_bytes(data, "big") >> 8 * len(data) - self.end
         else:
@@ -83,7 +83,7 @@ class Signal:
         return bits - (1 << self.length) if self.is_signed and bits >> self.length - 1 else bits
 
     def insert(self, raw: int | float, size: int) -> tuple[int, int]:
-        """A raw value as bits of a message of `size` bytes, and the mask of them, as Intel numbers."""
+        """A raw value as bits of a message of `size` bytes, and their mask, as Intel numbers."""
         if self.is_float:
             bits = int.from_bytes(struct.pack(f">{FLOATS[self.length][0]}", raw), "big")
         else:
@@ -99,35 +99,36 @@ class Signal:
         return raw * self.scale + self.offset
 
     def to_raw(self, value: float) -> int | float:
-        """The raw value that is nearest. Raises OutOfRange: no number, outside its range or its bits."""
+        """The nearest raw value. Raises OutOfRange: not finite, outside its range or its bits."""
         if not math.isfinite(value):
-            raise OutOfRange(f"{self.name} needs a finite number, not {value}")
+            raise OutOfRange(f"{self.name} requires a finite number, not {value}")
         least, greatest = representable(self)
         lowest = least if self.minimum is None else max(least, self.minimum)
         highest = greatest if self.maximum is None else min(greatest, self.maximum)
-        # The nearest value that its bits hold is as good at the ends as between them. An end that the file
-        # gives is one of them, or what is left of it in a few digits.
+        # The nearest representable value applies at the ends as well. A range end in the file is
+        # representable, or rounded to a few digits.
         below = self._step if lowest == least else self._rounding(lowest)
         above = self._step if highest == greatest else self._rounding(highest)
         if not lowest - below <= value <= highest + above:
             unit = f" {self.unit}" if self.unit else ""
             raise OutOfRange(
-                f"{self.name} cannot be {value:.12g}{unit}: it is from {lowest:.12g} to {highest:.12g}{unit}"
+                f"{self.name} cannot be {value:.12g}{unit}: its range is {lowest:.12g} to "
+                f"{highest:.12g}{unit}"
             )
         return self._nearest(min(max(value, lowest), highest))
 
     @property
     def _step(self) -> float:
-        """How far a value may be from one that its bits hold."""
+        """The distance of a value to the nearest representable one."""
         return 0.0 if self.is_float else 0.5 * abs(self.scale)
 
     def _rounding(self, end: float) -> float:
-        """How far an end of a range may be from the value that it stands for."""
+        """The tolerance of a range end."""
         share = ROUNDING * abs(end)
         return share if self.is_float else min(share, self._step)
 
     def _nearest(self, value: float) -> int | float:
-        """The raw value that is nearest to one in its range."""
+        """The nearest raw value for one within its range."""
         raw = (value - self.offset) / self.scale
         if self.is_float:
             limit = FLOATS[self.length][1]
@@ -137,14 +138,14 @@ class Signal:
 
     @property
     def raw_range(self) -> tuple[int, int]:
-        """The lowest and highest number that its bits hold, as integers."""
+        """The lowest and highest integer of its bits."""
         if self.is_signed:
             return -(1 << self.length - 1), (1 << self.length - 1) - 1
         return 0, (1 << self.length) - 1
 
 
 def representable(signal: Signal) -> tuple[float, float]:
-    """The lowest and highest value that the bits of a signal can hold."""
+    """The lowest and highest value of the bits of a signal."""
     limit = FLOATS[signal.length][1] if signal.is_float else 0.0
     ends = (-limit, limit) if signal.is_float else signal.raw_range
     lowest, highest = sorted(signal.to_physical(end) for end in ends)
@@ -153,7 +154,7 @@ def representable(signal: Signal) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Message:
-    """One message: its id, its length in bytes, and its signals in the order of their bits."""
+    """One message: its id, its length in bytes, and its signals in bit order."""
 
     name: str
     frame_id: int
@@ -161,32 +162,32 @@ class Message:
     signals: Sequence[Signal] = ()
     is_extended_frame: bool = False
     is_fd: bool = False
-    #: Whether it is the parameter group of SAE J1939, whatever its priority and whoever sends it.
+    #: Whether it is a SAE J1939 parameter group, with any priority and sender.
     is_j1939: bool = False
-    #: Signals that the file has and no frame can carry, with the reasons.
+    #: Signals of the file that do not fit a frame, with the reasons.
     unusable: Mapping[str, str] = field(default_factory=dict)
 
     @cached_property
     def size(self) -> int:
-        """Bytes of its frame: a frame of CAN FD is filled up to a length that there is."""
+        """Bytes of its frame: CAN FD frames are padded to a valid length."""
         return next((size for size in (self.length, *FD_LENGTHS) if _is_length(size, self.length)), LONGEST)
 
     def decode(self, data: bytes) -> dict[str, float]:
-        """The values that are in these bytes, by signal; those that lie beyond them are absent."""
+        """The values in these bytes by signal; signals beyond the data are absent."""
         raw = self._raw(data)
         return {
             signal.name: signal.to_physical(raw[signal.name]) for signal in self.signals if signal.name in raw
         }
 
     def problem(self, data: bytes) -> str:
-        """What is wrong with a frame of these bytes, in words; '' for nothing."""
+        """What is wrong with a frame of these bytes; '' for nothing."""
         words = []
         kind = f"frame 0x{self.frame_id:X}"
         raw = self._raw(data)
         if len(data) < self.length:
             lost = [s.name for s in self.signals if s.end > 8 * len(data) and _may_be_here(s, raw)]
             absent = f": signal{'s' * (len(lost) != 1)} {', '.join(lost)} absent" if lost else ""
-            words.append(f"{kind} has {_bytes(len(data))}, the file says {self.length}{absent}")
+            words.append(f"{kind} has {_bytes(len(data))}, the file specifies {self.length}{absent}")
         for signal in self.signals:
             if signal.is_multiplexer and signal.name in raw and not self._is_known(signal, raw[signal.name]):
                 words.append(
@@ -195,9 +196,9 @@ class Message:
         return "; ".join(words)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
-        """Its bytes with these values; of multiplexed signals, those that are selected.
+        """Its bytes with these values; of multiplexed signals, the selected ones.
 
-        Raises OutOfRange, and KeyError with the name of a signal that is missing.
+        Raises OutOfRange, and KeyError with the name of a missing signal.
         """
         raw: dict[str, int | float] = {}
         bits = 0
@@ -211,7 +212,7 @@ class Message:
 
     @cached_property
     def _in_order(self) -> Sequence[Signal]:
-        """Its signals, multiplexers before what they select."""
+        """Its signals, multiplexers before the signals they select."""
         done: list[Signal] = []
         names: set[str | None] = {None}
         left = list(self.signals)
@@ -229,18 +230,18 @@ class Message:
         return raw
 
     def _is_known(self, multiplexer: Signal, value: int | float) -> bool:
-        """Whether a value of a multiplexer selects any signal; where none is ever selected, every value."""
+        """Whether a multiplexer value selects any signal; True for every value if none ever does."""
         selected = [s for s in self.signals if s.multiplexer_signal == multiplexer.name]
         return not selected or any(value in ids for s in selected for ids in s.multiplexer_ids)
 
 
 def _may_be_here(signal: Signal, raw: Mapping[str, int | float]) -> bool:
-    """Whether a signal would be in the message; where its multiplexer is absent too nobody knows."""
+    """Whether a signal is in the message; True if its multiplexer is absent too."""
     return signal.multiplexer_signal not in raw or signal.is_selected(raw)
 
 
 def _turned(bits: int, size: int) -> int:
-    """A number that was read from bytes as Motorola, as it is read as Intel."""
+    """Converts a number between Motorola and Intel order."""
     return int.from_bytes(bits.to_bytes(size, "big"), "little")
 
 

@@ -1,7 +1,7 @@
-"""The statements of a DBC file, one after the other, each with its place. Pure.
+"""Splits a DBC file into statements with positions. Pure.
 
-A file is taken as tools write it: a text may have several lines, a statement without its ';' ends where the
-next one begins, and what is no statement is told and skipped.
+Tolerates what tools write: texts over several lines, a missing ';' at the end; other text is reported and
+skipped.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from lfield_can.dbc import findings
 
 #: Statements that end with their line.
 _LINES = frozenset({"BO_", "SG_", "BS_", "VERSION"})
-#: Those that end where the next statement begins: the list of nodes may have a line for each.
+#: Statements that end where the next one starts: the list of nodes may have a line for each.
 _LISTS = frozenset({"BU_"})
 #: Statements that end with ';'.
 _ENDED = frozenset(
@@ -27,20 +27,20 @@ _ENDED = frozenset(
     }
 )  # fmt: skip
 KEYWORDS = _LINES | _LISTS | _ENDED | {"NS_"}
-_WORD = re.compile(r"[^\s:;\"]+")
+_TOKEN = re.compile(r"[^\s:;\"]+")
 _BLANK = re.compile(r"(?:\s|//[^\n]*)+")
-#: What the list of new symbols after NS_ has: words, each alone on its line or several on one.
+#: The list of new symbols after NS_: words, one or several per line.
 _SYMBOLS = re.compile(r"\s*:?(?:[ \t]*\n[ \t]+[A-Z_0-9]+(?=\s*\n)|[ \t]+[A-Z_0-9]+(?=[ \t]|\n))*")
-#: A line that begins with a statement; the next quote, end of a statement, or such a line.
-_BEGIN = r"\n(?=[ \t]*(?:" + "|".join(sorted(KEYWORDS, key=len, reverse=True)) + r")[\s:])"
-_NEXT, _NEXT_LINE = re.compile(f'"|;|{_BEGIN}'), re.compile(f"{_BEGIN}|$")
-#: The end of a text; \" is no end, unless nothing but the end of the statement follows.
+#: A line that starts with a statement; the next quote, end of a statement, or such a line.
+_STATEMENT_START = r"\n(?=[ \t]*(?:" + "|".join(sorted(KEYWORDS, key=len, reverse=True)) + r")[\s:])"
+_NEXT, _NEXT_LINE = re.compile(f'"|;|{_STATEMENT_START}'), re.compile(f"{_STATEMENT_START}|$")
+#: The end of a text; \" does not end it, unless only the end of the statement follows.
 _CLOSED = re.compile(r'(?<!\\)"|\\"(?=\s*(?:;\s*$|;\s*\n))')
 
 
 @dataclass(frozen=True, slots=True)
 class Statement:
-    """One statement: its keyword, what follows, and where that begins in the source."""
+    """One statement: its keyword, its rest, and the position of that in the source."""
 
     keyword: str
     body: str
@@ -48,14 +48,14 @@ class Statement:
 
 
 def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
-    """Every statement that there is; what is none is told to `found`."""
+    """All statements; other text is reported to `found`."""
     text, at = source.text, 0
     while True:
         blank = _BLANK.match(text, at)
         at = blank.end() if blank else at
         if at >= len(text):
             return
-        word = _WORD.match(text, at)
+        word = _TOKEN.match(text, at)
         keyword = word[0] if word else text[at]
         start = at + len(keyword)
         if keyword == "NS_":
@@ -75,8 +75,8 @@ def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
         at = end + 1 if text[end : end + 1] == ";" else end
 
 
-def _end(source: Source, begin: int, start: int, found: Diagnostics) -> int:
-    """Where a statement that should end with ';' ends."""
+def _end(source: Source, opening: int, start: int, found: Diagnostics) -> int:
+    """The end of a statement that should end with ';'."""
     text, at = source.text, start
     while (match := _NEXT.search(text, at)) and match[0] == '"':
         closed = _CLOSED.search(text, match.end())
@@ -86,5 +86,5 @@ def _end(source: Source, begin: int, start: int, found: Diagnostics) -> int:
         at = closed.end()
     if match and match[0] == ";":
         return match.start()
-    found.add(findings.UNENDED.at(Span(source, begin, start)))
+    found.add(findings.UNENDED.at(Span(source, opening, start)))
     return match.start() if match else len(text)

@@ -1,13 +1,13 @@
-"""The conformance kit of CAN devices: axes of any protocol, and devices by DBC file.
+"""Conformance kit of CAN devices: axes of any protocol, and devices by DBC file.
 
-An axis turns by less than 0.5 rad from where it stands; at the end it is disabled. A device by
-DBC file is sent nothing but its own safe state.
+An axis moves less than 0.5 rad from its position and is disabled at the end. Only its own safe state is sent
+to a device by DBC file.
 """
 
 from __future__ import annotations
 
 from lfield.driver.kit import Kit
-from lfield_can.kit.axis import AXIS
-from lfield_can.kit.signals import SIGNALS
+from lfield_can.kit.axis_checks import AXIS
+from lfield_can.kit.signal_checks import SIGNALS
 
 KIT = Kit([*AXIS.checks, *SIGNALS.checks])

@@ -1,4 +1,4 @@
-"""What a protocol of axes must do. All values are of the axis, behind its gear, in SI units."""
+"""The interface of axis protocols. All values are of the axis, after its gear, in SI units."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from lfield.driver import Clock, DeviceBinding, DeviceError
-from lfield_can.bus.bus import Bus
+from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame
-from lfield_can.timing import News, Sync
+from lfield_can.timing import ChangeNotifier, Sync
 
 
 @dataclass(slots=True)
 class AxisState:
-    """The newest that the device said; None is "not heard yet".
+    """The newest state of the device; None is unknown.
 
-    `enabled` means that it follows commands. `fault` is in words, '' when there is none. `referenced` means
-    that its zero is known.
+    `enabled`: it follows commands. `fault` is in words, '' for none. `referenced`: its zero position is
+    known.
     """
 
     position: float | None = None
@@ -29,64 +29,66 @@ class AxisState:
 
 
 @dataclass(frozen=True, slots=True)
-class Wiring:
-    """What a protocol gets to work with. `error` makes the exception to raise, `note` writes to the log."""
+class ProtocolContext:
+    """What a protocol needs. `error` creates an exception, `note` writes to the log."""
 
     binding: DeviceBinding
     bus: Bus
     sync: Sync
     clock: Clock
-    news: News
+    changes: ChangeNotifier
     note: Callable[[str], None]
     error: Callable[..., DeviceError]
 
 
 class AxisProtocol:
-    """One axis that speaks one protocol. Nothing blocks; every wait is bounded and ends in a DeviceError.
+    """One axis with one protocol. Nothing blocks; every wait is bounded and ends in a DeviceError.
 
-    The caller has checked limits, that the axis is heard, and for motions that it is enabled.
+    The caller has checked limits, contact, and for motions that the axis is enabled.
     """
 
-    #: Seconds without a sign of life after which the device is lost.
+    #: Seconds without a message after which the device is lost.
     silence = 0.5
 
-    def __init__(self, wiring: Wiring) -> None:
+    def __init__(self, wiring: ProtocolContext) -> None:
         self.wiring, self.binding, self.bus = wiring, wiring.binding, wiring.bus
         self.node: int = wiring.binding.option("node")
         self.state = AxisState()
         self.needs_setup = False
-        #: Why there are two devices with this id, in words; '' where no second one is seen.
+        #: Why two devices seem to have this id; '' otherwise.
         self.conflict = ""
         sign = -1.0 if wiring.binding.option("reversed") else 1.0
         #: Turns of the motor for one radian of the axis.
         self.turns: float = sign * wiring.binding.option("gear") / math.tau
 
     def ids(self) -> frozenset[int]:
-        """The ids of all frames that the device sends; no two axes may share one."""
+        """The ids of all frames of the device, unique on the bus."""
         raise NotImplementedError
 
     def overheard(self) -> frozenset[int]:
-        """The ids of frames that others may send to the device, which it wants to hear."""
+        """The ids of other senders' frames to the device that it must observe."""
         return frozenset()
 
     def on_overheard(self, frame: Frame) -> None:
-        """A frame to the device: no sign of life of it."""
+        """A frame to the device: does not prove contact."""
 
     def prepare(self) -> None:
-        """Read files, before the bus is opened; may block. Raises DeviceError."""
+        """Reads files before the bus is opened; may block. Raises DeviceError."""
 
     def call(self) -> None:
-        """Make a device speak that does not do so by itself."""
+        """Requests a message from a device that sends none by itself."""
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
-        """Take a frame of the device in: the telemetry it gives, or None when it makes no sense.
+        """Handles a frame of the device: returns telemetry, or None if the frame is invalid.
 
-        Never raises, whatever the bytes are.
+        Never raises.
         """
         raise NotImplementedError
 
     async def setup(self) -> str:
-        """Find the device and set it up, not enabled; its identity. Called again when it has restarted."""
+        """Finds the device and sets it up, not enabled; returns its identity. Called again after its
+        restart.
+        """
         raise NotImplementedError
 
     async def serial(self) -> str:
@@ -98,61 +100,61 @@ class AxisProtocol:
         return None
 
     async def enable(self) -> None:
-        """Make it follow commands, standing still; done when it says so."""
+        """Enables it at rest; done when it is confirmed."""
         raise NotImplementedError
 
     async def disable(self) -> None:
-        """Switch its torque off; done when it says so."""
+        """Switches its torque off; done when it is confirmed."""
         raise NotImplementedError
 
     async def reset_fault(self) -> None:
-        """Clear its faults; done when it says that there are none."""
+        """Clears its faults; done when it reports none."""
         raise NotImplementedError
 
     async def home(self) -> None:
-        """Find its zero; done when it says so."""
+        """Finds its zero position; done when it is confirmed."""
         raise NotImplementedError
 
-    async def begin_move(self, position: float, speed: float) -> None:
-        """Have it travel to a position, by its own profile."""
+    async def start_move(self, position: float, speed: float) -> None:
+        """Starts a motion to a position, by its own profile."""
         raise NotImplementedError
 
-    async def begin_halt(self) -> None:
-        """Have it slow down, whatever motion is under way, and stay enabled; one that is not does nothing."""
+    async def start_halt(self) -> None:
+        """Slows down from any motion and stays enabled; no effect on a disabled axis."""
         raise NotImplementedError
 
     async def end_halt(self) -> None:
-        """It stands: see to it that no goal from before acts again."""
+        """It is at rest: ensures that no earlier goal takes effect."""
 
     async def set_position(self, position: float) -> None:
-        """One position setpoint."""
+        """A position setpoint."""
         raise NotImplementedError
 
     async def set_velocity(self, velocity: float) -> None:
-        """One velocity setpoint."""
+        """A velocity setpoint."""
         raise NotImplementedError
 
     async def set_torque(self, torque: float) -> None:
-        """One torque setpoint."""
+        """A torque setpoint."""
         raise NotImplementedError
 
     async def command_safe(self, state: str) -> None:
-        """Send what brings it into a safe state, at once; called again until `is_safe`."""
+        """Sends the command for a safe state, without waiting; repeated until `is_safe`."""
         raise NotImplementedError
 
     def is_safe(self, state: str, still: bool) -> bool:
-        """Whether the device reports that safe state; `still` says that it does not turn."""
+        """Whether the device reports that safe state; `still`: it does not turn."""
         raise NotImplementedError
 
     async def poll(self) -> Mapping[str, object]:
-        """Ask for what the device does not say by itself, about once a second; not while the bus is quiet."""
+        """Requests what the device does not send by itself, about once a second; not on a muted bus."""
         return {}
 
     def quiet(self, on: bool) -> None:
-        """Stop (or take up) what feeds the device's own watchdog."""
+        """Stops (or starts) what feeds the device's own watchdog."""
 
-    def silent(self) -> None:
-        """The device has not been heard for too long: forget what it said."""
+    def on_silence(self) -> None:
+        """The device has not responded for too long: discards its state."""
         self.state.enabled = False
         self.state.position = self.state.velocity = None
 
@@ -162,8 +164,8 @@ class AxisProtocol:
     # -- for subclasses ---------------------------------------------------------------------------------
 
     async def expect(self, condition: Callable[[], bool], bound: float, what: str) -> None:
-        """Wait until the device shows it. Raises DeviceError `what` when it does not."""
-        if not await self.wiring.news.seen(condition, bound):
+        """Waits until the state confirms it. Raises DeviceError `what`."""
+        if not await self.wiring.changes.wait_for(condition, bound):
             fault = f"; it says: {self.state.fault}" if self.state.fault else ""
             raise self.wiring.error(
                 f"{what} within {bound:g} s (it is {self.state.state or 'silent'}{fault})"

@@ -1,7 +1,7 @@
-"""The objects of one node, read and written by SDO on the loop, one transfer at a time.
+"""The objects of one CANopen node by SDO, one transfer at a time.
 
-`SdoClient` decides; here its frames are sent and its waits are timed. Object dictionaries, EDS files and the
-encoding of values are `canopen`'s.
+`SdoClient` decides; here its frames are sent and its waits are timed. Object dictionaries, EDS files and
+value encoding are from `canopen`.
 """
 
 from __future__ import annotations
@@ -19,12 +19,11 @@ from canopen.sdo.exceptions import SdoAbortedError
 from lfield.driver import DeviceError, read_within
 from lfield_can.bus.frames import Frame
 from lfield_can.eds import parse_eds
-from lfield_can.files import tell_warnings
 from lfield_can.protocols.cia402_tables import OBJECTS, SDO_REQUEST, name_of
-from lfield_can.protocols.conflict import GAP, MARK, RollCall
+from lfield_can.protocols.id_conflict import GAP, MARK, IdConflictProbe
 from lfield_can.protocols.sdo import (
     ABORT,
-    NOT_WANTED,
+    GENERAL_ERROR,
     Done,
     Effect,
     Failed,
@@ -35,21 +34,22 @@ from lfield_can.protocols.sdo import (
     Send,
     abort,
 )
+from lfield_can.text_files import log_warnings
 
 #: The request for object 0x1000.
 PING = bytes.fromhex("4000100000000000")
-#: The mark of a round of a roll call.
-_MARK = abort(MARK, NOT_WANTED)
+#: The marker of a round of an id check.
+_MARK = abort(MARK, GENERAL_ERROR)
 #: The largest EDS file, in bytes.
-MOST_BYTES = 16 << 20
-#: Abort codes that say that there is no such object, or that it cannot be written.
+MAX_BYTES = 16 << 20
+#: Abort codes for a missing or read-only object.
 ABSENT = frozenset({0x06020000, 0x06090011, 0x060A0023, 0x06010002, 0x06010000, 0x08000024})
 
 Note = Callable[[str], None]
 
 
 class SdoRefused(DeviceError):
-    """The node refused a request; `absent` when it has no such object."""
+    """The node refused a request; `absent` if it has no such object."""
 
     def __init__(self, device: str, reason: str, code: int) -> None:
         super().__init__(device, reason)
@@ -57,7 +57,7 @@ class SdoRefused(DeviceError):
 
 
 class CanopenNode:
-    """One node: its objects by (index, subindex), read and written one after the other."""
+    """One node: its objects by (index, subindex), accessed one after the other."""
 
     def __init__(self, name: str, node: int, post: Callable[[Frame], None]) -> None:
         self._name, self._id, self._post = name, node, post
@@ -65,37 +65,41 @@ class CanopenNode:
         self._client, self._turn = SdoClient(), asyncio.Lock()
         self._result: asyncio.Future[Result] | None = None
         self._timer: asyncio.TimerHandle | None = None
-        self._roll_call: RollCall | None = None
-        #: Whether it does not answer questions for what it does not have.
+        self._id_probe: IdConflictProbe | None = None
+        #: Whether it does not answer requests for missing objects.
         self._ignores = False
-        #: Called with every object that was written, and its bytes.
+        #: Called with every written object and its bytes.
         self.on_written: Callable[[int, int, bytes], None] = lambda index, subindex, data: None
 
+    def set_write_handler(self, on_written: Callable[[int, int, bytes], None]) -> None:
+        """Sets what is called with every written object and its bytes."""
+        self.on_written = on_written
+
     def load(self, path: str, note: Note) -> None:
-        """Take the objects from an EDS file; `note` is told what of it is not used. Raises DeviceError."""
+        """Loads the objects of an EDS file; `note` gets its ignored parts. Raises DeviceError."""
         self._dictionary = read_eds(self._name, path, self._id, note)
 
     def ping(self) -> None:
-        """Ask for the device type and do not wait for the answer.
+        """Requests the device type without waiting.
 
-        It never changes, so an answer to this may be taken for that to a later question.
+        It never changes, so its answer may be taken for that to a later request.
         """
         self._send(PING)
 
     def on_answer(self, data: bytes) -> None:
         """A frame of the node's SDO server."""
-        if self._roll_call is not None and (key := _key_of(data)) is not None:
-            self._roll_call.on_answer(key)
-        self._do(self._client.answered(data))
+        if self._id_probe is not None and (key := _key_of(data)) is not None:
+            self._id_probe.on_answer(key)
+        self._apply(self._client.on_response(data))
 
-    def on_heard_request(self, data: bytes) -> None:
-        """A frame to the node's SDO server was heard on the bus: somebody else's, or one of this computer."""
-        if self._roll_call is None or (key := _key_of(data)) is None:
+    def on_bus_request(self, data: bytes) -> None:
+        """A frame to the node's SDO server on the bus: of another client, or of this computer."""
+        if self._id_probe is None or (key := _key_of(data)) is None:
             return
         if data == _MARK:
-            self._roll_call.on_heard_mark()
+            self._id_probe.on_marker_echo()
         elif data[0] != ABORT:
-            self._roll_call.on_heard_request(key)
+            self._id_probe.on_bus_request(key)
 
     async def read(self, index: int, subindex: int = 0) -> int:
         """The value of an object. Raises DeviceError."""
@@ -103,7 +107,7 @@ class CanopenNode:
         data = await self.read_raw(index, subindex)
         try:
             value = variable.decode_raw(data[: len(variable) // 8])
-        except Exception:  # of the wrong length; struct.error and others
+        except Exception:  # wrong length; struct.error and others
             value = None
         if not isinstance(value, int):
             raise DeviceError(self._name, f"{self._label(index, subindex)} came as {data.hex() or 'nothing'}")
@@ -114,19 +118,19 @@ class CanopenNode:
         return await self._transfer(lambda: self._client.upload((index, subindex)), index, subindex)
 
     async def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an object and read it back. Raises DeviceError.
+        """Writes an object and reads it back. Raises DeviceError.
 
-        An answer says that the node has taken the value, not that it holds it: a limit may be clipped or
-        rounded to what the drive can do, and people stand in front of the one that it keeps.
+        An answer does not prove that the node stores the value: it may clip or round a limit, which protects
+        people.
         """
         await self.write_raw(index, subindex, self._encoded(index, subindex, value))
         back = await self.read(index, subindex)
         if back != value:
             label = self._label(index, subindex)
-            raise DeviceError(self._name, f"{label} was set to {value} and is {back}")
+            raise DeviceError(self._name, f"{label} was set to {value} but is {back}")
 
     async def write_raw(self, index: int, subindex: int, data: bytes) -> None:
-        """Write the bytes of an object, 1 to 4. Raises DeviceError."""
+        """Writes the bytes of an object, 1 to 4. Raises DeviceError."""
         await self._transfer(lambda: self._client.download((index, subindex), data), index, subindex)
         self.on_written(index, subindex, data)
 
@@ -134,64 +138,64 @@ class CanopenNode:
         """Whether the object dictionary has the object."""
         return self._find(index, subindex) is not None
 
-    async def is_doubled(self, *, briefly: bool = False) -> bool:
-        """Whether two nodes answer to this id: a few questions, a fraction of a second.
+    async def has_id_conflict(self, *, briefly: bool = False) -> bool:
+        """Whether two nodes answer to this id: a few requests, a fraction of a second.
 
-        `briefly`: one question, as long as it is answered once; none to a node that ignored them all before.
+        `briefly`: one request, if it is answered once; none to a node that has ignored all before.
         """
         if briefly and self._ignores:
             return False
-        self._roll_call = roll_call = RollCall(1) if briefly else RollCall()
+        self._id_probe = roll_call = IdConflictProbe(1) if briefly else IdConflictProbe()
         try:
             while (key := roll_call.next_key()) is not None:
                 self._send(_MARK)
-                with suppress(DeviceError):  # it has no such object, or the answer was lost
+                with suppress(DeviceError):  # no such object, or the answer was lost
                     await self.read_raw(*key)
                 await asyncio.sleep(GAP)
         finally:
-            self._roll_call = None
+            self._id_probe = None
         self._ignores = roll_call.is_ignored and not briefly
         return roll_call.is_doubled
 
     def close(self) -> None:
-        """The driver ends: what is under way gets no answer."""
-        self._do([*self._client.cancelled(), Failed("the driver has ended", silent=True)])
+        """The driver ends: the pending transfer fails."""
+        self._apply([*self._client.on_cancelled(), Failed("the driver has ended", silent=True)])
 
     # -- transfers --------------------------------------------------------------------------------------
 
-    async def _transfer(self, begin: Callable[[], Sequence[Effect]], index: int, subindex: int) -> bytes:
-        """One transfer when it has its turn; its data. Raises DeviceError."""
+    async def _transfer(self, start: Callable[[], Sequence[Effect]], index: int, subindex: int) -> bytes:
+        """Queues and performs a transfer; returns its data. Raises DeviceError."""
         async with self._turn:
             result = self._result = asyncio.get_running_loop().create_future()
             try:
-                self._do(begin())
+                self._apply(start())
                 ended = await result
             finally:
-                self._do(self._client.cancelled())
+                self._apply(self._client.on_cancelled())
                 self._stop_timer()
         label = self._label(index, subindex)
         match ended:
             case Done(data):
                 return data
             case Refused(code):
-                # The words for codes are canopen's.
+                # The texts of codes are canopen's.
                 raise SdoRefused(self._name, f"{label} refused: {SdoAbortedError(code)}", code)
         kind = "DeviceTimeoutException" if ended.silent else "DeviceException"
         raise DeviceError(self._name, f"{label}: {ended.why}", kind=kind)
 
-    def _do(self, effects: Sequence[Effect]) -> None:
+    def _apply(self, effects: Sequence[Effect]) -> None:
         for effect in effects:
             if not isinstance(effect, Send):
                 self._end(effect)
                 continue
             if effect.within is not None:
-                # Set before it is sent, since the answer may be here at once.
+                # Set before sending, since the answer may be immediate.
                 self._set_timer(effect.within)
             self._send(effect.data)
 
     def _send(self, request: bytes) -> None:
-        if self._roll_call is not None and request[0] != ABORT and (key := _key_of(request)) is not None:
-            self._roll_call.on_request(key)
+        if self._id_probe is not None and request[0] != ABORT and (key := _key_of(request)) is not None:
+            self._id_probe.on_request(key)
         self._post(Frame(SDO_REQUEST + self._id, request))
 
     def _end(self, result: Result) -> None:
@@ -201,22 +205,22 @@ class CanopenNode:
 
     def _set_timer(self, seconds: float) -> None:
         self._stop_timer()
-        self._timer = asyncio.get_running_loop().call_later(seconds, self._on_time)
+        self._timer = asyncio.get_running_loop().call_later(seconds, self._on_timer)
 
     def _stop_timer(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
 
-    def _on_time(self) -> None:
+    def _on_timer(self) -> None:
         self._timer = None
-        self._do(self._client.expired())
+        self._apply(self._client.on_timeout())
 
     def _encoded(self, index: int, subindex: int, value: int) -> bytes:
         variable = self._variable(index, subindex)
         try:
             return bytes(variable.encode_raw(value))
-        except Exception:  # struct.error, since the value does not fit
+        except Exception:  # struct.error: the value does not fit
             raise DeviceError(self._name, f"{self._label(index, subindex)} cannot hold {value}") from None
 
     def _variable(self, index: int, subindex: int) -> ODVariable:
@@ -234,7 +238,7 @@ class CanopenNode:
 
 
 def _key_of(frame: bytes) -> Key | None:
-    """Which object a frame of either side is about, where it says so."""
+    """The object of a frame from either side, if it names one."""
     if len(frame) != 8:
         return None
     _, index, subindex = struct.unpack_from("<BHB", frame)
@@ -259,15 +263,13 @@ def standard_dictionary() -> canopen.ObjectDictionary:
 
 
 def read_eds(name: str, path: str, node: int, note: Note = lambda text: None) -> canopen.ObjectDictionary:
-    """The object dictionary of an EDS file; `note` is told what of it is not used. Raises DeviceError."""
+    """The object dictionary of an EDS file; `note` gets its ignored parts. Raises DeviceError."""
     try:
         if Path(path).suffix.lower() == ".epf":
             return canopen.import_od(path, node)
-        dictionary, warnings = parse_eds(path, read_within(Path(path), MOST_BYTES))
-    except Exception as error:  # OSError, EdsError, and whatever the parser of EPF raises
+        dictionary, warnings = parse_eds(path, read_within(Path(path), MAX_BYTES))
+    except Exception as error:  # OSError, EdsError, and exceptions of the EPF parser
         words = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise DeviceError(
-            name, f"{path} is not an EDS file that can be read: {words.splitlines()[0]}"
-        ) from None
-    tell_warnings(warnings, path, note)
+        raise DeviceError(name, f"{path} is not a readable EDS file: {words.splitlines()[0]}") from None
+    log_warnings(warnings, path, note)
     return dictionary

@@ -1,4 +1,4 @@
-"""A CiA 402 drive as a node of CANopen: what it says, how it is set up, our heartbeat to it."""
+"""A CiA 402 drive as a CANopen node: its messages, its set-up, our heartbeat."""
 
 from __future__ import annotations
 
@@ -6,33 +6,34 @@ import struct
 from collections import Counter
 from collections.abc import Mapping
 
+from lfield_can import log_messages
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import cia402_setup as setting
 from lfield_can.protocols import cia402_tables as t
 from lfield_can.protocols import pdo_setup
-from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
+from lfield_can.protocols.axis_protocol import AxisProtocol, ProtocolContext
 from lfield_can.protocols.canopen_node import CanopenNode
 from lfield_can.protocols.cia402_tables import Units
-from lfield_can.protocols.pdo_setup import Agreed
-from lfield_can.timing import Repeating
+from lfield_can.protocols.pdo_setup import PdoConfiguration
+from lfield_can.timing import PeriodicTask
 
 #: Seconds for one step of a state machine.
-STEP = 1.0
-#: Seconds without process data after which position and velocity are not known any more.
-OLD = 0.3
+STEP_TIMEOUT = 1.0
+#: Seconds without process data after which position and velocity are unknown.
+MAX_VALUE_AGE = 0.3
 
 
 class Cia402Node(AxisProtocol):
-    """One drive, set up and heard."""
+    """One drive: set-up and messages."""
 
-    def __init__(self, wiring: Wiring) -> None:
+    def __init__(self, wiring: ProtocolContext) -> None:
         super().__init__(wiring)
         option = self.binding.option
         if self.node == 0:
-            raise wiring.error("a CANopen node id is 1 to 127; node 0 is all of them")
+            raise wiring.error("a CANopen node id is 1 to 127; node 0 addresses all")
         if option("counts") == 0:
             raise wiring.error(
-                "cia402 needs 'counts' in its binding: position counts in one turn of the motor"
+                "cia402 requires 'counts' in its binding: position counts per turn of the motor"
             )
         self.units = Units(
             self.turns,
@@ -42,28 +43,28 @@ class Cia402Node(AxisProtocol):
             option("rated_current"),
         )
         self.objects = CanopenNode(self.binding.field, self.node, self.bus.post)
-        self._beats = Repeating(wiring.clock)
-        #: Its process data, none before they are agreed on.
-        self.agreed = Agreed()
+        self._heartbeats = PeriodicTask(wiring.clock)
+        #: Its process data, empty before they are configured.
+        self.pdo_configuration = PdoConfiguration()
         self._sync_id = t.SYNC
         self._longest = 0.0
-        #: Our heartbeat, which the drive watches.
-        self._beat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
+        #: Our heartbeat, which the drive monitors.
+        self._send_heartbeat = Frame(t.HEARTBEAT + self.binding.option("master"), bytes([t.OPERATIONAL]))
         self._nmt: int | None = None
         self.statusword = self._error_code = self._register = 0
-        #: When position and velocity were told last.
-        self._told_at = dict.fromkeys((t.POSITION, t.VELOCITY), -OLD)
-        #: How often process data have told each.
-        self._tellings = Counter[int]()
-        #: Bits of the modes that it has, 0 when it does not tell.
+        #: When position and velocity were last received.
+        self._reported_at = dict.fromkeys((t.POSITION, t.VELOCITY), -MAX_VALUE_AGE)
+        #: How often each was received by process data.
+        self._report_counts = Counter[int]()
+        #: Bits of the supported modes, 0 if not reported.
         self.modes = 0
         self.configured = False
         self._has_voltage = True
 
-    # -- what the drive says ----------------------------------------------------------------------------
+    # -- messages of the drive --------------------------------------------------------------------------
 
     def ids(self) -> frozenset[int]:
-        """Everything that a node of this id sends."""
+        """All frames of a node with this id."""
         codes = (t.EMERGENCY, *t.TRANSMITTED, t.SDO_ANSWER, t.HEARTBEAT)
         return frozenset(code + self.node for code in codes)
 
@@ -72,11 +73,11 @@ class Cia402Node(AxisProtocol):
         return frozenset((t.SDO_REQUEST + self.node,))
 
     def on_overheard(self, frame: Frame) -> None:
-        """A request, of another client or of this one."""
-        self.objects.on_heard_request(frame.data)
+        """A request of another client or of this one."""
+        self.objects.on_bus_request(frame.data)
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
-        """One frame of the node."""
+        """A frame of the node."""
         code = frame.id - self.node
         if code == t.SDO_ANSWER:
             self.objects.on_answer(frame.data)
@@ -90,16 +91,16 @@ class Cia402Node(AxisProtocol):
         return self._on_heartbeat(*values) if code == t.HEARTBEAT else self._on_emergency(*values)
 
     def _on_process_data(self, frame: Frame) -> dict[str, object] | None:
-        if not self.agreed.data.tells(frame.id):
-            return {}  # it is not ours, or not yet: laid out as somebody else has set it up
-        values = self.agreed.data.read(frame.id, frame.data)
+        if not self.pdo_configuration.data.is_tpdo(frame.id):
+            return {}  # not ours, or not yet: mapped by somebody else
+        values = self.pdo_configuration.data.read(frame.id, frame.data)
         if values is None:
             return None
-        self._tellings.update(values.keys())
+        self._report_counts.update(values.keys())
         return self.on_values(values)
 
     def on_values(self, values: Mapping[int, int]) -> dict[str, object] | None:
-        """What objects have told, by PDO or asked for; None for a status word that no drive has."""
+        """Values of objects, by PDO or SDO; None for an invalid status word."""
         told: dict[str, object] = {}
         if t.STATUS in values:
             status = self.on_status(values[t.STATUS])
@@ -107,7 +108,7 @@ class Cia402Node(AxisProtocol):
                 return None
             told.update(status)
         now = self.wiring.clock.monotonic()
-        self._told_at.update({entry: now for entry in self._told_at if entry in values})
+        self._reported_at.update({entry: now for entry in self._reported_at if entry in values})
         if t.POSITION in values:
             told["position"] = self.state.position = self.units.position(values[t.POSITION])
         if t.VELOCITY in values:
@@ -124,20 +125,20 @@ class Cia402Node(AxisProtocol):
             self.state.referenced = False
         if self.configured and self._nmt != t.OPERATIONAL:
             self.configured, self.needs_setup = False, True
-            self.forget("not operational")
-            return self._told()
-        if self.agreed.by_changes:
-            return self._held()
-        if self.wiring.clock.monotonic() - min(self._told_at.values()) > OLD:
+            self.reset_state("not operational")
+            return self._state_telemetry()
+        if self.pdo_configuration.by_changes:
+            return self._unchanged_telemetry()
+        if self.wiring.clock.monotonic() - min(self._reported_at.values()) > MAX_VALUE_AGE:
             self.state.position = self.state.velocity = None
         return {}
 
-    def _held(self) -> dict[str, object]:
-        """What comes only when it changes is still so, as long as the node is heard."""
+    def _unchanged_telemetry(self) -> dict[str, object]:
+        """Values that are sent only on change remain valid while the node responds."""
         state = self.state
         if not self.configured or state.position is None or state.velocity is None:
             return {}
-        return {**self._told(), "position": state.position, "velocity": state.velocity}
+        return {**self._state_telemetry(), "position": state.position, "velocity": state.velocity}
 
     def on_status(self, statusword: int) -> dict[str, object] | None:
         state = t.state_of(statusword)
@@ -147,17 +148,17 @@ class Cia402Node(AxisProtocol):
         self.state.enabled = state == "operation enabled"
         if not state.startswith("fault"):
             self._error_code = self._register = 0
-        words = t.error_words(self._error_code, self._register) or "fault"
+        words = t.error_text(self._error_code, self._register) or "fault"
         self.state.fault = words if state.startswith("fault") else ""
-        return self._told()
+        return self._state_telemetry()
 
     def _on_emergency(self, code: int, register: int) -> dict[str, object]:
         self._error_code, self._register = code, register
         if code:
-            self.wiring.note(f"emergency: {t.error_words(code, register)}")
+            self.wiring.note(log_messages.EMERGENCY.line(reason=t.error_text(code, register)))
         return {}
 
-    def _told(self) -> dict[str, object]:
+    def _state_telemetry(self) -> dict[str, object]:
         state = self.state
         return {
             "state": state.state,
@@ -166,46 +167,48 @@ class Cia402Node(AxisProtocol):
             "referenced": state.referenced,
         }
 
-    def forget(self, state: str) -> None:
-        """What was known is not true any more."""
+    def reset_state(self, state: str) -> None:
+        """The previous state is invalid."""
         self.state.state, self.state.enabled = state, False
         self.state.position = self.state.velocity = None
 
-    def silent(self) -> None:
-        """Not heard for too long."""
-        self.forget("silent")
+    def on_silence(self) -> None:
+        """It has not responded for too long."""
+        self.reset_state("silent")
 
     # -- setting up -------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """Read the EDS file."""
+        """Reads the EDS file."""
         if path := self.binding.option("eds"):
             self.objects.load(path, self.wiring.note)
 
     def call(self) -> None:
-        """Ask for the device type: a node need not have heartbeats before it is set up."""
+        """Requests the device type: a node need not send heartbeats before its set-up."""
         self.objects.ping()
 
     async def setup(self) -> str:
-        """Identify it, set everything up, and start its process data."""
+        """Identifies it, sets it up, and starts its process data."""
         node, note, error = self.objects, self.wiring.note, self.wiring.error
         self.configured = False
         identity = await setting.identify(node, error)
         self.conflict = ""
-        if await node.is_doubled():
+        if await node.has_id_conflict():
             self.conflict = f"two devices answer to this node id ({self.node}); give each its own"
             raise error(self.conflict)
         # Some drives change their process data only before they are operational (CiA 301, 7.3.2.2).
         await self.bus.send(Frame(t.NMT, bytes([t.NMT_PREPARE, self.node])))
         await setting.set_heartbeat(node, error)
-        self.agreed = Agreed()
-        self.agreed = await pdo_setup.agree(node, self.node, error, note)
-        node.on_written = self.agreed.data.written
+        self.pdo_configuration = PdoConfiguration()
+        self.pdo_configuration = await pdo_setup.configure_pdos(node, self.node, error, note)
+        node.set_write_handler(self.pdo_configuration.data.on_written)
         await setting.read_ratings(node, self.units)
         await setting.set_limits(node, self.binding, self.units, note)
         policy = self.binding.without_policy
         if policy and policy.do == "torque_hold" != self.binding.safe_state:
-            raise error("its quick stop ends in one way: 'do: torque_hold' needs 'safe_state: torque_hold'")
+            raise error(
+                "its quick stop has a single behaviour: 'do: torque_hold' requires 'safe_state: torque_hold'"
+            )
         await setting.set_quick_stop(node, self.binding.safe_state, error, note)
         self.modes = await setting.optional(node, 0x6502) or 0
         if self._longest:
@@ -215,65 +218,66 @@ class Cia402Node(AxisProtocol):
         return f"CiA 402 drive, node {self.node}, {identity}"
 
     async def serial(self) -> str:
-        """`serial number 1001`, object 0x1018 of CiA 301, by which drives of one vendor differ; or ''."""
+        """`serial number 1001` from object 0x1018 of CiA 301; or ''."""
         number = await setting.optional(self.objects, 0x1018, 4)
         return f"serial number {number}" if number else ""
 
     async def _start(self) -> None:
-        """Operational, and telling its state and motion."""
+        """Makes it operational; waits for state and motion."""
         self._nmt = None
-        if self.agreed.by_sync:
+        if self.pdo_configuration.by_sync:
             self._sync_id = (await setting.optional(self.objects, 0x1005) or t.SYNC) & 0x7FF
-            self.wiring.sync.want(self.node, self._sync_id)
+            self.wiring.sync.require(self.node, self._sync_id)
         await self.bus.send(Frame(t.NMT, bytes([t.NMT_START, self.node])))
-        await self.expect(lambda: self._nmt == t.OPERATIONAL, STEP, "it did not become operational")
+        await self.expect(lambda: self._nmt == t.OPERATIONAL, STEP_TIMEOUT, "it did not become operational")
         self.state.position = self.state.velocity = None
-        if self.agreed.by_changes:
-            await self.ask()
+        if self.pdo_configuration.by_changes:
+            await self.read_state()
         await self.expect(
             lambda: None not in (self.state.position, self.state.velocity) and bool(self.state.state),
-            STEP,
+            STEP_TIMEOUT,
             "it sent no process data",
         )
 
     async def set_watchdog(self, longest: float) -> float | None:
-        """Its consumer heartbeat, which our own heartbeats feed from now on."""
+        """Its consumer heartbeat, which our heartbeats feed from now on."""
         self._longest = longest
         master: int = self.binding.option("master")
-        self._beats.start(longest / 4.0, lambda: self.bus.post(self._beat))
+        self._heartbeats.start(longest / 4.0, lambda: self.bus.post(self._send_heartbeat))
         note, safe_state = self.wiring.note, self.binding.safe_state
         seconds = await setting.set_watchdog(self.objects, master, longest, safe_state, note)
-        # The drive begins to watch with the first heartbeat that it hears from now on (CiA 301, 7.2.8.2.2).
-        await self.bus.send(self._beat)
+        # Monitoring starts with the first heartbeat that the drive receives (CiA 301, 7.2.8.2.2).
+        await self.bus.send(self._send_heartbeat)
         return seconds
 
-    async def ask(self) -> None:
-        """Read by SDO what process data tell. Raises DeviceError.
+    async def read_state(self) -> None:
+        """Reads by SDO what process data contain. Raises DeviceError.
 
-        An answer may be older than process data that come beside it, and these come no more where nothing
-        changes: what they have told since it was asked for stands.
+        An answer may be older than concurrent process data, which are not repeated without a change: data
+        received since the request take precedence.
         """
         for entry in (t.POSITION, t.VELOCITY, t.STATUS):
-            tellings = self._tellings[entry]
+            tellings = self._report_counts[entry]
             value = await self.objects.read(entry >> 16)
-            if self._tellings[entry] == tellings:
+            if self._report_counts[entry] == tellings:
                 self.on_values({entry: value})
 
     async def poll(self) -> Mapping[str, object]:
-        """The supply voltage, the cause of a fault that was not told, and what comes only when it changes.
+        """Reads the supply voltage, the cause of an unreported fault, and values that are sent only on
+        change.
 
-        A second node may have been plugged in with its power on, without a boot-up message: then the set-up
-        comes next, which names it.
+        A powered second node may have been connected without a boot-up message: then the following set-up
+        reports it.
         """
-        if await self.objects.is_doubled(briefly=True):
+        if await self.objects.has_id_conflict(briefly=True):
             self.configured, self.needs_setup = False, True
-            self.forget("not set up")
-            return self._told()
-        if self.agreed.by_changes:
-            await self.ask()
+            self.reset_state("not set up")
+            return self._state_telemetry()
+        if self.pdo_configuration.by_changes:
+            await self.read_state()
         volts = await self._supply()
         cause = await self._cause()
-        return {**(self._held() if self.agreed.by_changes else cause), **volts}
+        return {**(self._unchanged_telemetry() if self.pdo_configuration.by_changes else cause), **volts}
 
     async def _cause(self) -> dict[str, object]:
         if not self.state.fault or self._error_code:
@@ -292,18 +296,18 @@ class Cia402Node(AxisProtocol):
     def quiet(self, on: bool) -> None:
         """Our heartbeats feed its watchdog."""
         if on:
-            self._beats.stop()
-            self.wiring.sync.leave(self.node)
+            self._heartbeats.stop()
+            self.wiring.sync.release(self.node)
             return
         if self._longest:
-            # At once: its watchdog may be about to run out, with nobody left to blame.
-            self.bus.post(self._beat)
-            self._beats.again()
-        if self.agreed.by_sync:
-            self.wiring.sync.want(self.node, self._sync_id)
+            # Immediately: its watchdog may be about to expire.
+            self.bus.post(self._send_heartbeat)
+            self._heartbeats.resume()
+        if self.pdo_configuration.by_sync:
+            self.wiring.sync.require(self.node, self._sync_id)
 
     def close(self) -> None:
-        """No heartbeats, no transfers."""
-        self._beats.stop()
-        self.wiring.sync.leave(self.node)
+        """Stops heartbeats and transfers."""
+        self._heartbeats.stop()
+        self.wiring.sync.release(self.node)
         self.objects.close()

@@ -1,4 +1,4 @@
-"""How a CiA 402 drive is set up: heartbeat, process data, limits, what happens when we are gone."""
+"""Set-up of a CiA 402 drive: heartbeat, process data, limits, behaviour on a loss of the master."""
 
 from __future__ import annotations
 
@@ -6,33 +6,34 @@ import struct
 from collections.abc import Callable, Mapping
 
 from lfield.driver import DeviceBinding, DeviceError
+from lfield_can import log_messages
 from lfield_can.protocols import cia402_tables as t
 from lfield_can.protocols.canopen_node import CanopenNode, SdoRefused
 from lfield_can.protocols.cia402_tables import Units
 
 #: Milliseconds between two heartbeats of the drive.
 HEARTBEAT_EVERY = 100
-#: The slowest that a drive may have for good: two of it are heard before it counts as silent.
+#: The slowest permitted one: two of them must fit the time-out.
 SLOWEST_HEARTBEAT = 200
 #: The low half of 0x1000 of a drive.
 DRIVE_PROFILE = 402
-#: Bounds beyond which a position is not bounded at all.
+#: Bounds beyond which a position is unbounded.
 UNBOUNDED = 1e9
 
 Note = Callable[[str], None]
 
 
 async def identify(node: CanopenNode, error: Callable[[str], DeviceError]) -> str:
-    """Who it is. Raises DeviceError when it is no drive."""
+    """Its identity. Raises DeviceError when it is not a drive."""
     kind = await node.read(0x1000)
     if kind & 0xFFFF != DRIVE_PROFILE:
-        raise error(f"it is no CiA 402 drive: its device type 0x1000 is 0x{kind:08X}")
+        raise error(f"it is not a CiA 402 drive: its device type 0x1000 is 0x{kind:08X}")
     vendor, product = await optional(node, 0x1018, 1), await optional(node, 0x1018, 2)
     return f"vendor 0x{vendor or 0:X}, product 0x{product or 0:X}"
 
 
 async def optional(node: CanopenNode, index: int, subindex: int = 0) -> int | None:
-    """The value of an object that a drive may do without."""
+    """The value of an optional object."""
     try:
         return await node.read(index, subindex)
     except SdoRefused:
@@ -40,40 +41,39 @@ async def optional(node: CanopenNode, index: int, subindex: int = 0) -> int | No
 
 
 async def set_heartbeat(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
-    """Have the drive say ten times a second that it is alive: that is how its silence is noticed.
+    """Sets a heartbeat of ten per second, which detects a silent drive.
 
-    One that has a time of its own keeps it, if that is short enough. Raises DeviceError.
+    A drive that refuses keeps its own period if that is short enough. Raises DeviceError.
     """
     try:
         await node.write_raw(0x1017, 0, HEARTBEAT_EVERY.to_bytes(2, "little"))
-        why = "it takes no other time"
+        why = "it accepts no other time"
     except SdoRefused as refused:
         why = refused.reason
     every = await optional(node, 0x1017)
     if not every:
         raise error(
-            f"it sends no heartbeat ({why}), and nobody would notice when it is gone; "
-            "node guarding, the older way, is not spoken here"
+            f"it sends no heartbeat ({why}), so its failure would not be noticed; node guarding is not "
+            "supported"
         )
     if every > SLOWEST_HEARTBEAT:
-        raise error(f"its heartbeat comes every {every} ms, too seldom, and stays so ({why})")
+        raise error(f"its heartbeat period of {every} ms is too long and cannot be changed ({why})")
 
 
 async def read_ratings(node: CanopenNode, units: Units) -> None:
-    """Rated torque (mN m) and current (mA), where the binding did not give them."""
-    if not units.rated_torque:
-        units.rated_torque = (await optional(node, 0x6076) or 0) / 1000.0
-    if not units.rated_current:
-        units.rated_current = (await optional(node, 0x6075) or 0) / 1000.0
+    """Reads rated torque (mN m) and current (mA), unless the binding gives them."""
+    torque = units.rated_torque or (await optional(node, 0x6076) or 0) / 1000.0
+    current = units.rated_current or (await optional(node, 0x6075) or 0) / 1000.0
+    units.set_ratings(torque, current)
 
 
 async def set_limits(node: CanopenNode, binding: DeviceBinding, units: Units, note: Note) -> None:
-    """Have the drive itself keep the limits of the binding, where it can."""
+    """Writes the limits of the binding to the drive, where it supports them."""
     for (index, subindex), value in _limits(binding, units).items():
         try:
             await node.write(index, subindex, value)
         except SdoRefused as refused:
-            note(f"this driver alone keeps a limit: {refused.reason}")
+            note(log_messages.LIMIT_BY_DRIVER.line(reason=refused.reason))
 
 
 def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], int]:
@@ -96,15 +96,15 @@ def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], in
 async def set_quick_stop(
     node: CanopenNode, safe_state: str, error: Callable[[str], DeviceError], note: Note
 ) -> None:
-    """torque_hold needs a quick stop that ends with torque; brake one that brakes, as the drive has it."""
+    """Configures the quick stop: with torque at the end for torque_hold; braking for brake."""
     if safe_state == "torque_off":
         return
     if safe_state == "torque_hold":
         await _set_hold(node, error)
     else:
         await _check_brakes(node, error, note)
-    if await optional(node, 0x605E) == t.LETS_GO:
-        note("a fault lets it run out (0x605E is 0)")
+    if await optional(node, 0x605E) == t.DISABLES:
+        note(log_messages.COASTS.line())
 
 
 async def _set_hold(node: CanopenNode, error: Callable[[str], DeviceError]) -> None:
@@ -118,29 +118,31 @@ async def _set_hold(node: CanopenNode, error: Callable[[str], DeviceError]) -> N
 
 async def _check_brakes(node: CanopenNode, error: Callable[[str], DeviceError], note: Note) -> None:
     code = await optional(node, 0x605A)
-    if code == t.LETS_GO:
+    if code == t.DISABLES:
         raise error(
-            "its quick stop lets it run out (0x605A is 0), which does not brake; set it to 2 by its maker's "
-            "tool, or use another safe_state"
+            "its quick stop coasts (0x605A is 0) instead of braking; set it to 2 by the vendor's tool, or "
+            "use another safe_state"
         )
     if code is None or not 0 < code <= t.LAST_KNOWN:
-        told = "it does not tell how" if code is None else f"0x605A is {code}, which is its maker's own"
-        note(f"see its manual whether its quick stop brakes: {told}")
+        told = "it does not report how" if code is None else f"0x605A is {code}, which is vendor-specific"
+        note(log_messages.QUICK_STOP_UNKNOWN.line(reason=told))
 
 
 async def set_watchdog(
     node: CanopenNode, master: int, longest: float, safe_state: str, note: Note
 ) -> float | None:
-    """Have the drive stop by itself when our heartbeat is missed for `longest` seconds; as it now is."""
+    """Makes the drive stop when our heartbeat is missing for `longest` seconds; returns the actual
+    time-out.
+    """
     milliseconds = int(longest * 1000.0)
     reaction = t.ABORT_DISABLES if safe_state == "torque_off" else t.ABORT_QUICK_STOPS
     try:
         await node.write(0x6007, 0, reaction)
-        # An entry in use may be changed only by way of 0.
+        # An entry in use may only be changed after it was set to 0.
         await node.write_raw(0x1016, 1, _u32(0))
         await node.write(0x1016, 1, master << 16 | milliseconds)
     except SdoRefused as refused:
-        note(f"it does not watch our heartbeat: {refused.reason}")
+        note(log_messages.HEARTBEAT_IGNORED.line(reason=refused.reason))
         return None
     return (await node.read(0x1016, 1) & 0xFFFF) / 1000.0
 

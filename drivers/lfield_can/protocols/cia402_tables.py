@@ -1,7 +1,6 @@
-"""CiA 301 and CiA 402 as data: objects, states, process data, units, errors in words.
+"""Tables of CiA 301 and CiA 402: objects, states, process data, units, errors.
 
-CiA 301 4.2 (communication profile) and CiA 402-2 4.1 / IEC 61800-7-201 (drive profile); the manual of every
-such drive has the numbers.
+CiA 301 4.2 (communication profile) and CiA 402-2 4.1 / IEC 61800-7-201 (drive profile).
 """
 
 from __future__ import annotations
@@ -54,21 +53,21 @@ OBJECTS: Mapping[tuple[int, int], tuple[str, int]] = {
     (0x6502, 0): ("supported modes", t.UNSIGNED32),
 }
 
-# Function codes: what is added to the node id to give the id of a frame (CiA 301, predefined connections).
+# Function codes, added to the node id to give a frame id (CiA 301, predefined connections).
 NMT, EMERGENCY, SDO_ANSWER, SDO_REQUEST, HEARTBEAT = 0x000, 0x080, 0x580, 0x600, 0x700
-#: Of the process data that a node sends.
+#: Function codes of the process data that a node sends.
 TRANSMITTED = (0x180, 0x280, 0x380, 0x480)
-#: The id of SYNC, unless object 0x1005 has another.
+#: The default id of SYNC (object 0x1005).
 SYNC = 0x080
 
-#: Seconds between two process data of each kind from the drive.
+#: Seconds between two process data of each kind.
 EVERY = 0.02
 
 # Objects in process data: index << 16 | subindex << 8 | bits.
 STATUS, POSITION, VELOCITY, TORQUE, CURRENT = 0x60410010, 0x60640020, 0x606C0020, 0x60770010, 0x60780010
 CONTROL, TO_POSITION, TO_VELOCITY, TO_TORQUE = 0x60400010, 0x607A0020, 0x60FF0020, 0x60710010
 
-#: How those are packed.
+#: Their encodings.
 NUMBERS: Mapping[int, struct.Struct] = {
     STATUS: struct.Struct("<H"),
     POSITION: struct.Struct("<i"),
@@ -84,7 +83,7 @@ NUMBERS: Mapping[int, struct.Struct] = {
 
 @dataclass(frozen=True, slots=True)
 class Direction:
-    """Process data of one direction: where their records are, how we map them, what must be among them."""
+    """Process data of one direction: records, mappings, required objects."""
 
     name: str
     sent: bool
@@ -95,7 +94,7 @@ class Direction:
     needed: frozenset[int]
 
 
-TOLD = Direction(
+TPDO = Direction(
     "TPDO",
     True,
     0x1800,
@@ -104,7 +103,7 @@ TOLD = Direction(
     ((STATUS,), (POSITION, VELOCITY), (TORQUE, CURRENT)),
     frozenset((STATUS, POSITION, VELOCITY)),
 )
-TAKEN = Direction(
+RPDO = Direction(
     "RPDO",
     False,
     0x1400,
@@ -113,7 +112,7 @@ TAKEN = Direction(
     ((CONTROL,), (TO_POSITION,), (TO_VELOCITY,), (TO_TORQUE,)),
     frozenset((CONTROL,)),
 )
-#: Objects that a drive may do without, and what it then does not do.
+#: Optional objects, and what is impossible without them.
 OPTIONAL: Mapping[int, str] = {
     TORQUE: "tell torque",
     CURRENT: "tell current",
@@ -139,7 +138,7 @@ SHUTDOWN, SWITCH_ON, ENABLE, DISABLE_VOLTAGE, QUICK_STOP, FAULT_RESET = 0x06, 0x
 NEW_SETPOINT, AT_ONCE, HALT = 0x10, 0x20, 0x100
 START_HOMING = 0x10
 
-#: State of the drive by the status word: (mask, value, name); the first that fits.
+#: State of the drive by status word: (mask, value, name); the first match.
 STATES = (
     (0x4F, 0x00, "not ready to switch on"),
     (0x4F, 0x40, "switch on disabled"),
@@ -151,7 +150,7 @@ STATES = (
     (0x4F, 0x08, "fault"),
 )
 
-#: The control word that leads one step towards "operation enabled".
+#: The control word for the next step towards "operation enabled".
 UPWARDS: Mapping[str, int] = {
     "quick stop active": DISABLE_VOLTAGE,
     "switch on disabled": SHUTDOWN,
@@ -176,8 +175,8 @@ MODES: Mapping[int, str] = {
 
 # Values of the abort connection option code and the quick stop option code.
 ABORT_DISABLES, ABORT_QUICK_STOPS, STOP_AND_HOLD = 2, 3, 6
-#: Option codes of a quick stop and a fault: the motor runs out; the last that CiA 402 gives a meaning.
-LETS_GO, LAST_KNOWN = 0, 8
+#: Option codes of a quick stop and a fault: coast; the last standard value.
+DISABLES, LAST_KNOWN = 0, 8
 
 #: Bits of the error register (CiA 301, object 0x1001).
 REGISTER: Mapping[int, str] = {
@@ -190,8 +189,8 @@ REGISTER: Mapping[int, str] = {
     0x80: "maker's own",
 }
 
-#: Error codes (CiA 402-2, table of error codes; CiA 301, emergency error codes). A code that is not here has
-#: the words of the group it is in: 0x7123 is in 0x7120, 0x7100, 0x7000.
+#: Error codes (CiA 402-2, table of error codes; CiA 301, emergency error codes). An unlisted code has the
+#: text of its group: 0x7123 is in 0x7120, 0x7100, 0x7000.
 ERRORS: Mapping[int, str] = {
     0x1000: "generic error",
     0x2000: "current",
@@ -281,17 +280,17 @@ ERRORS: Mapping[int, str] = {
     0xF000: "an additional function",
     0xF001: "deceleration",
     0xF002: "sub-synchronous run",
-    0xFF00: "the maker's own",
+    0xFF00: "vendor-specific",
 }
 
 
 def state_of(statusword: int) -> str:
-    """The state that a status word shows, or '' for one that no drive has."""
+    """The state of a status word, or '' if invalid."""
     return next((name for mask, value, name in STATES if statusword & mask == value), "")
 
 
-def error_words(code: int, register: int = 0) -> str:
-    """An error code and error register in words, '' for none of both."""
+def error_text(code: int, register: int = 0) -> str:
+    """Describes an error code and error register, '' for none."""
     if code:
         groups = (ERRORS.get(code & mask) for mask in (0xFFFF, 0xFFF0, 0xFF00, 0xF000))
         return f"{next((g for g in groups if g), 'unknown error')} (0x{code:04X})"
@@ -299,8 +298,8 @@ def error_words(code: int, register: int = 0) -> str:
 
 
 def name_of(index: int, subindex: int) -> str:
-    """What an object is called: `mapping of TPDO 2`."""
-    for direction in (TOLD, TAKEN):
+    """The name of an object: `mapping of TPDO 2`."""
+    for direction in (TPDO, RPDO):
         for start, words in ((direction.record, "parameters of"), (direction.mapping, "mapping of")):
             if start <= index < start + 0x200:
                 return f"{words} {direction.name} {index - start + 1}"
@@ -309,13 +308,13 @@ def name_of(index: int, subindex: int) -> str:
 
 # -- units -----------------------------------------------------------------------------------------------
 
-#: How many of each velocity unit are one turn of the motor per second; counts depend on the encoder.
+#: Units per turn of the motor and second; counts depend on the encoder.
 _PER_TURN = {"rpm": 60.0, "milli_rpm": 60_000.0}
 
 
 @dataclass(slots=True)
 class Units:
-    """Scales of one drive. `turns` of the motor are one radian of the axis, with its sign.
+    """Scales of one drive. `turns` of the motor per radian of the axis, with its sign.
 
     `rated_torque` in N m and `rated_current` in A are of the motor; 0 while unknown.
     """
@@ -325,6 +324,10 @@ class Units:
     velocity_unit: str
     rated_torque: float = 0.0
     rated_current: float = 0.0
+
+    def set_ratings(self, torque: float, current: float) -> None:
+        """Sets the rated torque (N m) and current (A) of the motor."""
+        self.rated_torque, self.rated_current = torque, current
 
     def to_counts(self, position: float) -> int:
         """rad of the axis to counts."""
@@ -356,5 +359,5 @@ class Units:
 
     @property
     def _axis_torque(self) -> float:
-        """The rated torque behind the gear, with the sign of the axis; the gear loses nothing."""
+        """The rated torque after the gear, with the sign of the axis, without losses."""
         return self.rated_torque * self.turns * math.tau

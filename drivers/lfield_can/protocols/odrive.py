@@ -1,4 +1,4 @@
-"""Axes of an ODrive by CANSimple. It answers nothing: what it did is seen in its heartbeats and estimates."""
+"""Axes of an ODrive by CANSimple. It has no answers: effects are seen in its heartbeats and estimates."""
 
 from __future__ import annotations
 
@@ -9,44 +9,44 @@ from collections.abc import Callable, Mapping
 from lfield.driver import DeviceError
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols import odrive_tables as t
-from lfield_can.protocols.axis_protocol import AxisProtocol, Wiring
-from lfield_can.protocols.conflict import WITHIN, Alternation
+from lfield_can.protocols.axis_protocol import AxisProtocol, ProtocolContext
+from lfield_can.protocols.id_conflict import WITHIN, Alternation
 
-#: Seconds for a change of state to show, and for a homing.
-STEP, HOMED = 1.0, 120.0
-#: Seconds for the first estimates to come.
-FIRST = 1.0
+#: Seconds for a change of state, and for homing.
+STEP_TIMEOUT, HOMING_TIMEOUT = 1.0, 120.0
+#: Seconds for the first estimates.
+FIRST_TIMEOUT = 1.0
 
 
 class Odrive(AxisProtocol):
     """One axis.
 
-    No watchdog: that of an ODrive is in its own configuration, at an address that differs from firmware to
-    firmware, and CANSimple neither sets nor tells it.
+    No watchdog: that of an ODrive is in its configuration, at an address that depends on the firmware, and
+    CANSimple can neither set nor read it.
     """
 
-    def __init__(self, wiring: Wiring) -> None:
+    def __init__(self, wiring: ProtocolContext) -> None:
         super().__init__(wiring)
         self._axis_state: int | None = None
         self._errors = 0
         self._alternation = Alternation()
         self._mode: tuple[int, int] | None = None
-        #: Whether it was told to hold the position where it stands.
+        #: Whether it was commanded to hold its position.
         self._holds = False
-        #: Whether a homing was asked for and is not known to be over: its heartbeat may not say so yet.
+        #: Whether homing was requested and may still run: its heartbeat may not show it yet.
         self._homing = False
 
-    # -- what the device says ---------------------------------------------------------------------------
+    # -- messages of the device -------------------------------------------------------------------------
 
     def ids(self) -> frozenset[int]:
-        """The frames that an axis sends; those to it are not taken for its own."""
-        return frozenset(self.node << 5 | command for command in t.TOLD)
+        """The frames of an axis, without those to it."""
+        return frozenset(self.node << 5 | command for command in t.TELEMETRY)
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
-        """One frame of the axis."""
+        """A frame of the axis."""
         command = frame.id & 0x1F
         try:
-            # Newer firmware adds to the end of frames.
+            # Newer firmware appends to frames.
             first, second = t.LAYOUTS[command].unpack_from(frame.data)
         except struct.error:
             return None
@@ -54,7 +54,7 @@ class Odrive(AxisProtocol):
             return self._on_heartbeat(first, second)
         if command == t.ERROR:
             self._errors = first
-            return self._told()
+            return self._state_telemetry()
         if not (math.isfinite(first) and math.isfinite(second)):
             return None
         return self._on_numbers(command, first, second)
@@ -63,13 +63,13 @@ class Odrive(AxisProtocol):
         self._errors, self._axis_state = errors, axis_state
         if axis_state != t.CLOSED_LOOP:
             self._mode, self._holds = None, False
-        return self._told()
+        return self._state_telemetry()
 
-    def _told(self) -> dict[str, object]:
+    def _state_telemetry(self) -> dict[str, object]:
         state, axis_state = self.state, self._axis_state
         if axis_state is not None:
             state.state = t.STATES.get(axis_state, f"state {axis_state}")
-        state.fault = t.error_words(self._errors)
+        state.fault = t.error_text(self._errors)
         state.enabled = axis_state == t.CLOSED_LOOP and not self._errors
         return {
             "state": state.state,
@@ -80,7 +80,7 @@ class Odrive(AxisProtocol):
 
     def _on_numbers(self, command: int, first: float, second: float) -> dict[str, object]:
         if command == t.ESTIMATES:
-            self._look_for_another(first, second)
+            self._check_second_axis(first, second)
             self.state.position, self.state.velocity = first / self.turns, second / self.turns
             return {"position": self.state.position, "velocity": self.state.velocity}
         if command == t.IQ:
@@ -91,21 +91,21 @@ class Odrive(AxisProtocol):
             return {"voltage": first}
         return {"torque": second * self.turns * math.tau}
 
-    def _look_for_another(self, position: float, velocity: float) -> None:
-        """See whether estimates of two axes come under this id."""
+    def _check_second_axis(self, position: float, velocity: float) -> None:
+        """Checks whether estimates of two axes arrive under this id."""
         now = self.wiring.clock.monotonic()
         self._alternation.on_position(position, velocity, now)
         if self._alternation.is_proved(now):
             self.conflict = (
-                f"two axes have node id {self.node}: its position alternates between two places; "
-                "give each its own"
+                f"two axes have node id {self.node}: its position alternates between two values; give each "
+                "its own id"
             )
         elif self.conflict and now - self._alternation.last_return > WITHIN:
             self.conflict = ""
 
-    def silent(self) -> None:
-        """Not heard for too long."""
-        super().silent()
+    def on_silence(self) -> None:
+        """It has not responded for too long."""
+        super().on_silence()
         self._axis_state = self._mode = None
         self._holds = False
         self.state.state = "silent"
@@ -113,17 +113,17 @@ class Odrive(AxisProtocol):
     # -- setting up -------------------------------------------------------------------------------------
 
     def prepare(self) -> None:
-        """A node id of 6 bits; limits that only go together."""
+        """Checks the 6-bit node id, and limits that are only valid together."""
         if self.node > 63:
             raise self.wiring.error(f"an ODrive's node id is 0 to 63, not {self.node}")
         if "current" in self.binding.limits and "speed" not in self.binding.limits:
-            raise self.wiring.error("an ODrive takes the limit 'current' only together with 'speed'")
+            raise self.wiring.error("an ODrive supports the limit 'current' only together with 'speed'")
 
     async def setup(self) -> str:
-        """Wait until it tells its state and position; set its limits."""
+        """Waits for state and position; writes its limits."""
         await self.expect(
             lambda: self._axis_state is not None and self.state.position is not None,
-            FIRST,
+            FIRST_TIMEOUT,
             "it sent no heartbeat or no encoder estimates",
         )
         if self.conflict:
@@ -156,16 +156,16 @@ class Odrive(AxisProtocol):
         await self._enter(t.IDLE, lambda: self._axis_state == t.IDLE)
 
     async def reset_fault(self) -> None:
-        """Clear its errors."""
+        """Clears its errors."""
         await self._command(t.CLEAR_ERRORS, 0)
-        await self.expect(lambda: not self._errors, STEP, "its errors did not go away")
+        await self.expect(lambda: not self._errors, STEP_TIMEOUT, "its errors were not cleared")
 
     async def home(self) -> None:
         """Its own homing sequence; it ends in idle or closed loop."""
         self._homing = True
         try:
             await self._enter(t.HOMING, lambda: self._axis_state == t.HOMING)
-            await self.expect(lambda: self._axis_state != t.HOMING, HOMED, "homing did not end")
+            await self.expect(lambda: self._axis_state != t.HOMING, HOMING_TIMEOUT, "homing did not end")
         except DeviceError:
             self._homing = False
             raise
@@ -174,34 +174,34 @@ class Odrive(AxisProtocol):
             raise self.wiring.error(f"homing failed ({self.state.fault or self.state.state})")
         self.state.referenced = True
 
-    async def begin_move(self, position: float, speed: float) -> None:
+    async def start_move(self, position: float, speed: float) -> None:
         """By its own trapezoidal profile."""
         self._holds = False
         await self._command(t.SET_TRAVEL_SPEED, abs(speed * self.turns))
-        # The profile of a goal begins when the goal comes, so that the mode must be there before.
+        # A profile starts when the goal arrives, so the mode must be set before.
         if self._mode != (t.POSITION, t.TRAVEL):
             await self._hold_here(t.TRAVEL)
         await self._command(t.SET_POSITION, position * self.turns, 0, 0)
 
-    async def begin_halt(self) -> None:
-        """Velocity 0, out of a homing too; sent even if it was sent before, for it may have been lost."""
-        if self._homes or self._axis_state == t.CLOSED_LOOP:
+    async def start_halt(self) -> None:
+        """Velocity 0, also from homing; repeated, since an earlier one may have been lost."""
+        if self._is_homing or self._axis_state == t.CLOSED_LOOP:
             await self._brake()
 
     async def set_position(self, position: float) -> None:
-        """The same at the speed limit."""
+        """As a move at the speed limit."""
         speed = self.limit("speed")
-        assert speed is not None, "the axis has refused it without"
-        await self.begin_move(position, speed)
+        assert speed is not None, "checked by the axis"
+        await self.start_move(position, speed)
 
     async def set_velocity(self, velocity: float) -> None:
-        """One velocity; the value before the mode, in which an old one must not act."""
+        """A velocity; the value before the mode, in which an old one must not take effect."""
         self._holds = False
         await self._command(t.SET_VELOCITY, velocity * self.turns, 0.0)
         await self._set_mode(t.VELOCITY, t.DIRECT)
 
     async def set_torque(self, torque: float) -> None:
-        """One torque of the motor, in front of the gear."""
+        """A torque of the motor, before the gear."""
         self._holds = False
         await self._command(t.SET_TORQUE, torque / (self.turns * math.tau))
         await self._set_mode(t.TORQUE, t.DIRECT)
@@ -209,12 +209,12 @@ class Odrive(AxisProtocol):
     # -- safe states ------------------------------------------------------------------------------------
 
     async def command_safe(self, state: str) -> None:
-        """Off at once, or velocity 0; torque_hold keeps its position from where it came to stand."""
+        """Off at once, or velocity 0; torque_hold then holds the position where it stopped."""
         if state == "torque_off":
             await self._command(t.SET_STATE, t.IDLE)
             return
-        if state == "torque_hold" and self._stands() and not self._homes:
-            # It is held where it now stands, never led back to where it was held before.
+        if state == "torque_hold" and self._is_standing() and not self._is_homing:
+            # Held at its present position, not at an earlier one.
             self._mode = None
             await self._hold_here(t.DIRECT)
             self._holds = True
@@ -222,40 +222,39 @@ class Odrive(AxisProtocol):
             await self._brake()
 
     def is_safe(self, state: str, still: bool) -> bool:
-        """An axis that is idle cannot hold, and need not."""
+        """An idle axis cannot hold and need not."""
         idle = self._axis_state == t.IDLE
         if state == "torque_off":
             return idle
         holds = self._holds or state == "brake"
         return still and (idle or (self._axis_state == t.CLOSED_LOOP and holds))
 
-    def _stands(self) -> bool:
+    def _is_standing(self) -> bool:
         velocity = self.state.velocity
         return velocity is not None and abs(velocity) <= self.binding.option("standstill")
 
     # -- parts ------------------------------------------------------------------------------------------
 
     @property
-    def _homes(self) -> bool:
-        """Whether it is homing, in which it heeds no velocity."""
+    def _is_homing(self) -> bool:
+        """Whether it is homing and ignores velocities."""
         return self._homing or self._axis_state == t.HOMING
 
     async def _brake(self) -> None:
-        """Velocity 0, in closed loop where it was homing.
+        """Velocity 0, in closed loop after homing.
 
-        All is sent again even if it was sent before: it may have been lost, or another master has taken the
-        axis over since.
+        Everything is repeated: it may have been lost, or another master may have interfered.
         """
         self._mode = None
         await self.set_velocity(0.0)
-        if self._homes:
+        if self._is_homing:
             self._homing = False
             await self._command(t.SET_STATE, t.CLOSED_LOOP)
 
     async def _hold_here(self, input_mode: int) -> None:
         """Position mode at the present position."""
         if self.state.position is None:
-            raise self.wiring.error("its position is not known")
+            raise self.wiring.error("its position is unknown")
         await self._command(t.SET_POSITION, self.state.position * self.turns, 0, 0)
         await self._set_mode(t.POSITION, input_mode)
 
@@ -266,12 +265,12 @@ class Odrive(AxisProtocol):
 
     async def _enter(self, axis_state: int, condition: Callable[[], bool]) -> None:
         await self._command(t.SET_STATE, axis_state)
-        await self.expect(condition, STEP, f"it did not go to '{t.STATES[axis_state]}'")
+        await self.expect(condition, STEP_TIMEOUT, f"it did not enter '{t.STATES[axis_state]}'")
 
     async def _command(self, command: int, *values: float) -> None:
-        """One frame to the axis. Raises DeviceError when a value does not fit."""
+        """A frame to the axis. Raises DeviceError when a value does not fit."""
         try:
             data = t.LAYOUTS[command].pack(*values)
         except (struct.error, OverflowError):
-            raise self.wiring.error(f"{values[0]} is more than an ODrive can be told; check 'gear'") from None
+            raise self.wiring.error(f"{values[0]} is out of an ODrive's range; check 'gear'") from None
         await self.bus.send(Frame(self.node << 5 | command, data))

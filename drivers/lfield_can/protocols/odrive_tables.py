@@ -1,4 +1,5 @@
-"""ODrive's CANSimple as data: commands, layouts, states, errors (docs.odriverobotics.com, CAN Protocol, 0.6).
+"""Tables of ODrive's CANSimple: commands, layouts, states, errors (docs.odriverobotics.com, CAN Protocol,
+0.6).
 
 The id of a frame is `node << 5 | command`; all numbers are little-endian, positions are turns of the motor.
 """
@@ -15,13 +16,13 @@ ESTOP, SET_STATE, SET_MODE, SET_POSITION, SET_VELOCITY, SET_TORQUE = 0x02, 0x07,
 SET_LIMITS, SET_TRAVEL_SPEED, SET_TRAVEL_ACCELERATION, CLEAR_ERRORS = 0x0F, 0x11, 0x12, 0x18
 
 LAYOUTS: Mapping[int, struct.Struct] = {
-    HEARTBEAT: struct.Struct("<IB"),  # active errors, axis state; what follows differs between versions
-    ERROR: struct.Struct("<II"),  # active errors, why it was disarmed
+    HEARTBEAT: struct.Struct("<IB"),  # active errors, axis state; the rest differs between versions
+    ERROR: struct.Struct("<II"),  # active errors, disarm reason
     ESTIMATES: struct.Struct("<ff"),  # turns, turns/s
-    IQ: struct.Struct("<ff"),  # A: wanted, measured
+    IQ: struct.Struct("<ff"),  # A: target, measured
     TEMPERATURE: struct.Struct("<ff"),  # °C: power stage, motor
     BUS_VOLTAGE: struct.Struct("<ff"),  # V, A
-    TORQUES: struct.Struct("<ff"),  # N m: wanted, estimated
+    TORQUES: struct.Struct("<ff"),  # N m: target, estimated
     ESTOP: struct.Struct(""),
     SET_STATE: struct.Struct("<I"),
     SET_MODE: struct.Struct("<II"),  # control mode, input mode
@@ -30,10 +31,10 @@ LAYOUTS: Mapping[int, struct.Struct] = {
     SET_TORQUE: struct.Struct("<f"),  # N m
     SET_LIMITS: struct.Struct("<ff"),  # turns/s, A
     SET_TRAVEL_SPEED: struct.Struct("<f"),  # turns/s
-    SET_TRAVEL_ACCELERATION: struct.Struct("<ff"),  # turns/s²: speeding up, slowing down
+    SET_TRAVEL_ACCELERATION: struct.Struct("<ff"),  # turns/s²: acceleration, deceleration
     CLEAR_ERRORS: struct.Struct("<B"),
 }
-TOLD = (HEARTBEAT, ERROR, ESTIMATES, IQ, TEMPERATURE, BUS_VOLTAGE, TORQUES)
+TELEMETRY = (HEARTBEAT, ERROR, ESTIMATES, IQ, TEMPERATURE, BUS_VOLTAGE, TORQUES)
 
 IDLE, CLOSED_LOOP, HOMING = 1, 8, 11
 STATES: Mapping[int, str] = {
@@ -74,7 +75,7 @@ ERRORS: Mapping[int, str] = {
     1 << 14: "the power stage is too hot",
     1 << 15: "too fast",
     1 << 16: "position out of bounds",
-    1 << 24: "its watchdog ran out",
+    1 << 24: "its watchdog expired",
     1 << 25: "emergency stop",
     1 << 26: "spinout",
     1 << 27: "brake resistor off",
@@ -83,8 +84,8 @@ ERRORS: Mapping[int, str] = {
 }
 
 
-def error_words(bits: int) -> str:
-    """Error bits in words, '' for none."""
+def error_text(bits: int) -> str:
+    """Describes error bits, '' for none."""
     known = [text for bit, text in ERRORS.items() if bits & bit]
     rest = bits & ~sum(ERRORS)
     return ", ".join([*known, *([f"unknown error 0x{rest:X}"] if rest else [])])

@@ -1,6 +1,6 @@
-"""Process data of one node as they are mapped: which frame carries which objects, and where. Pure.
+"""Mapped process data of one node: frames and objects. Pure.
 
-An object in a PDO is written as in mapping records: index << 16 | subindex << 8 | bits (CiA 301, 7.5.2.36).
+An object in a PDO is encoded as in mapping records: index << 16 | subindex << 8 | bits (CiA 301, 7.5.2.36).
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from lfield_can.protocols.cia402_tables import NUMBERS
 
 #: Bytes of the longest PDO.
 LONGEST = 8
-#: Below this index are types: a dummy entry is a gap in what a node takes (CiA 301, 7.5.2.36).
+#: Indexes below are types: a dummy entry is a gap in received data (CiA 301, 7.5.2.36).
 TYPES_END = 0x20
 
 
 @dataclass(frozen=True, slots=True)
 class Pdo:
-    """One PDO: its number as manuals count, from 1; the id of its frame; its objects in their order."""
+    """One PDO: its number as in manuals, from 1; its frame id; its objects in order."""
 
     number: int
     id: int
@@ -26,7 +26,7 @@ class Pdo:
 
     @property
     def fits(self) -> bool:
-        """Whether it can be packed here: whole bytes, and no more than a frame holds."""
+        """Whether it can be packed: whole bytes that fit a frame."""
         return all(entry & 0x07 == 0 for entry in self.entries) and self.size <= LONGEST
 
     @property
@@ -47,11 +47,11 @@ def size_of(entry: int) -> int:
     return (entry & 0xFF) // 8
 
 
-def choose(there: Iterable[Pdo], wanted: Collection[int]) -> list[Pdo]:
-    """Of PDOs as they are, those with the wanted objects; each object by the PDO that holds least else."""
+def select_pdos(present: Iterable[Pdo], required: Collection[int]) -> list[Pdo]:
+    """The PDOs with the required objects; each object from the PDO with the fewest others."""
     chosen: dict[int, Pdo] = {}
-    sound = sorted((pdo for pdo in there if pdo.fits), key=lambda pdo: (len(pdo.entries), pdo.number))
-    for entry in wanted:
+    sound = sorted((pdo for pdo in present if pdo.fits), key=lambda pdo: (len(pdo.entries), pdo.number))
+    for entry in required:
         best = next((pdo for pdo in sound if entry in pdo.entries), None)
         if best is not None:
             chosen[best.number] = best
@@ -59,41 +59,41 @@ def choose(there: Iterable[Pdo], wanted: Collection[int]) -> list[Pdo]:
 
 
 class ProcessData:
-    """What a node tells and takes. What was sent last is kept, for frames that carry several objects."""
+    """Values from and to a node. The last sent values are stored for frames with several objects."""
 
     def __init__(
-        self, told: Iterable[Pdo] = (), taken: Iterable[Pdo] = (), values: Mapping[int, bytes] = {}
+        self, tpdos: Iterable[Pdo] = (), rpdos: Iterable[Pdo] = (), values: Mapping[int, bytes] = {}
     ) -> None:
-        self._told = {pdo.id: pdo for pdo in told}
-        self._taken = {
+        self._tpdos = {pdo.id: pdo for pdo in tpdos}
+        self._rpdos = {
             entry: pdo
-            for pdo in sorted(taken, key=lambda pdo: (-len(pdo.entries), -pdo.number))
+            for pdo in sorted(rpdos, key=lambda pdo: (-len(pdo.entries), -pdo.number))
             for entry in pdo.entries
         }
         self._values = dict(values)
 
-    def tells(self, identifier: int) -> bool:
-        """Whether a frame of this id is one of them."""
-        return identifier in self._told
+    def is_tpdo(self, identifier: int) -> bool:
+        """Whether a frame of this id is one of its PDOs."""
+        return identifier in self._tpdos
 
-    def takes(self, entry: int) -> bool:
+    def can_send(self, entry: int) -> bool:
         """Whether an object can be sent."""
-        return entry in self._taken
+        return entry in self._rpdos
 
     def read(self, identifier: int, data: bytes) -> dict[int, int] | None:
-        """The objects of a frame that are of use here; None for a frame that is too short."""
-        pdo = self._told[identifier]
+        """The used objects of a frame; None for a frame that is too short."""
+        pdo = self._tpdos[identifier]
         if len(data) < pdo.size:
             return None
         return {entry: NUMBERS[entry].unpack(data[at])[0] for entry, at in pdo.places() if entry in NUMBERS}
 
-    def written(self, index: int, subindex: int, data: bytes) -> None:
-        """An object has been written by SDO: no frame may bring its old value back."""
+    def on_written(self, index: int, subindex: int, data: bytes) -> None:
+        """An object was written by SDO: no frame may restore its old value."""
         self._values[index << 8 | subindex] = data
 
     def frame(self, entry: int, value: int) -> tuple[int, bytes]:
-        """Id and bytes of the frame that sends a value. Raises struct.error when it does not fit."""
-        pdo = self._taken[entry]
+        """Id and bytes of the frame for a value. Raises struct.error when it does not fit."""
+        pdo = self._rpdos[entry]
         self._values[entry >> 8] = NUMBERS[entry].pack(value)
         gap = bytes(LONGEST)
         parts = (self._values.get(e >> 8, gap)[: size_of(e)] for e in pdo.entries)

@@ -1,1 +1,1 @@
-"""The half-duplex bus: packets, a port, one exchange at a time, and control tables read and written by it."""
+"""The half-duplex bus: packets, a port, serialised exchanges, and access to control tables."""

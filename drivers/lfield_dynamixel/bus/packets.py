@@ -1,10 +1,9 @@
 """Packets of DYNAMIXEL protocols 2.0 and 1.0: bytes in, bytes out.
 
-https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/. A packet of protocol 2.0 is
-`FF FF FD 00 id length(2) instruction parameters... crc(2)`; wherever its body would show `FF FF FD`, another
-FD is stuffed in. One of protocol 1.0 is `FF FF id length instruction parameters... checksum`. An answer is a
-*status packet*: in 2.0 its instruction is 55 and an error byte follows; in 1.0 the error stands in the place
-of the instruction.
+https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/. A packet of protocol 2.0 is `FF FF FD
+00 id length(2) instruction parameters... crc(2)`; `FF FF FD` in its body is stuffed with another FD. A packet
+of protocol 1.0 is `FF FF id length instruction parameters... checksum`. An answer is a *status packet*: in
+2.0 its instruction is 55 and an error byte follows; in 1.0 the error byte replaces the instruction.
 """
 
 from __future__ import annotations
@@ -15,12 +14,12 @@ from typing import Protocol
 
 from dynamixel_sdk.robotis_def import BROADCAST_ID, INST_STATUS, INST_SYNC_WRITE, MAX_ID
 
-#: A status packet longer than this is noise that looks like one (the SDK's own bound).
+#: A longer status packet is noise (the SDK's own bound).
 LONGEST = 1024
-#: What is kept of bytes that are no packet yet.
-KEPT = LONGEST + 7
+#: Bytes kept of an incomplete packet.
+MAX_BUFFER = LONGEST + 7
 
-#: Packets whose echo may still come; a packet without answer does not wait for its own.
+#: Packets whose echo may be pending; a packet without answer does not wait for its own.
 MOST_AWAITED = 8
 
 _HEADER = b"\xff\xff\xfd"
@@ -28,7 +27,7 @@ _HEADER = b"\xff\xff\xfd"
 
 @dataclass(frozen=True, slots=True)
 class Status:
-    """An answer of a servo: its id, its error byte and the data."""
+    """A status packet: id, error byte and data."""
 
     number: int
     error: int
@@ -36,14 +35,14 @@ class Status:
 
 
 class Reader(Protocol):
-    """Finds the status packets in a stream of bytes."""
+    """Finds status packets in a stream of bytes."""
 
     def feed(self, data: bytes) -> list[Status]:
-        """The packets that are complete now. Noise is skipped; it raises nothing."""
+        """The packets that are now complete. Skips noise; raises nothing."""
 
 
 def _crc_table() -> tuple[int, ...]:
-    """CRC-16 with the polynomial 8005, as the protocol's page gives it."""
+    """CRC-16 with the polynomial 8005, as on the protocol's page."""
     table = []
     for value in range(256):
         crc = value << 8
@@ -65,7 +64,7 @@ def crc16(data: bytes) -> int:
 
 
 def stuff(body: bytes) -> bytes:
-    """A body in which no header can be mistaken for the start of a packet."""
+    """A body without a header sequence."""
     return body.replace(_HEADER, _HEADER + b"\xfd")
 
 
@@ -78,7 +77,7 @@ class Protocol2:
     """Protocol 2.0."""
 
     version = 2
-    #: Bytes of a status packet around its data.
+    #: Bytes of a status packet in addition to its data.
     overhead = 11
 
     @staticmethod
@@ -91,7 +90,7 @@ class Protocol2:
 
     @staticmethod
     def reader() -> Reader:
-        """A reader that has seen nothing yet."""
+        """A new reader."""
         return Reader2()
 
 
@@ -102,7 +101,7 @@ class Reader2:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Status]:
-        """The packets that are complete now."""
+        """The packets that are now complete."""
         buffer, at, found = self._buffer + data, 0, []
         while True:
             at = buffer.find(_HEADER, at)
@@ -118,26 +117,26 @@ class Reader2:
             status = _status2(buffer[at:end])
             if status is not None:
                 found.append(status)
-            # A packet that is not sound may be a header in noise: the next one may begin within it.
+            # An invalid packet may be a header in noise: the next one may start within it.
             at = end if status is not None else at + 3
-        # Two bytes may be the beginning of a header.
-        self._buffer = (buffer[at:] if at >= 0 else buffer[-2:])[-KEPT:]
+        # Two bytes may be part of a header.
+        self._buffer = (buffer[at:] if at >= 0 else buffer[-2:])[-MAX_BUFFER:]
         return found
 
 
 def _status2(packet: bytes) -> Status | None:
-    """What a packet says; None when it is damaged, or an instruction (an echo of our own)."""
+    """The status of a packet; None if it is damaged, or an instruction (an echo)."""
     if packet[7] != INST_STATUS or crc16(packet[:-2]) != packet[-2] | packet[-1] << 8:
         return None
-    # The parts of a fast answer come from several servos, none of which stuffs bytes (as the SDK has it).
+    # The parts of a fast answer come from several servos and are not stuffed (as in the SDK).
     body = packet[8:-2] if packet[4] == BROADCAST_ID else unstuff(packet[7:-2])[1:]
     return Status(packet[4], body[0], body[1:]) if body else None
 
 
 def split_fast(answer: Status, numbers: tuple[int, ...], size: int) -> dict[int, Status] | None:
-    """The parts `error id data crc` of the answer to a fast sync read, by id; None when it is not whole.
+    """The parts `error id data crc` of the answer to a fast sync read, by id; None if incomplete.
 
-    The packet's own checksum has covered it all, so those between the parts need no look.
+    The packet's own checksum covers it all, so those between the parts are not checked.
     """
     body = bytes((answer.error,)) + answer.data + b"\0\0"
     part = size + 4
@@ -162,7 +161,7 @@ class Protocol1:
 
     @staticmethod
     def reader() -> Reader:
-        """A reader that has seen nothing yet."""
+        """A new reader."""
         return Reader1()
 
 
@@ -173,7 +172,7 @@ class Reader1:
         self._buffer = b""
 
     def feed(self, data: bytes) -> list[Status]:
-        """The packets that are complete now."""
+        """The packets that are now complete."""
         buffer, at, found = self._buffer + data, 0, []
         while True:
             at = buffer.find(b"\xff\xff", at)
@@ -189,26 +188,26 @@ class Reader1:
             if sound:
                 found.append(Status(buffer[at + 2], buffer[at + 4], buffer[at + 5 : end - 1]))
             at = end if sound else at + 1
-        self._buffer = (buffer[at:] if at >= 0 else buffer[-1:])[-KEPT:]
+        self._buffer = (buffer[at:] if at >= 0 else buffer[-1:])[-MAX_BUFFER:]
         return found
 
 
-#: Either protocol: both know `version`, `overhead`, `encode` and `reader`.
+#: Either protocol: both have `version`, `overhead`, `encode` and `reader`.
 AnyProtocol = type[Protocol1] | type[Protocol2]
 PROTOCOLS: dict[int, AnyProtocol] = {1: Protocol1, 2: Protocol2}
 
 
 def harmless(protocol: AnyProtocol) -> bytes:
-    """A packet that does nothing and has no answer: a sync write to no servo."""
+    """A packet without effect and answer: a sync write to no servo."""
     return protocol.encode(BROADCAST_ID, INST_SYNC_WRITE, bytes(4 if protocol.version == 2 else 2))
 
 
 class EchoFilter:
-    """Takes the echoes of sent packets out of what comes in.
+    """Removes echoes of sent packets from received data.
 
-    Some adapters do not switch their receiver off while they send. In protocol 1.0 an instruction looks like
-    an answer: the ping of servo 1 is, byte for byte, its answer with a voltage error. An echo with a wrong
-    byte is passed on: no checksum fits it, so it is noise for the reader.
+    Some adapters keep receiving while they send. In protocol 1.0 an instruction looks like an answer: the
+    ping of servo 1 equals its answer with a voltage error. A damaged echo is passed on: its checksum is
+    wrong, so the reader treats it as noise.
     """
 
     def __init__(self) -> None:
@@ -216,17 +215,17 @@ class EchoFilter:
         self._held = b""
 
     def on_sent(self, packet: bytes) -> None:
-        """A packet leaves."""
+        """A packet is sent."""
         self._awaited.append(packet)
 
     def strip(self, data: bytes) -> bytes:
-        """What of the incoming bytes is no echo; the beginning of one is held back until it is decided."""
+        """The received bytes without echoes; a partial echo is held back until it is complete."""
         self._held += data
         passed = b""
         while self._awaited:
             echo = self._awaited[0]
             if (at := self._held.find(echo)) >= 0:
-                # What stands before it is noise, or the rest of a damaged echo.
+                # Bytes before it are noise, or a damaged echo.
                 passed += self._held[:at]
                 self._held = self._held[at + len(echo) :]
             elif len(self._held) < len(echo):

@@ -1,1 +1,1 @@
-"""One vehicle heard and asked: what is known of it, commands and waiting, streams, how good its link is."""
+"""Communication with one vehicle: its state, commands, telemetry streams and link quality."""

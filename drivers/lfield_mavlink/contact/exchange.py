@@ -1,6 +1,7 @@
-"""Commands to one vehicle, repeated until they are answered.
+"""MAVLink command protocol: commands repeated until they are answered.
 
-An answer says that a command was taken, never that it was achieved; the caller watches the state for that.
+An answer means that a command was accepted, not that it was achieved; the caller watches the state.
+https://mavlink.io/en/services/command.html.
 """
 
 from __future__ import annotations
@@ -10,33 +11,33 @@ import math
 from collections.abc import Awaitable, Callable
 from typing import Any, NamedTuple
 
-from lfield_mavlink.geo import Place
+from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
 
-#: Seconds to wait for an answer, and how often to ask. One that is heard meanwhile is asked longer: at a loss
-#: of 20 % each way every third question has no answer.
+#: Seconds to wait for an answer, and attempts. More attempts while the vehicle is heard: at a loss of 20 %
+#: each way every third exchange fails.
 PATIENCE, ATTEMPTS, PERSISTENT = 0.5, 4, 12
-#: Seconds to wait after an IN_PROGRESS, each time; and in all.
+#: Seconds to wait after each IN_PROGRESS; and in all.
 PROGRESS, LONGEST = 5.0, 60.0
 
 
-class Answer(NamedTuple):
-    """The MAV_RESULT of a command, None when nobody answered, and how often it was sent."""
+class CommandResult(NamedTuple):
+    """The MAV_RESULT of a command, None without an answer, and the number of transmissions."""
 
     result: int | None
     attempts: int
 
 
 async def _no_gate(_: int) -> None:
-    """Every command may go out."""
+    """Permits every command."""
 
 
 class Exchange:
-    """The open questions of a station to one vehicle, both by their system ids.
+    """The pending commands of a station to one vehicle, both by their system ids.
 
-    `send` takes a message, `heard` says whether the vehicle is heard. `gate` is awaited before each command,
-    with its number; it raises DeviceError when it may not go out.
-    `px4` is set when the autopilot is known: PX4 wants NaN for what is not used, ArduPilot 0.
+    `send` takes a message, `has_contact` returns whether the vehicle is heard. `gate` is awaited before each
+    command, with its number; it raises DeviceError if the command may not be sent. `px4` is set when the
+    autopilot is known: for unused parameters PX4 requires NaN, ArduPilot 0.
     """
 
     def __init__(
@@ -44,15 +45,19 @@ class Exchange:
         system: int,
         station: int,
         send: Callable[[Any], None],
-        heard: Callable[[], bool] = lambda: False,
+        has_contact: Callable[[], bool] = lambda: False,
         gate: Callable[[int], Awaitable[None]] = _no_gate,
     ) -> None:
         self.px4, self._station = False, station
         self._gate = gate
-        self._system, self._send, self._heard = system, send, heard
+        self._system, self._send, self._has_contact = system, send, has_contact
         self._questions: dict[int, _Question] = {}
         self._timer: asyncio.Handle | None = None
         self._timer_at = 0.0
+
+    def set_stack(self, *, px4: bool) -> None:
+        """Sets whether the autopilot is PX4."""
+        self.px4 = px4
 
     async def command(
         self,
@@ -61,58 +66,58 @@ class Exchange:
         place: Place | None = None,
         once: bool = False,
         patience: float = PATIENCE,
-    ) -> Answer:
-        """Send a command until it is answered, ATTEMPTS times, and PERSISTENT times while it is heard.
+    ) -> CommandResult:
+        """Sends a command until it is answered, ATTEMPTS times, or PERSISTENT times while the vehicle is
+        heard.
 
-        `values` are its parameters from the first on, None for one that is not used. With a `place` it goes
-        out as a COMMAND_INT, which has the precision for it, and the place is parameters 5 to 7. `once` is
-        for a command that would act twice if only its answer was lost. `patience` is how many seconds an
-        answer is waited for each time.
+        `values` are its parameters from the first, None for an unused one. With a `place` it is sent as
+        COMMAND_INT, which has sufficient precision, with the place as parameters 5 to 7. `once` is for a
+        command that must not be executed twice. `patience` is the time to wait for each answer, in seconds.
         """
         await self._gate(number)
-        # Acknowledgements are matched by command number, so each number has one question open at a time.
+        # Acknowledgements are matched by command number, so one command per number may be pending.
         while (earlier := self._questions.get(number)) is not None:
             await earlier.end()
         loop = asyncio.get_running_loop()
         question = self._questions[number] = _Question()
         attempts = 0
         try:
-            while attempts < self._most(once):
+            while attempts < self._max_attempts(once):
                 if place is None:
                     message = self._command_long(number, attempts, values)
                 else:
                     message = self._command_int(number, values, place)
                 attempts += 1
-                question.ask(loop.create_future(), loop.time(), patience)
+                question.on_sent(loop.create_future(), loop.time(), patience)
                 self._set_timer(question)
                 self._send(message)
                 result = await question.result
                 if result is not None:
-                    return Answer(result, attempts)
-            return Answer(None, attempts)
+                    return CommandResult(result, attempts)
+            return CommandResult(None, attempts)
         finally:
             del self._questions[number]
-            question.over()
+            question.release_next()
 
-    def _most(self, once: bool) -> int:
-        """How often a command is sent."""
-        return 1 if once else PERSISTENT if self._heard() else ATTEMPTS
+    def _max_attempts(self, once: bool) -> int:
+        """Attempts for a command."""
+        return 1 if once else PERSISTENT if self._has_contact() else ATTEMPTS
 
     def _set_timer(self, question: _Question) -> None:
-        """Look at the questions again when this one is due; a timer that is early enough is left alone.
+        """Schedules a check at the deadline of this command; an earlier timer is kept.
 
-        So most commands, which are answered at once, come and go without a timer of their own.
+        Most commands are answered at once and need no timer of their own.
         """
         if self._timer is not None:
             if self._timer_at <= question.due:
                 return
             self._timer.cancel()
-        # Kept here: uvloop's handle of a timer that is due within half a millisecond cannot say when.
+        # Stored here: uvloop cannot tell when a timer is due that has less than half a millisecond left.
         self._timer_at = question.due
-        self._timer = asyncio.get_running_loop().call_at(question.due, self._give_up)
+        self._timer = asyncio.get_running_loop().call_at(question.due, self._expire)
 
-    def _give_up(self) -> None:
-        """Nobody waits any more for an answer that is overdue."""
+    def _expire(self) -> None:
+        """Ends the wait for overdue answers."""
         self._timer = None
         now = asyncio.get_running_loop().time()
         for question in self._questions.values():
@@ -122,11 +127,11 @@ class Exchange:
                 self._set_timer(question)
 
     def on_message(self, message: Any) -> None:
-        """Hand an answer to whoever waits for it; answers to others are left alone."""
+        """Handles an answer; answers to other stations are ignored."""
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
             question = self._questions.get(message.command)
             if question is not None and is_for_us(message, self._station):
-                question.answer(message.result, asyncio.get_running_loop().time())
+                question.on_answer(message.result, asyncio.get_running_loop().time())
 
     def _command_long(self, number: int, confirmation: int, values: tuple[float | None, ...]) -> Any:
         padded = self._padded(values, 7)
@@ -154,13 +159,13 @@ class Exchange:
 
 
 def is_for_us(message: Any, station: int) -> bool:
-    """Whether a message is for everybody, or for the ground station with this system id."""
+    """Whether a message is a broadcast or addressed to the station with this system id."""
     system, component = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
     return system in (0, station) and component in (0, COMPONENT)
 
 
 class _Question:
-    """A command that waits for its answer, until it is `due`; `result` is None when it came too late."""
+    """A command that waits for its answer until `due`; `result` is None on a time-out."""
 
     result: asyncio.Future[int | None]
     due: float
@@ -168,29 +173,29 @@ class _Question:
     def __init__(self) -> None:
         self._waiting: list[asyncio.Future[None]] = []
 
-    def ask(self, result: asyncio.Future[int | None], now: float, patience: float) -> None:
-        """It is sent, once more."""
+    def on_sent(self, result: asyncio.Future[int | None], now: float, patience: float) -> None:
+        """It was sent again."""
         self.result, self.due, self._latest = result, now + patience, now + LONGEST
 
-    def answer(self, result: int, now: float) -> None:
-        """An answer has come; IN_PROGRESS only gives it more time."""
+    def on_answer(self, result: int, now: float) -> None:
+        """An answer has arrived; IN_PROGRESS only extends the time."""
         if result == dialect.MAV_RESULT_IN_PROGRESS:
             self.due = min(now + PROGRESS, self._latest)
         else:
             self.finish(result)
 
     def finish(self, result: int | None) -> None:
-        """The first result is the one that counts."""
+        """Sets the result; later ones are ignored."""
         if not self.result.done():
             self.result.set_result(result)
 
     def end(self) -> asyncio.Future[None]:
-        """Done when nobody asks it any more."""
+        """Done when the command is no longer pending."""
         self._waiting.append(asyncio.get_running_loop().create_future())
         return self._waiting[-1]
 
-    def over(self) -> None:
-        """Let those go on who have a question of the same number, the first come first."""
+    def release_next(self) -> None:
+        """Starts the next command of the same number."""
         for waiting in self._waiting:
             if not waiting.done():
                 waiting.set_result(None)

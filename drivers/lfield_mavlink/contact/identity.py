@@ -1,7 +1,7 @@
-"""Whether the vehicle that is heard is the one that was opened: nothing is commanded before that is known.
+"""Verifies that the vehicle is still the one that was opened; nothing is commanded before that.
 
-After each reconnection the unique id of its board (AUTOPILOT_VERSION: uid2, uid) is asked for anew and
-compared. A board that tells none (uid 0) is compared by its autopilot, type and firmware versions.
+After each reconnection the unique id of the board (AUTOPILOT_VERSION: uid2, uid) is requested and compared. A
+board without one (uid 0) is compared by autopilot, type and firmware versions.
 """
 
 from __future__ import annotations
@@ -11,13 +11,14 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Protocol
 
 from lfield.driver import DeviceError
+from lfield_mavlink import log_messages
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.link.strands import Board
+from lfield_mavlink.link.sender_separation import Board
 
-#: Seconds between two attempts to learn who is there.
-AGAIN = 1.0
-#: Commands that only ask, and messages that only ask or keep time: they may go to anybody.
-ASKING = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAV_CMD_SET_MESSAGE_INTERVAL})
+#: Seconds between two attempts to identify the vehicle.
+RETRY_INTERVAL = 1.0
+#: Commands and messages that only query or synchronise clocks: allowed for any vehicle.
+QUERY_COMMANDS = frozenset({dialect.MAV_CMD_REQUEST_MESSAGE, dialect.MAV_CMD_SET_MESSAGE_INTERVAL})
 _COMMANDS = (dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_COMMAND_INT)
 _HARMLESS = frozenset(
     {
@@ -30,36 +31,39 @@ _HARMLESS = frozenset(
         dialect.MAVLINK_MSG_ID_MISSION_ACK,
     }
 )
-#: What is to be done about another vehicle.
+#: What to do about another vehicle.
 _REMEDY = "nothing is commanded; bring the right vehicle back, or restart the host"
 
 
-class Peer(Protocol):
-    """What is asked of the vehicle. `quiet` is set while nothing may be asked of it."""
+class IdentifiedVehicle(Protocol):
+    """What identification needs of the vehicle. `quiet` is set while no requests may be sent."""
 
     quiet: bool
 
     def note(self, text: str) -> None:
-        """A sentence for the log."""
+        """Writes a sentence into the log."""
 
     def error(self, reason: str, *, timeout: bool = False) -> DeviceError:
         """The exception for a reason."""
 
     def heard(self) -> None:
-        """It has said something."""
+        """It has sent a message."""
 
     def check_identity(self) -> None:
-        """Raise DeviceError when its autopilot or type is not the binding's."""
+        """Raises DeviceError when its autopilot or type does not match the binding."""
 
 
 class Identity:
-    """The board that was met at opening, against the one that is there now.
+    """Compares the board at opening with the present one.
 
-    `ask` asks for its version, `kind` is the MAV_AUTOPILOT and the MAV_TYPE of its heartbeats.
+    `ask` requests its version, `kind` is the MAV_AUTOPILOT and MAV_TYPE of its heartbeats.
     """
 
     def __init__(
-        self, vehicle: Peer, ask: Callable[[], Awaitable[Any | None]], kind: Callable[[], tuple[int, int]]
+        self,
+        vehicle: IdentifiedVehicle,
+        ask: Callable[[], Awaitable[Any | None]],
+        kind: Callable[[], tuple[int, int]],
     ) -> None:
         self._vehicle, self._ask, self._kind = vehicle, ask, kind
         self._board: Board | None = None
@@ -69,87 +73,91 @@ class Identity:
         self._said = False
         self._checking = asyncio.Lock()
         self._suspected = asyncio.Event()
-        #: Why another vehicle is there, '' when it is not.
-        self.stranger = ""
+        #: Why it is another vehicle, '' if it is not.
+        self.other_vehicle = ""
 
     @property
     def is_certain(self) -> bool:
-        """Whether it is known to be the vehicle that was opened, or nothing was known of that yet."""
+        """Whether the vehicle is the one that was opened, or was never identified."""
         return not self._reason
 
     async def learn(self) -> None:
-        """It is opened: remember who it is."""
+        """Stores the identity of the opened vehicle."""
         told = await self._ask()
         self._board, self._first_kind = (None if told is None else Board.of(told)), self._kind()
         self._known, self._reason = True, ""
 
     def suspect(self, reason: str) -> None:
-        """It may be another one from now on: the link was lost, or it comes from elsewhere."""
+        """Requires verification: the link was lost, or the vehicle's address has changed."""
         if self._known:
             self._reason = self._reason or reason
             self._suspected.set()
 
-    def look(self, told: Any | None) -> None:
-        """Its AUTOPILOT_VERSION has been asked for: suspect it when that is another's."""
-        if self._known and told is not None and self._difference(Board.of(told)):
-            self.suspect("it told another unique id")
+    def on_version(self, version: Any | None) -> None:
+        """Handles AUTOPILOT_VERSION: requires verification if it is another's."""
+        if self._known and version is not None and self._difference(Board.of(version)):
+            self.suspect("it reported another unique id")
 
     def may_send(self, message: Any) -> bool:
-        """Whether a message may go out now: what only asks always may."""
+        """Whether a message may be sent now; queries always may."""
         kind = message.get_msgId()
         if self.is_certain or kind in _HARMLESS:
             return True
-        return kind in _COMMANDS and message.command in ASKING
+        return kind in _COMMANDS and message.command in QUERY_COMMANDS
 
     async def gate(self, command: int) -> None:
-        """Before a command: make certain who is there. Raises DeviceError."""
-        if command not in ASKING:
+        """Verifies the vehicle before a command. Raises DeviceError."""
+        if command not in QUERY_COMMANDS:
             await self.verify()
 
     async def verify(self) -> None:
-        """Compare who is there with who was. Raises DeviceError when that is another, or does not answer."""
+        """Compares the present vehicle with the opened one. Raises DeviceError when it differs or does not
+        answer.
+        """
         async with self._checking:
             if self.is_certain:
                 return
             reason, told = self._reason, await self._ask()
             board = None if told is None else Board.of(told)
-            self.stranger = self._difference(board)
-            if self.stranger:
-                raise self._vehicle.error(self.stranger)
+            self.other_vehicle = self._difference(board)
+            if self.other_vehicle:
+                raise self._vehicle.error(self.other_vehicle)
             if board is None and self._board is not None:
                 raise self._vehicle.error(
-                    f"it has not told its unique id since {reason}, so nothing is commanded", timeout=True
+                    f"its unique id is not confirmed since {reason}, so nothing is commanded", timeout=True
                 )
-            # It has answered: the silence while another vehicle was there is over.
+            # It has answered: end the silence that was caused by another vehicle.
             self._vehicle.heard()
             self._reason = ""
             self._suspected.clear()
-            self._vehicle.note(f"the same vehicle as before, after {reason}: {self._compared(board)}")
+            self._vehicle.note(
+                log_messages.SAME_VEHICLE.line(reason=reason, comparison=self._compared(board))
+            )
 
-    async def keep(self) -> None:
-        """Verify whenever it is suspected, until cancelled."""
+    async def run(self) -> None:
+        """Verifies whenever required, until cancelled."""
         while True:
             await self._suspected.wait()
             if self._vehicle.quiet:
-                await asyncio.sleep(AGAIN)
+                await asyncio.sleep(RETRY_INTERVAL)
                 continue
             try:
                 await self.verify()
             except DeviceError as error:
-                if self.stranger and not self._said:
-                    self._vehicle.note(error.reason)
-                self._said = bool(self.stranger)
-                await asyncio.sleep(AGAIN)
+                if self.other_vehicle and not self._said:
+                    self._vehicle.note(log_messages.OTHER_VEHICLE.line(reason=error.reason))
+                self._said = bool(self.other_vehicle)
+                await asyncio.sleep(RETRY_INTERVAL)
             else:
                 self._said = False
 
     @property
     def is_another_kind(self) -> bool:
-        """Whether its heartbeats have another autopilot or type than when it was opened."""
+        """Whether its heartbeats have another autopilot or type than at opening."""
         return self._known and self._kind() != self._first_kind
 
     def _difference(self, board: Board | None) -> str:
-        """Why it is another vehicle; '' when that is not so, or nobody knows."""
+        """Why it is another vehicle; '' if it is not, or if that is unknown."""
         try:
             self._vehicle.check_identity()
         except DeviceError as error:
@@ -164,17 +172,14 @@ class Identity:
             return ""
         if board.uid != self._board.uid:
             new, old = (each.uid or "one without a unique id" for each in (board, self._board))
-            return f"another vehicle answers: its board is {new}, and {old} was opened; {_REMEDY}"
+            return f"another vehicle answers: its board is {new}, but {old} was opened; {_REMEDY}"
         if board.uid:
             return ""  # the same board with another firmware
-        return (
-            "another vehicle answers: it has another firmware, and neither tells a unique id (uid 0); "
-            f"{_REMEDY}"
-        )
+        return f"another vehicle answers: it has another firmware, and no unique id (uid 0); {_REMEDY}"
 
     def _compared(self, board: Board | None) -> str:
         if board is None:
-            return "it tells no AUTOPILOT_VERSION; its autopilot and type are what they were"
+            return "it does not send AUTOPILOT_VERSION; its autopilot and type are unchanged"
         if not board.uid:
-            return "it tells no unique id (uid 0); its autopilot, type and firmware are what they were"
+            return "it has no unique id (uid 0); its autopilot, type and firmware are unchanged"
         return f"unique id {board.uid}"

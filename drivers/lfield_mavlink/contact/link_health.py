@@ -1,4 +1,4 @@
-"""How well the vehicle is heard, how its clock stands to ours, and whether its packets are believed."""
+"""Link quality, clock offset and signature counts of a vehicle."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from typing import Any, NamedTuple
 from lfield.driver import Clock
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.link_quality import SenderStats
 from lfield_mavlink.link.ports import LinkCounts
-from lfield_mavlink.link.stats import SenderStats
 
-#: Seconds between two reports, and two round trips.
+#: Seconds between two reports, and between two round trips.
 PERIOD = 1.0
-#: Round trips that are kept; the shortest tells the offset best, since the least of it was waiting in queues.
+#: Number of stored round trips; the shortest gives the offset, since it has the least queueing delay.
 KEPT = 10
-#: Seconds after which the answer to a question is no longer believed.
+#: Seconds after which a response is ignored.
 LATE = 3.0
 
 
 class LinkHealth:
-    """Publishes the state of the link once a second. `counts` tells what the readers of all links counted."""
+    """Publishes the link state once a second. `counts` returns the counters of all links."""
 
     def __init__(self, vehicle: Contact, counts: Callable[[], LinkCounts]) -> None:
         self._vehicle, self._counts = vehicle, counts
@@ -31,15 +31,15 @@ class LinkHealth:
         vehicle.on(dialect.MAVLINK_MSG_ID_TIMESYNC, self._on_timesync)
 
     def count(self, sequence: int, now: float) -> None:
-        """A packet has come from the vehicle, read or not."""
+        """Counts a packet of the vehicle, decoded or not."""
         self._sender.add(sequence, now)
 
-    async def keep(self) -> None:
-        """Report and measure until cancelled."""
+    async def run(self) -> None:
+        """Reports and measures until cancelled."""
         while True:
             self._report()
             if not self._vehicle.quiet:
-                self._timesync.ask()
+                self._timesync.start_round_trip()
             await asyncio.sleep(PERIOD)
 
     def _report(self) -> None:
@@ -54,7 +54,7 @@ class LinkHealth:
         )
 
     def _on_timesync(self, message: Any) -> None:
-        # An answer would be a word of ours: PX4 asks ten times a second.
+        # A request would count as contact: PX4 requests ten times a second.
         if self._vehicle.quiet:
             return
         measured = self._timesync.on_message(message)
@@ -70,9 +70,9 @@ class Offset(NamedTuple):
 
 
 class TimeSync:
-    """The vehicle's clock beside ours: round trips with it, and answers to its own.
+    """Clock offset by TIMESYNC, and responses to the vehicle's own.
 
-    https://mavlink.io/en/services/timesync.html
+    https://mavlink.io/en/services/timesync.html.
     """
 
     def __init__(self, clock: Clock, send: Callable[[Any], None]) -> None:
@@ -80,19 +80,19 @@ class TimeSync:
         self._asked: deque[int] = deque(maxlen=4)
         self._kept: deque[Offset] = deque(maxlen=KEPT)
 
-    def ask(self) -> None:
-        """Begin a round trip."""
+    def start_round_trip(self) -> None:
+        """Starts a round trip."""
         now = self._now()
         self._asked.append(now)
         self._send(dialect.MAVLink_timesync_message(0, now))
 
     def on_message(self, message: Any) -> Offset | None:
-        """Take a TIMESYNC in: a question is answered; an answer to ours gives what is now known."""
+        """Handles a TIMESYNC: a request is answered; a response to ours gives the offset."""
         now = self._now()
         if message.tc1 == 0:
             self._send(dialect.MAVLink_timesync_message(now, message.ts1))
             return None
-        # The vehicle answers other ground stations too, and a packet may come twice.
+        # Responses to other stations, and repeated packets.
         if message.ts1 not in self._asked:
             return None
         self._asked.remove(message.ts1)
@@ -104,5 +104,5 @@ class TimeSync:
         return min(self._kept, key=lambda kept: kept.round_trip)._replace(round_trip=round_trip)
 
     def _now(self) -> int:
-        """Our monotonic clock in nanoseconds, never 0, which marks a question."""
+        """Our monotonic clock in nanoseconds, never 0, which marks a request."""
         return max(round(self._clock.monotonic() * 1e9), 1)

@@ -1,1 +1,1 @@
-"""Bytes to messages and back: endpoints and links, packets, signatures, and which link leads to a vehicle."""
+"""Transport: endpoints and links, packets, signatures, and the choice of a link per vehicle."""

@@ -1,9 +1,9 @@
-"""MAVLink 2 by pymavlink: the one place where the dialect is chosen, and packets are read and made.
+"""MAVLink 2 by pymavlink: selects the dialect, and parses and builds packets.
 
-It is `all`: ArduPilot's dialect with what PX4 has beside it, such as CURRENT_MODE.
+The dialect is `all`: ArduPilot's with additions of PX4 such as CURRENT_MODE.
 
-The dialect is imported by its name: `pymavlink.mavutil` would choose one by the environment and by what it
-happens to receive, and its `recv_match` throws away every message it was not asked for.
+It is imported by name: `pymavlink.mavutil` would select one by the environment and the received data, and its
+`recv_match` discards every other message.
 """
 
 from __future__ import annotations
@@ -16,29 +16,54 @@ from pymavlink.dialects.v20 import all as dialect
 from lfield_mavlink.link.layouts import SHORTEST, Layout
 from lfield_mavlink.link.signing import LinkSigning
 
-__all__ = ["AUTOPILOT", "COMPONENT", "Reader", "Writer", "dialect", "request_message", "result_words"]
+__all__ = [
+    "AUTOPILOT",
+    "COMPONENT",
+    "Reader",
+    "Writer",
+    "dialect",
+    "is_echo",
+    "request_message",
+    "result_text",
+    "station_heartbeat",
+]
 
-#: What we are: a computer on board. Which system is said for each vehicle (`station`).
+#: Our component: an onboard computer. The system id depends on the vehicle (`station`).
 COMPONENT = dialect.MAV_COMP_ID_ONBOARD_COMPUTER
-#: The autopilot's component. pymavlink leaves the target component at 0 unless told.
+#: The autopilot's component. pymavlink leaves the target component at 0 by default.
 AUTOPILOT = dialect.MAV_COMP_ID_AUTOPILOT1
 
-#: The parser keeps what it has read until its buffer is empty, which on a stream may be never.
-_KEPT = 4096
-#: What pymavlink says of a packet whose signature was not believed.
+#: The parser keeps its input until its buffer is empty, which may never happen on a stream.
+_MAX_BUFFER = 4096
+#: Reason of pymavlink for a packet with a refused signature.
 _REFUSED = "Invalid signature"
 #: By message id.
 _LAYOUTS = {number: Layout(kind) for number, kind in dialect.mavlink_map.items()}
 
 
 def request_message(system: int, kind: int) -> Any:
-    """COMMAND_LONG that asks the autopilot of a system for one message of a kind."""
+    """COMMAND_LONG that requests one message of a kind from the autopilot of a system."""
     asks, rest = dialect.MAV_CMD_REQUEST_MESSAGE, [0.0] * 6
     return dialect.MAVLink_command_long_message(system, AUTOPILOT, asks, 0, float(kind), *rest)
 
 
+def station_heartbeat(system: int) -> Any:
+    """The heartbeat of a vehicle's station; it carries the vehicle's id, so that its echo can be
+    recognised.
+    """
+    return dialect.MAVLink_heartbeat_message(
+        dialect.MAV_TYPE_GCS, dialect.MAV_AUTOPILOT_INVALID, 0, system, dialect.MAV_STATE_ACTIVE, 3
+    )
+
+
+def is_echo(message: Any, system: int) -> bool:
+    """Whether a heartbeat with a station's id is an echo of our own."""
+    mine = message.type == dialect.MAV_TYPE_GCS and message.get_srcComponent() == COMPONENT
+    return bool(mine and message.custom_mode == system)
+
+
 class Header(NamedTuple):
-    """The ids of a packet's sender, its kind and its number."""
+    """Sender ids, message id and sequence number of a packet."""
 
     system: int
     component: int
@@ -51,15 +76,15 @@ def _nothing_is_spare(_: Header) -> bool:
 
 
 class Reader:
-    """Bytes of a link to messages; broken packets and unknown messages are left out.
+    """Parses the bytes of a link; broken packets and unknown messages are skipped.
 
-    `broken` counts the packets that were damaged on their way. With `signing`, packets that it does not
-    believe are left out too; it counts them itself.
+    `broken` counts damaged packets. With `signing`, packets without a valid signature are skipped too, and
+    counted there.
     """
 
     def __init__(self, signing: LinkSigning | None = None) -> None:
         self._parser: Any = dialect.MAVLink(None)
-        # Without it one wrong checksum raises.
+        # Without it, one wrong checksum raises.
         self._parser.robust_parsing = True
         self._signed = signing is not None
         if signing is not None:
@@ -69,7 +94,7 @@ class Reader:
     def feed(self, data: bytes, is_spare: Callable[[Header], bool] = _nothing_is_spare) -> Sequence[Any]:
         """The messages that these bytes complete; never raises.
 
-        A packet that is all of `data`, and need not prove its sender, is not decoded when it `is_spare`.
+        An unsigned packet that is all of `data` is not decoded when it `is_spare`.
         """
         if not self._is_plain(data):
             return self._parsed(data)
@@ -84,7 +109,7 @@ class Reader:
         return (message,)
 
     def _is_plain(self, data: bytes) -> bool:
-        """Whether these bytes are one packet, as most datagrams are, and unsigned: it needs no buffer."""
+        """Whether these bytes are one whole unsigned packet, as most datagrams are; it needs no buffer."""
         return (
             len(data) >= SHORTEST
             and data[0] == dialect.PROTOCOL_MARKER_V2
@@ -99,14 +124,14 @@ class Reader:
                 self.broken += message.reason != _REFUSED
             elif not isinstance(message, dialect.MAVLink_unknown):
                 messages.append(message)
-        if parser.buf_index > _KEPT:
+        if parser.buf_index > _MAX_BUFFER:
             parser.buf = parser.buf[parser.buf_index :]
             parser.buf_index = 0
         return messages
 
 
 class Writer:
-    """Messages of some systems to packets, numbered for each, and signed where there is a key."""
+    """Builds packets of several systems, each with its own sequence numbers, signed if there is a key."""
 
     def __init__(self, signing: LinkSigning | None = None) -> None:
         self._mavlink: Any = dialect.MAVLink(None, srcComponent=COMPONENT)
@@ -127,7 +152,7 @@ class Writer:
         return data
 
 
-def result_words(result: int) -> str:
+def result_text(result: int) -> str:
     """`FAILED (4)`."""
     entry = dialect.enums["MAV_RESULT"].get(result)
     name = entry.name.removeprefix("MAV_RESULT_") if entry is not None else "unknown result"

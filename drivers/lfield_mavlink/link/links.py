@@ -1,13 +1,16 @@
 """Endpoints and the links behind them: UDP, TCP and serial. Bytes only.
 
 udp:HOST:PORT         sends to a vehicle that listens there
-udpin:HOST:PORT       listens there for vehicles that send (what is sent goes to all who sent lately)
+udpin:HOST:PORT       listens for vehicles that send (what is sent goes to all recent senders)
 tcp:HOST:PORT         connects
 serial:/dev/ttyX:BAUD a serial port, 8N1
 
 HOST is a name or an address, an IPv6 address in brackets: tcp:[fd00::5]:5760. Each link is opened again by
 itself, with the name resolved anew, when it breaks or falls silent. Several of them, with commas between, are
 links to the same vehicles.
+
+MAVSDK's udp://:PORT, udpin://HOST:PORT, udpout://HOST:PORT, tcp://HOST:PORT and serial:///dev/ttyX:BAUD
+are read too.
 """
 
 from __future__ import annotations
@@ -15,9 +18,10 @@ from __future__ import annotations
 from typing import Protocol
 
 from lfield.driver import DeviceError
-from lfield.driver.network import unbracketed
+from lfield.driver.network import is_host, unbracketed
 from lfield.driver.serial import SerialPort, parse_serial_endpoint
-from lfield_mavlink.link.events import AGAIN, LinkEvents, OnData
+from lfield_mavlink import log_messages
+from lfield_mavlink.link.link_events import AGAIN, LinkEvents, OnData
 from lfield_mavlink.link.tcp import TcpLink
 from lfield_mavlink.link.udp import UdpLink, UdpListener
 
@@ -30,19 +34,19 @@ class Link(Protocol):
     """One open endpoint."""
 
     async def open(self) -> None:
-        """Open it. Raises DeviceError when that is impossible here and now."""
+        """Opens it. Raises DeviceError when that is impossible now."""
 
     def send(self, data: bytes) -> None:
-        """Send one packet; what cannot be sent is lost, as on a radio."""
+        """Sends one packet; it is dropped if it cannot be sent."""
 
     def send_to(self, data: bytes, address: str) -> None:
-        """Send one packet to one of the addresses that were given with what was received."""
+        """Sends one packet to an address from which something was received."""
 
     def why_silent(self) -> str:
-        """What is to be said when nothing at all was heard on it: what is known, and what to do."""
+        """What to report when nothing was received: known facts and a remedy."""
 
     def close(self) -> None:
-        """Give it back."""
+        """Closes it."""
 
 
 def split_endpoint(endpoint: str) -> list[str]:
@@ -51,27 +55,46 @@ def split_endpoint(endpoint: str) -> list[str]:
 
 
 def parse_endpoint(endpoint: str) -> list[tuple[str, str, int]]:
-    """Of each link its kind, its host or path, and its port or baud rate.
+    """The kind, host or path, and port or baud rate of each link.
 
-    Raises DeviceError with a sentence on how to write one.
+    Raises DeviceError with the syntax.
     """
     return [_parsed(link) for link in split_endpoint(endpoint)]
 
 
-def _parsed(link: str) -> tuple[str, str, int]:
+def _parsed(written: str) -> tuple[str, str, int]:
+    link = _from_url(written)
     kind, _, rest = link.partition(":")
     place, _, number = rest.rpartition(":")
-    if kind not in ("udp", "udpin", "tcp", "serial") or not place or not number.isdecimal():
-        raise DeviceError("endpoint", f"'{link}' is not an endpoint; write {SYNTAX}")
+    if kind not in ("udp", "udpin", "tcp", "serial") or not place:
+        raise DeviceError("endpoint", f"'{written}' is not an endpoint; write {SYNTAX}")
     if kind == "serial":
         return kind, *parse_serial_endpoint(link)
-    if not 0 < int(number) < 65536:
-        raise DeviceError("endpoint", f"'{link}' has no port from 1 to 65535")
+    if not (number.isascii() and number.isdecimal() and 0 < int(number[:6]) < 65536):
+        raise DeviceError("endpoint", f"'{written}': the port '{number}' is not a number from 1 to 65535")
+    if not is_host(unbracketed(place)):
+        raise DeviceError("endpoint", f"'{written}': '{place}' is neither a host name nor an address")
     return kind, unbracketed(place), int(number)
 
 
+def _from_url(link: str) -> str:
+    """The endpoint in lfield's form of one in MAVSDK's; raises DeviceError where that is ambiguous."""
+    scheme, mark, rest = link.partition("://")
+    if not mark:
+        return link
+    if scheme == "udp" and rest.startswith(":"):
+        return f"udpin:0.0.0.0{rest}"
+    if scheme == "udp":
+        message = f"'{link}' is ambiguous: write udpin:{rest} to listen there, or udp:{rest} to send there"
+        raise DeviceError("endpoint", message)
+    kinds = {"udpin": "udpin", "udpout": "udp", "tcp": "tcp", "tcpout": "tcp", "serial": "serial"}
+    if scheme in kinds:
+        return f"{kinds[scheme]}:{rest}"
+    raise DeviceError("endpoint", f"'{link}' is not an endpoint; write {SYNTAX}")
+
+
 def make_link(link: str, on_data: OnData, events: LinkEvents | None = None) -> Link:
-    """One link of an endpoint, not open yet. Raises DeviceError as `parse_endpoint`."""
+    """Creates one link of an endpoint, not opened yet. Raises DeviceError as `parse_endpoint`."""
     kind, place, number = _parsed(link)
     events = events or LinkEvents()
     if kind == "serial":
@@ -84,14 +107,14 @@ def make_link(link: str, on_data: OnData, events: LinkEvents | None = None) -> L
 
 
 class SerialLink:
-    """A serial port; when its buffer is full, or it is away, a packet is lost, which MAVLink survives."""
+    """A serial port; a packet is dropped when its buffer is full or the port is gone."""
 
     def __init__(self, path: str, baud: int, on_data: OnData, events: LinkEvents) -> None:
         self._on_data, self._events = on_data, events
         self.port = SerialPort(path, baud, self, tried=events.note)
 
     async def open(self) -> None:
-        """Open and configure the port, now."""
+        """Opens and configures the port."""
         self.port.open()
 
     def received(self, data: bytes) -> None:
@@ -99,29 +122,29 @@ class SerialLink:
         self._on_data(data)
 
     def send(self, data: bytes) -> None:
-        """Into the port."""
+        """Writes to the port."""
         self.port.write(data)
 
     def send_to(self, data: bytes, address: str) -> None:
-        """Into the port: there is one far end."""
+        """Writes to the port, which has one peer."""
         self.port.write(data)
 
     def why_silent(self) -> str:
-        """An autopilot's port has a baud rate, and speaks MAVLink if it was set up so."""
+        """A port needs the right baud rate and an autopilot that is configured for MAVLink."""
         return (
-            f"nothing comes from {self.port.path}; check the cable, the baud rate of {self.port.baud}, and "
-            "that the autopilot speaks MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
+            f"nothing received from {self.port.path}; check the cable, the baud rate of {self.port.baud}, "
+            "and that the autopilot is configured for MAVLink there (SERIALn_PROTOCOL 2, MAV_n_CONFIG)"
         )
 
     def close(self) -> None:
-        """Give the port back."""
+        """Closes the port."""
         self.port.close()
 
     def lost(self, reason: str) -> None:
-        """The port has gone; it is opened again as soon as it is back under its path."""
-        self._events.note(f"serial:{self.port.path} is lost: {reason}")
+        """The port is lost; it is reopened when it is back under its path."""
+        self._events.note(log_messages.SERIAL_LOST.line(path=self.port.path, reason=reason))
 
     def back(self) -> None:
-        """It is open again."""
-        self._events.note(f"serial:{self.port.path} is open again")
+        """The port is open again."""
+        self._events.note(log_messages.SERIAL_BACK.line(path=self.port.path))
         self._events.reopened()

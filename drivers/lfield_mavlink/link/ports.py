@@ -1,4 +1,4 @@
-"""The links of a bus with their readers and writers, and the one that a vehicle is reached on."""
+"""The links of a bus with their readers and writers, and the route to each vehicle."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lfield_mavlink.link.links import Link
 from lfield_mavlink.link.signing import LinkSigning, Signing
 from lfield_mavlink.modes import STACKS
 
-#: Seconds without a message after which a vehicle is looked for on its other links.
-STEADY = 1.5
-#: Packets remembered per vehicle: some seconds of all its streams.
+#: Seconds without a message after which a vehicle's other links are used.
+LINK_TIMEOUT = 1.5
+#: Packets stored per vehicle to detect copies: some seconds of all its streams.
 REMEMBERED = 512
-#: Others on the links whose names are kept.
-MOST_NEIGHBOURS = 16
-#: Seconds for which a command of somebody else may be why a vehicle goes elsewhere.
-JUST = 3.0
-#: Messages that send a vehicle somewhere: SET_MODE, MISSION_SET_CURRENT, COMMAND_INT and _LONG, setpoints.
+#: Stored names of other systems on the links.
+MAX_NEIGHBOURS = 16
+#: Seconds for which another station's command explains a vehicle's behaviour.
+COMMAND_MEMORY = 3.0
+#: Messages that move a vehicle: SET_MODE, MISSION_SET_CURRENT, COMMAND_INT and _LONG, setpoints.
 COMMANDS = frozenset({11, 41, 75, 76, 82, 84, 86})
-#: MAV_CMDs that do, of those two: modes, places, speeds, arming.
+#: MAV_CMDs in the latter two that do: modes, positions, speeds, arming.
 _LEADS = frozenset(
     {16, 17, 18, 20, 21, 22, 31, 34, 84, 85, 92, 115, 176, 177, 178, 185, 192, 193, 194, 195, 252, 300, 400}
 )
@@ -31,7 +31,7 @@ _LEADS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """One link with what reads and writes its packets."""
+    """One link with its reader and writer."""
 
     link: Link
     reader: Reader
@@ -39,7 +39,7 @@ class Port:
     signing: LinkSigning | None
 
     def send(self, message: Any, station: int, address: str = "") -> None:
-        """One message as one packet of a station, to an address behind the link, or ('') to all."""
+        """Sends one message as a packet of a station, to an address behind the link, or ('') to all."""
         data = self.writer.pack(message, station)
         if address:
             self.link.send_to(data, address)
@@ -49,7 +49,7 @@ class Port:
 
 @dataclass(frozen=True, slots=True)
 class LinkCounts:
-    """What the readers of all links have counted: damaged packets, and signatures."""
+    """Counters of the readers of all links: damaged packets, and signatures."""
 
     broken: int = 0
     good_signatures: int = 0
@@ -58,7 +58,7 @@ class LinkCounts:
 
     @classmethod
     def over(cls, ports: Sequence[Port], signing: Signing | None) -> LinkCounts:
-        """What they have counted up to now."""
+        """The present totals."""
         return cls(
             broken=sum(port.reader.broken for port in ports),
             good_signatures=signing.good if signing else 0,
@@ -67,7 +67,7 @@ class LinkCounts:
         )
 
 
-#: MAV_TYPEs of what is no vehicle: stations, companion computers, trackers, and all kinds of equipment.
+#: MAV_TYPEs that are not vehicles: stations, companion computers, trackers, payloads.
 _NO_VEHICLES = frozenset(
     {
         dialect.MAV_TYPE_ANTENNA_TRACKER,
@@ -94,10 +94,10 @@ _NO_VEHICLES = frozenset(
 
 
 def is_foreign(message: Any, autopilot: int) -> bool:
-    """Whether a message is the heartbeat of what is no autopilot: a station, a companion computer.
+    """Whether a message is the heartbeat of a component that is not an autopilot.
 
-    `autopilot` is the vehicle's MAV_AUTOPILOT, below 0 as long as that is not known: one with ArduPilot or
-    PX4 does not become one of another kind.
+    `autopilot` is the vehicle's MAV_AUTOPILOT, below 0 while unknown: ArduPilot or PX4 does not change its
+    kind.
     """
     if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
         return False
@@ -106,50 +106,50 @@ def is_foreign(message: Any, autopilot: int) -> bool:
     return autopilot in STACKS and message.autopilot not in STACKS
 
 
-def foreign_words(message: Any) -> str:
+def foreign_text(message: Any) -> str:
     """`a gcs (MAV_TYPE 6, MAV_AUTOPILOT 8)`."""
     return f"a {_name('MAV_TYPE', message.type)} (MAV_TYPE {message.type}, MAV_AUTOPILOT {message.autopilot})"
 
 
 class Neighbours:
-    """Who is heard on the links by a heartbeat and is no vehicle that somebody here is bound to.
+    """Other systems on the links that send heartbeats and are not bound here.
 
-    Beside that, who was heard last to command a vehicle: a router, say, shows its messages to everybody.
+    Also the last sender of a command to a vehicle, as seen through a router.
     """
 
     def __init__(self) -> None:
-        self._heard: dict[tuple[int, int], str] = {}
+        self._names: dict[tuple[int, int], str] = {}
         self._commands: dict[int, tuple[int, int, float]] = {}
 
-    def commanded(self, message: Any, now: float) -> None:
-        """A message of somebody else, which may send a vehicle somewhere."""
+    def on_command(self, message: Any, now: float) -> None:
+        """A message of another system that may move a vehicle."""
         if getattr(message, "command", None) not in (None, *_LEADS):
             return
         who = message.get_srcSystem(), message.get_srcComponent(), now
         self._commands[message.target_system] = who
-        if len(self._commands) > MOST_NEIGHBOURS:
+        if len(self._commands) > MAX_NEIGHBOURS:
             del self._commands[next(iter(self._commands))]
 
     def commander(self, system: int, now: float) -> str:
-        """`system 77, component 1`, that has just commanded a vehicle; '' when nobody was heard to."""
+        """The recent commander of a vehicle, such as `system 77, component 1`; '' without one."""
         nobody = (0, 0, -math.inf)
         by, component, at = max((self._commands.get(n, nobody) for n in (system, 0)), key=lambda who: who[2])
-        return f"system {by}, component {component}" if now - at <= JUST else ""
+        return f"system {by}, component {component}" if now - at <= COMMAND_MEMORY else ""
 
-    def heard(self, message: Any) -> None:
-        """A message of somebody else."""
+    def on_message(self, message: Any) -> None:
+        """A message of another system."""
         who = message.get_srcSystem(), message.get_srcComponent()
-        if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or who in self._heard:
+        if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or who in self._names:
             return
-        if len(self._heard) < MOST_NEIGHBOURS:
+        if len(self._names) < MAX_NEIGHBOURS:
             words = [_name("MAV_TYPE", message.type), STACKS.get(message.autopilot, "")]
-            self._heard[who] = ", ".join(filter(None, words))
+            self._names[who] = ", ".join(filter(None, words))
 
     def __str__(self) -> str:
-        """`system 1, component 1 (quadrotor, ArduPilot)`, each; '' when there are none."""
+        """`system 1, component 1 (quadrotor, ArduPilot)`, for each; '' without any."""
         return "; ".join(
             f"system {system}, component {component} ({words})"
-            for (system, component), words in sorted(self._heard.items())
+            for (system, component), words in sorted(self._names.items())
         )
 
 
@@ -164,19 +164,18 @@ def _name(group: str, number: int) -> str:
 class Route:
     """The links of one vehicle by number.
 
-    A link is kept while the vehicle is heard on it: setpoints that went out on two links in turn could
-    overtake one another.
+    A link is used as long as the vehicle is heard on it: setpoints on alternating links could be reordered.
     """
 
     def __init__(self, links: int) -> None:
         self._everywhere = tuple(range(links))
-        self._heard: dict[int, float] = {}
+        self._last_packet: dict[int, float] = {}
         self._link: int | None = None
         self._packets: OrderedDict[bytes, int] = OrderedDict()
 
-    def heard(self, link: int, packet: bytes | bytearray, now: float) -> bool:
-        """A packet came on a link; whether it is new, and not the copy of one that came on another link."""
-        self._heard[link] = now
+    def on_packet(self, link: int, packet: bytes | bytearray, now: float) -> bool:
+        """A packet came on a link; returns whether it is new, not a copy from another link."""
+        self._last_packet[link] = now
         if len(self._everywhere) == 1:
             return True
         packet = bytes(packet)
@@ -184,13 +183,15 @@ class Route:
         if len(self._packets) > REMEMBERED:
             self._packets.popitem(last=False)
         if first == link:
-            # The same bytes on the same link are not a copy: the numbers of packets have come round.
+            # Equal bytes on the same link are not a copy: the sequence numbers have wrapped around.
             self._packets.move_to_end(packet)
         return first == link
 
     def links(self, now: float) -> Sequence[int]:
         """Where to send: the link that it is heard on, or all when it is heard on none."""
-        if self._link is None or now - self._heard[self._link] > STEADY:
-            newest = max(self._heard, key=self._heard.__getitem__, default=None)
-            self._link = newest if newest is not None and now - self._heard[newest] <= STEADY else None
+        if self._link is None or now - self._last_packet[self._link] > LINK_TIMEOUT:
+            newest = max(self._last_packet, key=self._last_packet.__getitem__, default=None)
+            self._link = (
+                newest if newest is not None and now - self._last_packet[newest] <= LINK_TIMEOUT else None
+            )
         return self._everywhere if self._link is None else (self._link,)

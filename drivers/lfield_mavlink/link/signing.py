@@ -1,8 +1,8 @@
-"""Message signing: what goes out is signed, what comes in is believed only with a signature.
+"""MAVLink message signing: outgoing packets are signed, incoming ones need a valid signature.
 
-https://mavlink.io/en/guide/message_signing.html. The check is our own: pymavlink notes the timestamp of a
-packet before it has looked at the signature, so one forged packet would shut out the vehicle for ever, and
-where unsigned packets are let in it lets in those with a wrong signature too.
+https://mavlink.io/en/guide/message_signing.html. Verified here: pymavlink stores the timestamp of a packet
+before it verifies the signature, so one forged packet would block the vehicle permanently; and if unsigned
+packets are allowed, it also accepts wrong signatures.
 """
 
 from __future__ import annotations
@@ -15,39 +15,40 @@ from pathlib import Path
 from typing import Any
 
 from lfield.driver import Clock, DeviceBinding, DeviceError
-from lfield_mavlink.link.stamps import PER_SECOND, Stamps, load_key
+from lfield_mavlink import log_messages
+from lfield_mavlink.link.signing_timestamps import PER_SECOND, SigningTimestamps, load_key
 
-#: The end of a signed packet: link id, 48 bits of timestamp, 48 bits of signature.
+#: The end of a signed packet: link id, 48-bit timestamp, 48-bit signature.
 BLOCK, SIGNATURE = 13, 6
-#: How far a stream that is new may be behind us.
+#: How far a new stream may be behind us.
 BEHIND = 60 * PER_SECOND
-#: Seconds between two looks at whether timestamps run low; they last for twice as long and more.
-LOOK = 2.0
+#: Seconds between two checks of the remaining timestamps, which last more than twice as long.
+CHECK_INTERVAL = 2.0
 
 
 class Signing:
-    """The key of the links of one guard, and the streams of packets heard on them.
+    """The key of the links of one guard, and the streams of packets received on them.
 
-    Counts signatures: `good` ones, and `bad` ones, which are wrong, old or repeated.
+    Counts signatures: `good`, and `bad` (wrong, old or repeated).
     """
 
-    def __init__(self, key: bytes, stamps: Stamps) -> None:
+    def __init__(self, key: bytes, stamps: SigningTimestamps) -> None:
         self.key, self.stamps = key, stamps
-        # One table for all links: what was heard on one must not be repeated on another. Only those who
-        # have the key get into it, so it needs no bound.
+        # One table for all links, since a packet must not be replayed on another link. Only senders with the
+        # key enter it, so it needs no bound.
         self._streams: dict[tuple[int, int, int], int] = {}
         self.good = self.bad = 0
 
     def check(self, packet: bytes, system: int, component: int) -> bool:
-        """Whether a signed packet is by somebody who has the key, and new."""
-        sound = self._is_sound(packet, system, component)
+        """Whether a signed packet has a valid signature and is new."""
+        sound = self._is_valid(packet, system, component)
         if sound:
             self.good += 1
         else:
             self.bad += 1
         return sound
 
-    def _is_sound(self, packet: bytes, system: int, component: int) -> bool:
+    def _is_valid(self, packet: bytes, system: int, component: int) -> bool:
         expected = hashlib.sha256(self.key + packet[:-SIGNATURE]).digest()[:SIGNATURE]
         if not hmac.compare_digest(expected, packet[-SIGNATURE:]):
             return False
@@ -56,14 +57,14 @@ class Signing:
         if timestamp <= self._streams.get(stream, self.stamps.latest - BEHIND):
             return False
         self._streams[stream] = timestamp
-        self.stamps.saw(timestamp)
+        self.stamps.on_timestamp(timestamp)
         return True
 
     async def keep_ahead(self, note: Callable[[str], None]) -> None:
-        """Keep the file of timestamps ahead of their use until cancelled; a disk that fails is told."""
+        """Extends the timestamp file ahead of use until cancelled; logs disk errors."""
         failed = False
         while True:
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(CHECK_INTERVAL)
             if not self.stamps.is_low:
                 continue
             try:
@@ -71,15 +72,15 @@ class Signing:
                 failed = False
             except DeviceError as error:
                 if not failed:
-                    note(f"{error.reason}; after a restart the vehicle may not listen for a while")
+                    note(log_messages.SIGNING_NOT_STORED.line(reason=error.reason))
                 failed = True
 
 
 class LinkSigning:
-    """The signatures of one link, which has an id of its own.
+    """The signatures of one link, which has its own link id.
 
-    `allow_unsigned` lets in packets without a signature, never those with a bad one; otherwise `unsigned`
-    counts those that were refused.
+    `allow_unsigned` accepts packets without a signature, never those with a bad one; otherwise `unsigned`
+    counts refused ones.
     """
 
     def __init__(self, signing: Signing, link_id: int, *, allow_unsigned: bool) -> None:
@@ -88,13 +89,13 @@ class LinkSigning:
         self.unsigned = 0
 
     def attach_reader(self, parser: Any) -> None:
-        """Have a pymavlink `MAVLink` ask us about every packet it parses."""
+        """Installs the verification in a pymavlink `MAVLink`."""
         parser.signing.secret_key = self._signing.key
-        parser.signing.allow_unsigned_callback = self._lets_in
+        parser.signing.allow_unsigned_callback = self._accepts_unsigned
         parser.check_signature = self._check
 
     def seal(self, packer: Any) -> None:
-        """Have a pymavlink `MAVLink` sign the next packet that it packs."""
+        """Makes a pymavlink `MAVLink` sign the next packet."""
         signing = packer.signing
         signing.secret_key, signing.sign_outgoing, signing.link_id = self._signing.key, True, self._link_id
         signing.timestamp = self._signing.stamps.next()
@@ -104,8 +105,8 @@ class LinkSigning:
         self._just_refused = not sound
         return sound
 
-    def _lets_in(self, *_: object) -> bool:
-        """pymavlink asks this of every packet that `_check` has not approved, also of those it refused."""
+    def _accepts_unsigned(self, *_: object) -> bool:
+        """Called by pymavlink for every packet that `_check` has not accepted, including refused ones."""
         if self._just_refused:
             self._just_refused = False
             return False
@@ -115,7 +116,7 @@ class LinkSigning:
 
 
 def open_signing(bindings: Sequence[DeviceBinding], clock: Clock) -> Signing | None:
-    """What the bindings of one bus say about signing; None when they name no key.
+    """The signing of the bindings of one bus; None without a key.
 
     Reads and writes small files. Raises DeviceError.
     """
@@ -125,7 +126,7 @@ def open_signing(bindings: Sequence[DeviceBinding], clock: Clock) -> Signing | N
     path: str = paths.pop()
     if not path:
         return None
-    stamps = Stamps(Path(path), clock)
+    stamps = SigningTimestamps(Path(path), clock)
     key = load_key(Path(path))
     stamps.open()
     return Signing(key, stamps)
@@ -136,8 +137,8 @@ def sign_link(
 ) -> LinkSigning | None:
     """The signing of the `number`-th link of a bus.
 
-    A cable needs no signatures, since autopilots keep it open; neither does a link whose every binding waives
-    them by `unsigned`.
+    A cable needs none, since autopilots accept unsigned packets there; nor does a link whose bindings all
+    waive it by `unsigned`.
     """
     if signing is None:
         return None

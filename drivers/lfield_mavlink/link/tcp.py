@@ -1,4 +1,4 @@
-"""A TCP connection that is opened again when it breaks or falls silent."""
+"""A TCP connection that is reopened when it breaks or falls silent."""
 
 from __future__ import annotations
 
@@ -8,11 +8,19 @@ from socket import SOCK_STREAM
 from typing import cast
 
 from lfield.driver.network import Attempts, Lookup, connected
-from lfield_mavlink.link.events import AGAIN, ATTEMPT, LinkEvents, OnData, cannot_open, name_of, reason_of
+from lfield_mavlink.link.link_events import (
+    AGAIN,
+    ATTEMPT,
+    LinkEvents,
+    OnData,
+    cannot_open,
+    name_of,
+    reason_of,
+)
 
-#: Seconds without a byte after which a connection is given up: an autopilot's heartbeat comes each second.
+#: Seconds without data after which a connection is closed: an autopilot's heartbeat comes each second.
 SILENT = 5.0
-#: Bytes that may wait to be sent; what is more is lost, as on a radio: a late command is worse than none.
+#: Bytes that may be queued; more is dropped, since a late command is worse than none.
 BACKLOG = 1 << 16
 
 
@@ -29,21 +37,21 @@ class TcpLink:
         self._hung_up = False
 
     async def open(self) -> None:
-        """Connect, now. Raises DeviceError."""
+        """Connects. Raises DeviceError."""
         try:
             self._connection = await self._connect()
         except OSError as error:
             raise cannot_open(self._name, error) from None
-        self._task = asyncio.get_running_loop().create_task(self._keep(self._connection))
+        self._task = asyncio.get_running_loop().create_task(self._run(self._connection))
 
     async def _connect(self) -> _Connection:
-        """To the first of its addresses that answers. Raises OSError."""
+        """Connects to the first of its addresses that answers. Raises OSError."""
         made, where = await connected(self._lookup, ATTEMPT, lambda: _Connection(self._on_data))
         made.where = where
         return made
 
-    async def _keep(self, connection: _Connection) -> None:
-        """Wait until the connection is lost, and open it again, until cancelled."""
+    async def _run(self, connection: _Connection) -> None:
+        """Reopens the connection whenever it is lost, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             self._connection, self._hung_up = connection, False
@@ -67,25 +75,25 @@ class TcpLink:
             return connection
 
     def send(self, data: bytes) -> None:
-        """Into the stream, if there is one."""
+        """Writes to the stream, if connected."""
         if self._connection is not None:
             self._connection.write(data)
 
     def send_to(self, data: bytes, address: str) -> None:
-        """Into the stream: there is one far end."""
+        """Writes to the stream, which has one peer."""
         self.send(data)
 
     def why_silent(self) -> str:
-        """Connected, or not any more."""
+        """Whether it is connected."""
         if self._hung_up:
             return f"{self._name} hung up"
         return (
-            f"{self._name} is connected and says nothing; a simulator serves one client at a time: has it "
-            "another?"
+            f"{self._name} is connected but sends nothing; a simulator serves one client at a time: is "
+            "another one connected?"
         )
 
     def close(self) -> None:
-        """Hang up."""
+        """Closes the connection."""
         if self._task is not None:
             self._task.cancel()
         if self._connection is not None:
@@ -93,20 +101,20 @@ class TcpLink:
 
 
 class _Connection(asyncio.Protocol):
-    """One connection; `where` is the address of its far end."""
+    """One connection; `where` is the address of its peer."""
 
     def __init__(self, on_data: OnData) -> None:
         self._on_data = on_data
         self._transport: asyncio.Transport | None = None
         self._lost = asyncio.Event()
-        self._reason = "the other end has hung up"
-        self._at = asyncio.get_running_loop().time()
-        self._heard = False
+        self._reason = "the peer has closed the connection"
+        self._last_received = asyncio.get_running_loop().time()
+        self._has_received = False
         self.where = ""
 
     @property
     def is_lost(self) -> bool:
-        """Whether the other end, or the system, has ended it."""
+        """Whether the peer or the system has closed it."""
         return self._lost.is_set()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -115,41 +123,41 @@ class _Connection(asyncio.Protocol):
 
     def data_received(self, data: bytes) -> None:
         """Bytes of the stream."""
-        self._at, self._heard = asyncio.get_running_loop().time(), True
+        self._last_received, self._has_received = asyncio.get_running_loop().time(), True
         self._on_data(data)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """It has ended."""
+        """It is closed."""
         if exc is not None:
             self._reason = reason_of(exc)
         self._lost.set()
 
     async def until_lost(self, attempts: Attempts) -> str:
-        """Why it does not work any more: it has ended, or nothing has come for SILENT seconds."""
+        """Waits until it is closed, or SILENT seconds without data; returns the reason."""
         loop = asyncio.get_running_loop()
         while not self.is_lost:
-            left = self._at + SILENT - loop.time()
+            left = self._last_received + SILENT - loop.time()
             if left <= 0.0:
-                return f"nothing came for {SILENT:g} s"
+                return f"no data for {SILENT:g} s"
             with suppress(TimeoutError):
                 async with asyncio.timeout(left):
                     await self._lost.wait()
-            if self._heard:
+            if self._has_received:
                 attempts.works()
         return self._reason
 
     def write(self, data: bytes) -> None:
-        """Send bytes, unless too many wait already."""
+        """Sends bytes, unless too many are queued."""
         transport = self._transport
         if transport is not None and not self.is_lost and transport.get_write_buffer_size() <= BACKLOG:
             transport.write(data)
 
     def close(self) -> None:
-        """Hang up."""
+        """Closes the connection."""
         if self._transport is not None:
             self._transport.close()
 
     def abort(self) -> None:
-        """End it at once: what waits is lost."""
+        """Aborts it; queued data is lost."""
         if self._transport is not None:
             self._transport.abort()

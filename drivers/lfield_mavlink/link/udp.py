@@ -1,4 +1,4 @@
-"""Datagrams: to a vehicle at an address, and from vehicles that send to a port of this computer."""
+"""UDP links: to a vehicle at an address, and from vehicles that send to a port of this computer."""
 
 from __future__ import annotations
 
@@ -8,22 +8,30 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from lfield.driver.network import Address, Attempts, Lookup
-from lfield_mavlink.link.events import AGAIN, ATTEMPT, LinkEvents, OnData, cannot_open, name_of, reason_of
+from lfield_mavlink.link.link_events import (
+    AGAIN,
+    ATTEMPT,
+    LinkEvents,
+    OnData,
+    cannot_open,
+    name_of,
+    reason_of,
+)
 
-#: Peers that a listening port answers.
+#: Peers of a listening port.
 PEERS = 16
 #: Bytes of the largest datagram.
 LARGEST = 65535
-#: Seconds without a datagram after which the name is resolved anew, and a socket to a vehicle opened anew: it
-#: keeps this computer's address of when it was opened, which may not be there any more.
+#: Seconds without a datagram after which the name is resolved again and the socket reopened: it is bound to a
+#: local address that may be gone.
 SILENT = 3.0
 
 
 class _Sockets:
-    """The open sockets of a link. `on_datagram` takes one that came, `on_error` that one could not be read.
+    """The open sockets of a link. `on_datagram` gets a datagram, `on_error` a failed read.
 
-    Sockets of its own on the loop, of which one datagram is read at a time: the task that waits for it runs
-    before the next one is read.
+    Registered directly with the loop; one datagram is read per iteration, so that the task that waits for it
+    runs before the next one is read.
     """
 
     def __init__(
@@ -33,7 +41,7 @@ class _Sockets:
         self.open: list[socket.socket] = []
 
     def add(self, opened: socket.socket) -> None:
-        """Read it from now on."""
+        """Reads from it from now on."""
         self.open.append(opened)
         asyncio.get_running_loop().add_reader(opened, self._receive, opened)
 
@@ -46,13 +54,13 @@ class _Sockets:
         self._on_datagram(opened, data, peer)
 
     def remove(self, opened: socket.socket) -> None:
-        """Close it."""
+        """Closes it."""
         self.open.remove(opened)
         asyncio.get_running_loop().remove_reader(opened)
         opened.close()
 
     def close(self) -> None:
-        """Close them all."""
+        """Closes all."""
         for opened in tuple(self.open):
             self.remove(opened)
 
@@ -62,7 +70,7 @@ def _places(found: Iterable[tuple[int, Address]]) -> str:
 
 
 class UdpLink:
-    """Datagrams to one peer, that answers from where it is sent to."""
+    """Datagrams to and from one peer."""
 
     def __init__(self, host: str, port: int, on_data: OnData, events: LinkEvents) -> None:
         self._lookup = Lookup(host, port, socket.SOCK_DGRAM)
@@ -71,20 +79,20 @@ class UdpLink:
         self._attempts = Attempts(self._name)
         self._sockets = _Sockets(self._on_datagram, self._on_error)
         self._task: asyncio.Task[None] | None = None
-        self._at, self._heard, self._turn = 0.0, False, 0
-        # Whether the other computer has said that nobody listens there.
+        self._at, self._has_received, self._turn = 0.0, False, 0
+        # Whether the peer's computer has reported a closed port.
         self._unreachable = False
 
     async def open(self) -> None:
-        """Resolve its name and connect the socket. Raises DeviceError."""
+        """Resolves the name and connects the socket. Raises DeviceError."""
         try:
             await self._connect()
         except OSError as error:
             raise cannot_open(self._name, error) from None
-        self._task = asyncio.get_running_loop().create_task(self._keep())
+        self._task = asyncio.get_running_loop().create_task(self._run())
 
     async def _connect(self) -> str:
-        """A new socket to the next of its addresses, which is returned. Raises OSError."""
+        """Opens a socket to the next of its addresses and returns the address. Raises OSError."""
         found = await self._lookup.addresses(ATTEMPT)
         family, address = found[self._turn % len(found)]
         self._turn += 1
@@ -100,15 +108,15 @@ class UdpLink:
         self._at = asyncio.get_running_loop().time()
         return str(address[0])
 
-    async def _keep(self) -> None:
-        """Connect anew whenever nothing has come for a while, until cancelled."""
+    async def _run(self) -> None:
+        """Reconnects whenever nothing has arrived for a while, until cancelled."""
         loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(AGAIN)
             if loop.time() - self._at < SILENT:
                 continue
-            if self._heard:
-                self._events.log(self._attempts.lost(f"nothing came for {SILENT:g} s", loop.time()))
+            if self._has_received:
+                self._events.log(self._attempts.lost(f"no data for {SILENT:g} s", loop.time()))
             try:
                 where = await self._connect()
             except OSError as error:
@@ -118,44 +126,44 @@ class UdpLink:
 
     def _on_datagram(self, _: socket.socket, data: bytes, __: Address) -> None:
         """A packet from the vehicle."""
-        self._at, self._heard, self._unreachable = asyncio.get_running_loop().time(), True, False
-        # An address that answers is kept for the next time.
+        self._at, self._has_received, self._unreachable = asyncio.get_running_loop().time(), True, False
+        # Keep an address that answers.
         self._attempts.works()
         self._on_data(data)
 
     def _on_error(self) -> None:
-        """Nobody listens there yet; the heartbeat says when somebody does."""
+        """The port is closed; a later heartbeat will succeed."""
         self._unreachable = True
 
     def send(self, data: bytes) -> None:
-        """To the peer."""
+        """Sends to the peer."""
         for opened in self._sockets.open:
             with suppress(OSError):
                 opened.send(data)
 
     def send_to(self, data: bytes, address: str) -> None:
-        """To the peer: there is one far end."""
+        """Sends to the peer; there is only one."""
         self.send(data)
 
     def why_silent(self) -> str:
-        """Simulators do not listen on UDP as radios and routers do: which endpoint is meant instead."""
-        nobody = "nobody listens at" if self._unreachable else "nothing comes back from"
+        """Simulators do not listen on UDP as radios and routers do: names the endpoint to use instead."""
+        nobody = "no process listens at" if self._unreachable else "nothing received from"
         return (
-            f"{nobody} {self._name}; a simulator is met otherwise: ArduPilot's at tcp:127.0.0.1:5760, "
-            "and PX4's sends to udpin:127.0.0.1:14550 and 14540"
+            f"{nobody} {self._name}; simulators use other endpoints: ArduPilot's is tcp:127.0.0.1:5760, and "
+            "PX4's sends to udpin:127.0.0.1:14550 and 14540"
         )
 
     def close(self) -> None:
-        """Close the socket."""
+        """Closes the socket."""
         if self._task is not None:
             self._task.cancel()
         self._sockets.close()
 
 
 class UdpListener:
-    """Datagrams from all that send to a port; each is answered where it sends from.
+    """Datagrams from all that send to a port; each peer is answered at its address.
 
-    Several vehicles may send to one port; each leaves alone what is addressed to another.
+    Several vehicles may send to one port; each ignores messages for another.
     """
 
     def __init__(self, host: str, port: int, on_data: OnData, events: LinkEvents) -> None:
@@ -167,13 +175,13 @@ class UdpListener:
         self._sockets = _Sockets(self._on_datagram, lambda: None)
         self._task: asyncio.Task[None] | None = None
         self._bound: dict[tuple[int, Address], socket.socket] = {}
-        #: The addresses of its name at which it could not be bound, tried again every AGAIN s.
+        #: Addresses of its name that could not be bound, retried every AGAIN s.
         self._unbound: list[tuple[int, Address]] = []
         self._at = 0.0
         self._peers: dict[str, tuple[socket.socket, Address]] = {}
 
     async def open(self) -> None:
-        """Bind the sockets. Raises DeviceError."""
+        """Binds the sockets. Raises DeviceError."""
         try:
             failure = self._bind(await self._lookup.addresses(ATTEMPT))
             if not self._bound:
@@ -182,13 +190,13 @@ class UdpListener:
             raise cannot_open(self._name, error) from None
         if failure is not None:
             now = asyncio.get_running_loop().time()
-            # Attempts are counted from here, and the line is that of the first.
+            # Attempts are counted from here; the log line is that of the first.
             self._attempts.lost("", now)
             self._events.log(self._attempts.failed(reason_of(failure), now))
-        self._task = asyncio.get_running_loop().create_task(self._keep())
+        self._task = asyncio.get_running_loop().create_task(self._run())
 
     def _bind(self, found: list[tuple[int, Address]]) -> OSError | None:
-        """Bind a socket at each of these addresses that has none; why that failed where it did."""
+        """Binds a socket at each unbound address; returns the error, if any."""
         failures: dict[tuple[int, Address], OSError] = {}
         for at in found:
             if at in self._bound:
@@ -208,15 +216,15 @@ class UdpListener:
         return OSError("; ".join(reasons)) if reasons else None
 
     def _unbind(self, found: list[tuple[int, Address]]) -> None:
-        """Close the sockets at addresses other than these."""
+        """Closes the sockets at addresses other than these."""
         for at in self._bound.keys() - set(found):
             gone = self._bound.pop(at)
             self._sockets.remove(gone)
             for address in [address for address, (opened, _) in self._peers.items() if opened is gone]:
                 del self._peers[address]
 
-    async def _keep(self) -> None:
-        """Bind what could not be bound; while nothing comes, follow the name to its addresses of now."""
+    async def _run(self) -> None:
+        """Binds missing addresses; while nothing arrives, follows changes of the name's addresses."""
         loop = asyncio.get_running_loop()
         while True:
             await asyncio.sleep(AGAIN)
@@ -245,7 +253,7 @@ class UdpListener:
         self._at = asyncio.get_running_loop().time()
         if not self._unbound:
             self._attempts.works()
-        # The newest is last; the one that was silent longest is forgotten.
+        # The newest is last; the one that was silent longest is removed.
         host, port = str(peer[0]), peer[1]
         address = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
         self._peers.pop(address, None)
@@ -256,23 +264,23 @@ class UdpListener:
         self._on_data(data)
 
     def send(self, data: bytes) -> None:
-        """To the peers, if there are any."""
+        """Sends to the peers, if any."""
         for address in tuple(self._peers):
             self.send_to(data, address)
 
     def send_to(self, data: bytes, address: str) -> None:
-        """To one of them, as long as it is known."""
+        """Sends to one of them while it is known."""
         if address in self._peers:
             opened, peer = self._peers[address]
             with suppress(OSError):
                 opened.sendto(data, peer)
 
     def why_silent(self) -> str:
-        """Nobody sends."""
-        return f"nothing comes to {self._endpoint}; does the vehicle, the simulator or the router send there?"
+        """No data was received."""
+        return f"nothing received at {self._endpoint}; does the vehicle, simulator or router send there?"
 
     def close(self) -> None:
-        """Close the sockets."""
+        """Closes the sockets."""
         if self._task is not None:
             self._task.cancel()
         self._sockets.close()

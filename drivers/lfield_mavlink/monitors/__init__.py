@@ -1,1 +1,1 @@
-"""What telemetry says of a flight while it goes on: falls, crashes, a lost position, a foreign target."""
+"""Flight monitoring by telemetry: falls, crashes, a lost position, a foreign target."""

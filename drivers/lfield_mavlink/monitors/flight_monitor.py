@@ -1,4 +1,4 @@
-"""The monitors of one vehicle: its messages in, exceptions for motions and lock-outs for crashes out."""
+"""Monitors of one vehicle: messages in; exceptions for motions and lock-outs for crashes out."""
 
 from __future__ import annotations
 
@@ -9,26 +9,27 @@ from contextlib import suppress
 from typing import Any
 
 from lfield.driver import DeviceError
+from lfield_mavlink import log_messages
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.geodesy import Place, Vector
 from lfield_mavlink.link.dialect import dialect, request_message
 from lfield_mavlink.modes import ARDUPILOT, PX4
-from lfield_mavlink.monitors.descent import DESCENT, DescentMonitor, Expected, Finding
-from lfield_mavlink.monitors.position import FIX, PositionMonitor
-from lfield_mavlink.monitors.target import CourseMonitor, TargetMonitor
+from lfield_mavlink.monitors.descent_monitor import DESCENT, DescentMonitor, Expected, Finding
+from lfield_mavlink.monitors.position_monitor import FIX, PositionMonitor
+from lfield_mavlink.monitors.target_monitor import CourseMonitor, TargetMonitor
 from lfield_mavlink.services.parameters import Parameters
-from lfield_mavlink.setpoints.orders import Order
+from lfield_mavlink.setpoints.motion_orders import Order
 from lfield_mavlink.setpoints.trajectory import ONLY_POSITION, POSITION_AND_YAW, Target
 
-#: Seconds until it is known what became of a vehicle whose motors went off in the air.
+#: Seconds until the result for a vehicle whose motors went off in the air is known.
 SETTLES = 2.5
-#: Seconds after which a second receiver is asked again while the first has no fix.
+#: Seconds after which a second receiver is queried again while the first has no fix.
 AGAIN = 0.4
-#: Seconds until the speeds of descent are read, and until they are read again.
-FIRST, LOOK = 2.0, 60.0
-#: What may be ordered of one that falls.
+#: Seconds until the descent speeds are read, and until they are read again.
+FIRST_READ_DELAY, REREAD_INTERVAL = 2.0, 60.0
+#: Instructions that are allowed during a fall.
 STOPS = ("land", "hold", "disarm", "mode ", "returnHome")
-#: What needs no position, of what may be ordered, and the modes that need none.
+#: Instructions and modes that need no position.
 NEEDS_NONE = ("land", "arm", "disarm")
 BLIND_MODES = frozenset(
     {
@@ -36,12 +37,12 @@ BLIND_MODES = frozenset(
         "STABILIZED", "ALTCTL", "AUTO.LAND",
     }
 )  # fmt: skip
-#: MAV_FRAME whose heights are above mean sea level.
+#: MAV_FRAMEs with heights above mean sea level.
 ABOVE_SEA = (dialect.MAV_FRAME_GLOBAL, dialect.MAV_FRAME_GLOBAL_INT)
-#: type_mask: no place over ground, no height, no velocity.
+#: type_mask: no horizontal position, no height, no velocity.
 NO_PLACE, NO_HEIGHT, NO_VELOCITY = 0x3, 0x4, 0x38
-#: m/s: the autopilot's own speeds of descent. Each has the names of one parameter by version, with how many
-#: of its unit are 1 m/s; https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
+#: The autopilot's own descent speeds. Each has parameter names by version, with units per m/s;
+#: https://ardupilot.org/copter/docs/parameters.html, and PX4's parameter reference.
 DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     (ARDUPILOT, "copter"): (
         {"WP_SPD_DN": 1.0, "WPNAV_SPEED_DN": 100.0},
@@ -49,7 +50,7 @@ DESCENTS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     ),
     (PX4, "copter"): ({"MPC_Z_VEL_MAX_DN": 1.0},),
 }
-#: Its speeds of landing, likewise.
+#: Its landing speeds, likewise.
 LANDINGS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
     (ARDUPILOT, "copter"): ({"LAND_SPD_MS": 1.0, "LAND_SPEED": 100.0},),
     (PX4, "copter"): ({"MPC_LAND_SPEED": 1.0},),
@@ -57,21 +58,22 @@ LANDINGS: Mapping[tuple[int, str], tuple[Mapping[str, float], ...]] = {
 
 
 class FlightMonitor:
-    """Watches one vehicle.
+    """Monitors one vehicle.
 
-    `others` names who else has just commanded it, as far as that is heard; `is_ours` says whether this
-    program chose its mode.
+    `others` names another station that has just commanded it; `is_ours` returns whether this program selected
+    its mode.
     """
 
-    def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
+    def __init__(
+        self, vehicle: Contact, parameters: Parameters, others: Callable[[], str], is_ours: Callable[[], bool]
+    ) -> None:
+        self.others, self.is_ours = others, is_ours
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
         self._descent, self._position = DescentMonitor(), PositionMonitor()
         self._target, self._course = TargetMonitor(level=vehicle.state.kind != "rover"), CourseMonitor()
-        self.others: Callable[[], str] = lambda: ""
-        self.is_ours: Callable[[], bool] = lambda: True
-        #: Who has sent it elsewhere, in words, until it is released or on the ground; '' while nobody has.
+        #: Who has commanded it elsewhere, until it is released or on the ground; '' for nobody.
         self.foreign = ""
-        # The modes of the last order, in which its targets are compared.
+        # The modes of the last command, in which its targets are compared.
         self._modes: frozenset[str] = frozenset()
         self._booted, self._booted_at = 0, -math.inf
         self._second_at = -math.inf
@@ -92,11 +94,11 @@ class FlightMonitor:
         for kind, handler in handlers.items():
             vehicle.on(kind, handler)
 
-    # -- what is asked ------------------------------------------------------------------------------------
+    # -- queries ------------------------------------------------------------------------------------------
 
     @property
     def crashed(self) -> str:
-        """Why it must not fly before a person has seen it, '' while it may."""
+        """Why it must not fly before an inspection, '' while it may."""
         return self._descent.crashed
 
     @property
@@ -106,34 +108,34 @@ class FlightMonitor:
 
     @property
     def lost_position(self) -> str:
-        """Why it does not know where it is, '' while it does; at rest that does not matter."""
+        """Why its position is lost, '' while it is known or the vehicle is at rest."""
         return self._position.lost(self._now) if self._state.armed and self._is_judged_by_place else ""
 
     @property
     def is_blind(self) -> bool:
-        """Whether what it tells of its place and speed is a drift, in the air or not."""
+        """Whether its reported position and speed are unreliable, in the air or not."""
         return bool(self._position.lost(self._now))
 
     @property
     def commanded_by(self) -> str:
-        """Who else has just commanded it, to go after a mode that was not commanded here; '' for nobody."""
+        """Names another station that has just commanded it, to explain a foreign mode; '' for none."""
         return f", commanded by {others}" if (others := self.others()) else ""
 
-    def check_begin(self, what: str) -> None:
-        """A motion is to begin. Raises DeviceError when it must not, or needs a position that is lost."""
+    def check_start(self, what: str) -> None:
+        """Raises DeviceError when a motion must not start, or needs a position that is lost."""
         if self.crashed:
             raise self._vehicle.error(
-                f"{what} refused: {self.crashed}. It must be inspected; then an operator ends the lock-out "
-                "by 'lfield estop --lift', and release() takes it back"
+                f"{what} refused: {self.crashed}. Inspect it; then run 'lfield estop --lift' and call "
+                "release()"
             )
         if (lost := self.lost_position) and self._needs_position(what):
             raise self._vehicle.error(f"{what} refused: {lost}; {self._needs_none} needs no position")
         if self.falling and not what.startswith(STOPS):
             raise self._vehicle.error(f"{what} refused: {self.falling}")
-        self._course.begin(None)
+        self._course.start(None)
 
     async def check(self, what: str, order: Order, left: float) -> None:
-        """A motion goes on, `left` metres from its goal. Raises DeviceError when it must not."""
+        """Raises DeviceError when a running motion, `left` metres from its goal, must end."""
         await self.settle()
         descent = self._descent
         if descent.falling:
@@ -141,25 +143,25 @@ class FlightMonitor:
         if (lost := self.lost_position) and self._needs_position(what):
             raise self._vehicle.error(f"{what} ended early: {lost}; {self._needs_none} needs no position")
         if self.foreign:
-            raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes it back")
-        if order.leads and self._course.leaves:
-            words = f"{left:.1f} m from its goal it goes elsewhere, at {self._course.leaves:.1f} m/s"
+            raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes control again")
+        if order.has_destination and self._course.leaves:
+            words = f"{left:.1f} m from its goal it moves elsewhere, at {self._course.leaves:.1f} m/s"
             if others := self.others():
                 self._take_over(f"{words}: {others}")
             raise self._vehicle.error(f"{what} ended early: {self.foreign or words}")
 
     async def check_landed(self, what: str) -> None:
-        """A landing is over. Raises DeviceError when it was a crash."""
+        """Raises DeviceError when a landing was a crash."""
         await self.settle()
         if self.crashed:
             raise self._vehicle.error(f"{what} ended early: {self.crashed}")
 
     async def settle(self) -> None:
-        """Wait until it is known what became of a vehicle whose motors went off in the air, if they did."""
-        await self._vehicle.seen(lambda: not self._descent.undecided, SETTLES)
+        """Waits for the result if its motors went off in the air."""
+        await self._vehicle.wait_for(lambda: not self._descent.undecided, SETTLES)
 
     def safe_mode(self, state: str) -> str:
-        """The mode for a safe state: without a position there is only a landing, and of a rover a stop."""
+        """The mode for a safe state: without a position only a landing, for a rover a stop."""
         profile = self._vehicle.profile
         lands = self.lost_position and profile.kind in ("copter", "rover")
         return profile.land if lands else profile.safe(state)
@@ -174,20 +176,20 @@ class FlightMonitor:
         stops = "hold()" if self._vehicle.profile.hold in BLIND_MODES else "disarm()"
         return "land()" if self._flies else stops
 
-    # -- what is done -------------------------------------------------------------------------------------
+    # -- commands -----------------------------------------------------------------------------------------
 
     def on_order(self, order: Order) -> None:
-        """An order begins."""
+        """A command starts."""
         self._target.clear(self._now)
         self._modes = order.modes | {self._vehicle.profile.guided}
-        if not order.leads:
+        if not order.has_destination:
             return
         self._expect(Expected(math.inf if order.goal is None else -order.goal[2]))
         if order.command is not None and order.command.place is not None and order.goal is not None:
             self._sent(order.goal)
 
     def on_mode(self, mode: str) -> None:
-        """A mode is commanded, in which there are no targets of this program."""
+        """A mode without targets of this program is commanded."""
         profile = self._vehicle.profile
         self._target.clear(self._now)
         self._modes = frozenset({profile.guided})
@@ -203,27 +205,27 @@ class FlightMonitor:
         self._descent.on_velocity(target.velocity[2], self._now)
 
     def goes_to(self, goal: Vector) -> None:
-        """It is on its way straight to a place, in metres of home."""
-        self._course.begin(goal)
+        """It moves straight to a position, in metres of home."""
+        self._course.start(goal)
 
     def release(self) -> None:
-        """The program takes it back, after whatever a person has allowed."""
+        """The program takes control again after an inspection or a takeover."""
         self.foreign = ""
         self._target.clear(self._now)
         self._descent.clear()
 
-    async def keep(self) -> None:
-        """Read how fast the autopilot descends by its own parameters, again and again, until cancelled."""
-        await asyncio.sleep(FIRST)
+    async def run(self) -> None:
+        """Reads the autopilot's descent speeds periodically, until cancelled."""
+        await asyncio.sleep(FIRST_READ_DELAY)
         which = self._state.autopilot, self._state.kind
         descents, landings = list(DESCENTS.get(which, ())), list(LANDINGS.get(which, ()))
         while descents or landings:
             descends, lands = await self._fastest(descents), await self._fastest(landings)
             self._descent.may_descend(descends, lands)
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(REREAD_INTERVAL)
 
     async def _fastest(self, asked: list[Mapping[str, float]]) -> float:
-        """The greatest of some speeds in m/s; what it does not have is not asked for again."""
+        """The greatest of some speeds in m/s; missing parameters are not requested again."""
         speeds = [0.0]
         for names in list(asked):
             if self._vehicle.lost or self._vehicle.quiet:
@@ -242,11 +244,11 @@ class FlightMonitor:
         state = self._state
         if not state.armed:
             self.foreign = ""
-        self._take(self._descent.on_armed(state.armed, landed=self._landed, now=self._now))
+        self._on_finding(self._descent.on_armed(state.armed, landed=self._landed, now=self._now))
         self._on_mode(message)
 
     def _on_mode(self, _: Any) -> None:
-        """A target that is not ours is a takeover, once it is known that the mode is still ours."""
+        """A foreign target is a takeover once the mode is known to be still ours."""
         if self._state.mode not in self._modes or not self._state.armed or self.foreign:
             return
         if words := self._target.on_guided(self._now):
@@ -254,34 +256,34 @@ class FlightMonitor:
             told = f"another station has sent it elsewhere, {words}"
             self._take_over(f"{told}: {others}" if others else told)
 
-    def _take_over(self, words: str) -> None:
-        self.foreign = words
-        self._vehicle.note(f"taken over: {words}. release() takes it back")
+    def _take_over(self, reason: str) -> None:
+        self.foreign = reason
+        self._vehicle.note(log_messages.FOREIGN_CONTROL.line(reason=reason))
 
     def _on_position(self, message: Any) -> None:
         state = self._state
-        self._look_at_clock(message.time_boot_ms)
+        self._check_clock(message.time_boot_ms)
         if state.height is None or not math.isfinite(message.vz):
             return
         found = self._descent.on_motion(state.height, message.vz, self._now, judged=self._is_judged)
-        self._take(found)
+        self._on_finding(found)
         if state.position is not None:
             self._course.on_motion(state.position, state.velocity, self._now)
 
     def _on_attitude(self, message: Any) -> None:
         if math.isfinite(message.roll) and math.isfinite(message.pitch):
             found = self._descent.on_attitude(message.roll, message.pitch, self._now, judged=self._is_judged)
-            self._take(found)
+            self._on_finding(found)
 
     def _on_text(self, message: Any) -> None:
         now = self._now
         for text in self._vehicle.texts.since(now):
-            self._take(self._descent.on_text(text))
+            self._on_finding(self._descent.on_text(text))
 
-    def _look_at_clock(self, booted: int) -> None:
+    def _check_clock(self, booted: int) -> None:
         now = self._now
         if booted < self._booted - 1000.0:
-            self._take(self._descent.on_restart(now - self._booted_at))
+            self._on_finding(self._descent.on_restart(now - self._booted_at))
             self._position.restart()
         self._booted, self._booted_at = booted, now
 
@@ -289,7 +291,7 @@ class FlightMonitor:
         self._position.on_fix(0, message.fix_type, self._now)
         second = self._state.armed and message.fix_type < FIX and not self._vehicle.quiet
         if second and self._now - self._second_at >= AGAIN:
-            # A second receiver does not tell by itself.
+            # A second receiver does not report by itself.
             self._second_at = self._now
             self._vehicle.send(request_message(self._vehicle.system, dialect.MAVLINK_MSG_ID_GPS2_RAW))
 
@@ -300,7 +302,7 @@ class FlightMonitor:
         self._position.on_estimate(message.flags)
 
     def _on_global_target(self, message: Any) -> None:
-        """The goal of ArduPilot, and of PX4 in a mode of its own; in OFFBOARD it tells one of before."""
+        """The goal of ArduPilot, and of PX4 in automatic modes; in OFFBOARD PX4 sends an old one."""
         state = self._state
         if self._vehicle.state.profile is None or message.type_mask & NO_PLACE:
             return
@@ -316,12 +318,12 @@ class FlightMonitor:
         else:
             return
         level = message.coordinate_frame in ABOVE_SEA and not message.type_mask & NO_HEIGHT
-        self._told_place((north, east, down if level and state.origin else math.nan))
+        self._on_target_place((north, east, down if level and state.origin else math.nan))
 
     def _on_local_target(self, message: Any) -> None:
-        """The setpoint in the mode for them; in its own modes PX4 tells where it is going next.
+        """The setpoint in the mode for them; PX4 sends its next target in automatic modes.
 
-        The place of an ArduCopter is told by the other message.
+        The position of an ArduCopter is in the other message.
         """
         state = self._state
         if state.profile is None or state.mode != self._vehicle.profile.guided:
@@ -329,21 +331,21 @@ class FlightMonitor:
         place, velocity = (message.x, message.y, message.z), (message.vx, message.vy, message.vz)
         if not message.type_mask & NO_PLACE and all(map(math.isfinite, place[:2])):
             if self._vehicle.profile.px4:
-                self._told_place(place)
+                self._on_target_place(place)
         elif self._is_aloft and not message.type_mask & NO_VELOCITY and all(map(math.isfinite, velocity)):
-            self._target.on_told_velocity(velocity, self._now)
+            self._target.on_reported_velocity(velocity, self._now)
 
     def _on_distance(self, message: Any) -> None:
-        """Only ArduRovers were recorded to tell 0 while they follow velocities."""
+        """Only ArduRovers were recorded to report 0 while they follow velocities."""
         state = self._state
         if state.kind == "rover" and state.position is not None:
             here, speed = self._local(state.position), math.hypot(*state.velocity[:2])
-            self._target.on_told_distance(message.wp_dist, here, speed, self._now)
+            self._target.on_reported_distance(message.wp_dist, here, speed, self._now)
 
-    def _told_place(self, place: Vector) -> None:
+    def _on_target_place(self, place: Vector) -> None:
         position = self._state.position
         here = None if position is None else self._local(position)
-        self._target.on_told_place(place, self._now, here, aloft=self._is_aloft)
+        self._target.on_reported_place(place, self._now, here, aloft=self._is_aloft)
 
     # -- steps --------------------------------------------------------------------------------------------
 
@@ -357,7 +359,7 @@ class FlightMonitor:
 
     @property
     def _landed(self) -> bool | None:
-        """What does not fly never is in the air."""
+        """A vehicle that does not fly is always on the ground."""
         return self._state.landed if self._flies else True
 
     @property
@@ -366,13 +368,13 @@ class FlightMonitor:
 
     @property
     def _is_judged(self) -> bool:
-        """Whether what it does with its height is this program's, and that of a copter."""
+        """Whether it is a copter whose height this program controls."""
         copter = self._state.profile is not None and self._state.profile.kind == "copter"
         return copter and self.is_ours()
 
     @property
     def _is_judged_by_place(self) -> bool:
-        """A submarine has no GPS under water."""
+        """A submarine has no GNSS under water."""
         return self._state.kind != "submarine" and (not self._flies or self._state.landed is False)
 
     def _expect(self, expected: Expected) -> None:
@@ -384,13 +386,14 @@ class FlightMonitor:
         self._target.on_place(local, self._now, rests)
 
     def _local(self, place: Vector) -> Vector:
-        """A place about home in the autopilot's local frame."""
+        """A position relative to home, in the autopilot's local frame."""
         north, east, down = (p + h for p, h in zip(place, self._state.home_offset, strict=True))
         return north, east, down
 
-    def _take(self, found: Finding | None) -> None:
+    def _on_finding(self, found: Finding | None) -> None:
         if found is None:
             return
-        self._vehicle.note(f"{'crashed' if found.crashed else 'falling'}: {found.words}")
+        message = log_messages.CRASHED if found.crashed else log_messages.FALLING
+        self._vehicle.note(message.line(reason=found.text))
         if found.crashed:
-            self._vehicle.lock_out(f"it crashed: {found.words}")
+            self._vehicle.lock_out(f"it crashed: {found.text}")

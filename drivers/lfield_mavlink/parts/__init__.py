@@ -1,1 +1,1 @@
-"""What a vehicle can do, by topic: the `do_...` of its manifest, and what they share."""
+"""Instructions of a vehicle by topic: the `do_...` coroutines of its manifest, and what they share."""

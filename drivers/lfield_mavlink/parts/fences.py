@@ -1,8 +1,8 @@
-"""The autopilot's own fence: zones, what it does at their edge, and whether it is on; and its rally points.
+"""The autopilot's own geofence (zones, action, switch) and its rally points.
 
-The vehicle holds the fence; the driver keeps nothing of it. Each instruction leaves a whole fence behind that
-has been read back. ArduPilot: https://ardupilot.org/copter/docs/common-geofencing-landing-page.html,
-PX4: https://docs.px4.io/main/en/flying/geofence.html
+The fence is stored in the vehicle only. Each instruction uploads a whole fence and reads it back. ArduPilot:
+https://ardupilot.org/copter/docs/common-geofencing-landing-page.html, PX4:
+https://docs.px4.io/main/en/flying/geofence.html.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.geo import Vector
+from lfield_mavlink.geodesy import Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
@@ -33,12 +33,12 @@ from lfield_mavlink.services.plan_items import (
 )
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
-#: Bits of FENCE_TYPE for the greatest height and the circle about home, which are parameters.
+#: Bits of FENCE_TYPE for maximum height and the circle around home, which are parameters.
 CEILING, CIRCLE = 1, 2
-#: Bit of FENCE_TYPE for uploaded polygons and circles; the others are of fences that are parameters.
+#: Bit of FENCE_TYPE for uploaded polygons and circles.
 ZONES = 4
 
-#: FENCE_ACTION or GF_ACTION by autopilot, kind of vehicle and word.
+#: FENCE_ACTION or GF_ACTION by autopilot, kind of vehicle and name.
 ACTIONS: Mapping[tuple[int, str], Mapping[str, int]] = {
     (ARDUPILOT, "copter"): {"report": 0, "return": 1, "land": 2, "hold": 4},
     (ARDUPILOT, "rover"): {"report": 0, "return": 1, "hold": 2},
@@ -56,7 +56,7 @@ _NO_EDGE: Edge = ("", 0.0)
 
 
 class Fences:
-    """Zones to stay inside (in one of them, where there are several), and zones to stay outside."""
+    """Inclusion zones (the vehicle must be in one of them) and exclusion zones."""
 
     def __init__(self, vehicle: Contact, plans: PlanTransfer, parameters: Parameters) -> None:
         self._vehicle, self._plans, self._parameters = vehicle, plans, parameters
@@ -66,37 +66,37 @@ class Fences:
     # -- instructions ---------------------------------------------------------------------------------
 
     async def do_set_fence_circle(self, latitude: float, longitude: float, radius: float) -> None:
-        """A new fence: inside this circle. It is switched on."""
+        """Replaces the fence by an inclusion circle, and enables it."""
         await self._set_fence(
             "setFenceCircle", lambda: circle(latitude, longitude, radius, inside=True), add=False
         )
 
     async def do_set_fence_polygon(self, corners: list[float]) -> None:
-        """A new fence: inside this polygon, {latitude, longitude} for each corner. It is switched on."""
+        """Replaces the fence by an inclusion polygon, {latitude, longitude} per corner, and enables it."""
         await self._set_fence("setFencePolygon", lambda: polygon(corners, inside=True), add=False)
 
     async def do_exclude_circle(self, latitude: float, longitude: float, radius: float) -> None:
-        """One zone more in the fence that is there: outside this circle."""
+        """Adds an exclusion circle to the fence."""
         await self._set_fence(
             "excludeCircle", lambda: circle(latitude, longitude, radius, inside=False), add=True
         )
 
     async def do_exclude_polygon(self, corners: list[float]) -> None:
-        """One zone more in the fence that is there: outside this polygon."""
+        """Adds an exclusion polygon to the fence."""
         await self._set_fence("excludePolygon", lambda: polygon(corners, inside=False), add=True)
 
     async def do_fence(self) -> str:
-        """The zones that the vehicle holds, one per line: `inside circle LATITUDE LONGITUDE RADIUS`."""
+        """The stored zones, one per line: `inside circle LATITUDE LONGITUDE RADIUS`."""
         return describe(await self._plans.download(PlanKind.FENCE))
 
     async def do_clear_fence(self) -> None:
-        """No zones any more, and the fence off."""
+        """Removes all zones and disables the fence."""
         await self._plans.clear(PlanKind.FENCE)
         if not self._vehicle.profile.px4:
             await self._parameters.write("FENCE_ENABLE", 0)
 
     async def do_fence_action(self, action: str) -> None:
-        """What the autopilot does at the edge; the fence is switched on."""
+        """Sets the action at the edge; enables the fence."""
         profile = self._vehicle.profile
         actions = ACTIONS.get((profile.autopilot, profile.kind), {})
         if action not in actions:
@@ -119,7 +119,7 @@ class Fences:
         await self._switch_on()
 
     async def _switch_on(self) -> None:
-        """A fence that is there but asleep protects nobody. PX4 has no switch beside its action."""
+        """Enables a stored fence. PX4 has no switch apart from its action."""
         if self._vehicle.profile.px4:
             return
         kinds = await self._parameters.read("FENCE_TYPE")
@@ -133,33 +133,33 @@ class Fences:
         self._vehicle.publish(fenceBreached=bool(message.breach_status))
 
     def _on_fence_health(self, message: Any) -> None:
-        """ArduPilot sends no FENCE_STATUS while its fence is off; a fence that is off is not breached."""
+        """ArduPilot sends no FENCE_STATUS while its fence is off; then it is not breached."""
         is_on = message.onboard_control_sensors_enabled & dialect.MAV_SYS_STATUS_GEOFENCE
         if self._vehicle.state.autopilot == ARDUPILOT and not is_on:
             self._vehicle.publish(fenceBreached=False)
 
 
 class OwnFence:
-    """The fence of the autopilot as a reason why it does not go somewhere."""
+    """The autopilot's fence as a reason for a motion that does not start."""
 
     def __init__(self, vehicle: Contact, parameters: Parameters) -> None:
         self._vehicle, self._parameters = vehicle, parameters
 
-    async def why_beyond(self, goal: Vector, words: str = "the goal is") -> str:
-        """Which fence that is a parameter a goal, in metres of home, is beyond; '' for none.
+    async def why_beyond(self, goal: Vector, text: str = "the goal is") -> str:
+        """The parameter fence that excludes a goal, in metres of home; '' for none.
 
-        ArduPilot ignores a setpoint there without a word; PX4 says that it is outside its fence, not which.
+        ArduPilot silently ignores a setpoint there; PX4 reports that it is outside its fence, but not which.
         """
         ceiling, circle = await self._known_edges()
         far, height = math.hypot(*goal[:2]), -goal[2]
         if 0.0 < circle[1] < far:
-            return f"{words} {far:.1f} m from home, and its own fence {circle[0]} ends at {circle[1]:g} m"
+            return f"{text} {far:.1f} m from home, but its own fence {circle[0]} ends at {circle[1]:g} m"
         if 0.0 < ceiling[1] < height and self._vehicle.profile.flies:
-            return f"{words} {height:.1f} m up, and its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
+            return f"{text} {height:.1f} m up, but its own fence {ceiling[0]} ends at {ceiling[1]:g} m"
         return ""
 
     async def edges(self) -> tuple[float, float]:
-        """How high and how far from home the fence lets it go, as parameters have it; 0 for as it likes."""
+        """Maximum height and distance from home of the parameter fence; 0 for no limit."""
         ceiling, circle = await self._known_edges()
         return ceiling[1], circle[1]
 
@@ -169,21 +169,21 @@ class OwnFence:
         return await self._switched_edges()
 
     async def perhaps(self) -> str:
-        """That its uploaded zones may be why it does not move, to go after what is known; '' without any."""
+        """Notes that uploaded zones may be the reason, '' without any."""
         if self._vehicle.profile.px4 or not await self._parameters.read("FENCE_ENABLE"):
             return ""
         zones = int(await self._parameters.read("FENCE_TYPE") or 0) & ZONES
         there = zones and await self._parameters.read("FENCE_TOTAL")
-        return "; its own fence has zones, which may be why: fence() lists them" if there else ""
+        return "; its own fence has zones, which may be the reason: fence() lists them" if there else ""
 
     async def _switched_edges(self) -> tuple[Edge, Edge]:
-        """ArduPilot's, of the kinds that are switched on."""
+        """ArduPilot's edges, of the enabled kinds."""
         ceiling, circle = await self._edges("FENCE_ENABLE", "FENCE_ALT_MAX", "FENCE_RADIUS")
         kinds = int(await self._parameters.read("FENCE_TYPE") or 0)
         return ceiling if kinds & CEILING else _NO_EDGE, circle if kinds & CIRCLE else _NO_EDGE
 
     async def _edges(self, switch: str, ceiling: str, circle: str) -> tuple[Edge, Edge]:
-        """The height and the radius of a fence by their names; none when it is switched off."""
+        """Height and radius of a fence by parameter names; none when it is disabled."""
         if not await self._parameters.read(switch):
             return _NO_EDGE, _NO_EDGE
         height, radius = await asyncio.gather(self._parameters.read(ceiling), self._parameters.read(circle))
@@ -191,14 +191,14 @@ class OwnFence:
 
 
 class Rally:
-    """Rally points, where a vehicle that returns may go instead of home: the list, always as a whole."""
+    """Rally points, where a returning vehicle may go instead of home."""
 
     def __init__(self, vehicle: Contact, plans: PlanTransfer) -> None:
         self._vehicle, self._plans = vehicle, plans
         self._limits = Limits(vehicle.binding, vehicle.error)
 
     async def do_set_rally_points(self, values: list[float]) -> None:
-        """{latitude, longitude, height above home} for each, in place of those that were there."""
+        """Replaces the rally points: {latitude, longitude, height above home} each."""
         try:
             items = rally_points(values)
         except ValueError as error:
@@ -210,19 +210,19 @@ class Rally:
         await self._plans.upload(PlanKind.RALLY, items)
 
     async def do_rally_points(self) -> list[float]:
-        """Those that the vehicle holds, as setRallyPoints takes them."""
+        """The stored rally points, in the format of setRallyPoints."""
         try:
             return coordinates(await self._plans.download(PlanKind.RALLY), RALLY_POINT)
         except ValueError as error:
             raise self._vehicle.error(f"rallyPoints: {error}") from None
 
     async def do_clear_rally_points(self) -> None:
-        """Leave the vehicle without any."""
+        """Removes all rally points."""
         await self._plans.clear(PlanKind.RALLY)
 
 
 def describe(items: list[Item]) -> str:
-    """A fence in words, a line for each zone."""
+    """Describes a fence, one line per zone."""
     lines: list[str] = []
     number = 0
     while number < len(items):

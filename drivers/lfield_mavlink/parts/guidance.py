@@ -1,4 +1,4 @@
-"""Going to places, turning, circling, and setpoints of velocity."""
+"""Instructions for positions, headings, orbits, and velocity setpoints."""
 
 from __future__ import annotations
 
@@ -8,69 +8,74 @@ from collections.abc import Callable
 from contextlib import suppress
 
 from lfield.driver import DeviceError
+from lfield_mavlink import log_messages
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.geodesy import Place, Vector
 from lfield_mavlink.limits import Limits
-from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.motion_control import Motion
 from lfield_mavlink.parts.progress import Following, Revolutions, Turning
-from lfield_mavlink.setpoints.orders import Circle, Order, Patience
+from lfield_mavlink.setpoints.motion_orders import Circle, Order, ProgressPatience
 from lfield_mavlink.setpoints.trajectory import ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, Target
 
-#: How exactly a heading is reached, in radians.
+#: Tolerance of a heading in radians.
 HEADING_TOLERANCE = math.radians(4.0)
-#: What is not known of a frame before it is tried.
-CANNOT_TURN = "this frame cannot turn on the spot, only while it drives: use goTo or setVelocity"
-TURNS = Patience(closer=0.05, words="no progress for {seconds:g} s, {left:.2f} rad from its heading")
-TURNS_ON_THE_SPOT = Patience(2.0, 0.05, words="its heading did not change for {seconds:g} s; " + CANNOT_TURN)
-#: Metres about it that PX4's rover may take to drive round in, and what ends that.
-ROOM = 5.0
-DRIVES_ROUND = Patience(
-    4.0, 0.05, room=ROOM,
-    words="driving round it came no closer to its heading for {seconds:g} s, or {room:g} m away, and is "
-    "{left:.2f} rad off; give it more room by goTo",
+#: Known only after an attempt.
+CANNOT_TURN = "this frame can turn only while driving: use goTo or setVelocity"
+TURN_PATIENCE = ProgressPatience(
+    closer=0.05, message="no progress for {seconds:g} s, {left:.2f} rad from its heading"
+)
+SPOT_TURN_PATIENCE = ProgressPatience(
+    2.0, 0.05, message="its heading did not change for {seconds:g} s; " + CANNOT_TURN
+)
+#: Metres that PX4's rover may take to drive round, and the error after that.
+TURN_CLEARANCE = 5.0
+LOOP_PATIENCE = ProgressPatience(
+    4.0, 0.05, clearance=TURN_CLEARANCE,
+    message="driving round it came no closer to its heading for {seconds:g} s, or {room:g} m away, and is "
+            "{left:.2f} rad off; give it more room by goTo",
 )  # fmt: skip
-#: Metres ahead of what does not follow a velocity, where its own fence is looked for.
+#: Metres ahead of a vehicle that does not follow a velocity, where its own fence is checked.
 AHEAD = 5.0
 
 
 class Guidance:
-    """Motions in the air, on the ground or in the water, within the limits of the binding."""
+    """Motions within the limits of the binding."""
 
     def __init__(self, vehicle: Contact, motion: Motion, limits: Limits) -> None:
         self._vehicle, self._state = vehicle, vehicle.state
         self._motion, self._limits = motion, limits
         self._turning, self._following = Turning(), Following()
-        # Places that its fence may be about: what is said before and of it.
+        # Positions to check against its own fence, with the message for it.
         self._doubtful: asyncio.Queue[tuple[str, str, Vector]] = asyncio.Queue()
-        motion.failsafe.on_taken = self._look_here
+        motion.failsafe.set_engaged_handler(self._check_fence_here)
 
-    async def keep(self) -> None:
-        """Say which fence of its own keeps it from following velocities, or has it held, until cancelled.
+    async def run(self) -> None:
+        """Logs which of its own fences prevents a velocity or has triggered, until cancelled.
 
-        A call of setVelocity does not wait for the parameters of the fence: it must be repeated in time.
+        setVelocity does not wait for the fence parameters, since it must be repeated in time.
         """
         while True:
             what, subject, place = await self._doubtful.get()
-            # A link that is lost meanwhile is said elsewhere.
+            # A lost link is reported elsewhere.
             with suppress(DeviceError):
                 if why := await self._motion.fence.why_beyond(place, subject):
-                    self._vehicle.note(f"{what}: {why}")
+                    self._vehicle.note(log_messages.FENCE_SUSPECTED.line(symptom=what, reason=why))
 
     # -- places ---------------------------------------------------------------------------------------
 
     async def do_go_to(self, north: float, east: float, down: float) -> None:
-        """To a place relative to home."""
+        """Moves to a position relative to home."""
         await self._go_to("goTo", (north, east, down))
 
     async def do_go_to_global(self, latitude: float, longitude: float, height: float) -> None:
-        """To a place in degrees, and metres above home; the limits are those about home."""
-        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # so that NaN is refused too
+        """Moves to a position in degrees, and metres above home, within the limits."""
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # refuses NaN as well
             raise self._vehicle.error(
-                "goToGlobal needs a latitude from -90 to 90 and a longitude from -180 to 180"
+                "goToGlobal requires a latitude from -90 to 90 and a longitude from -180 to 180"
             )
         home = self._state.home
         if home is None or not self._state.knows_frames:
-            raise self._vehicle.error("goToGlobal needs to know where home is, and the vehicle has not told")
+            raise self._vehicle.error("goToGlobal: the home position is unknown")
         north, east, _ = home.to(Place(latitude, longitude, home.altitude), self._state.radius)
         await self._go_to("goToGlobal", (north, east, -height))
 
@@ -78,7 +83,7 @@ class Guidance:
         motion, vehicle = self._motion, self._vehicle
         self._limits.check_goal(what, goal)
         self._check_placed(what)
-        motion.begin(what)
+        motion.start_motion(what)
         if vehicle.profile.by_trajectory and (why := await motion.fence.why_beyond(goal)):
             # PX4 follows setpoints up to its fence, and then acts.
             raise vehicle.error(f"{what} refused: {why}")
@@ -97,13 +102,13 @@ class Guidance:
             await motion.hold()
 
     async def do_yaw(self, heading: float) -> None:
-        """Turn to a heading: on the spot, but for a rover with PX4, which drives round."""
+        """Turns to a heading: on the spot, but a PX4 rover drives round."""
         if not math.isfinite(heading):
-            raise self._vehicle.error(f"yaw needs a finite heading, not {heading}")
+            raise self._vehicle.error(f"yaw requires a finite heading, not {heading}")
         self._check_placed("yaw")
         motion, state = self._motion, self._state
-        motion.begin("yaw")
-        order = motion.orders.turn(state, heading, motion.speed.wanted)
+        motion.start_motion("yaw")
+        order = motion.orders.turn(state, heading, motion.speed.target)
 
         def left(_: Vector) -> float:
             return math.inf if state.yaw is None else abs(math.remainder(state.yaw - heading, math.tau))
@@ -112,40 +117,42 @@ class Guidance:
             await self._drive_round(order, left)
             return
         await motion.start("yaw", order)
-        patience = TURNS_ON_THE_SPOT if order.target else TURNS
+        patience = SPOT_TURN_PATIENCE if order.target else TURN_PATIENCE
         await motion.travel("yaw", order, left, HEADING_TOLERANCE, patience)
 
     async def _drive_round(self, order: Order, left: Callable[[Vector], float]) -> None:
-        """Follow a velocity until the nose shows there, within some room; then hold."""
+        """Follows a velocity until the heading is reached, within the permitted room; then holds."""
         motion, place = self._motion, self._state.position
-        assert place is not None, "the caller has looked"
-        assert order.target is not None, "so the order is made"
+        assert place is not None, "the caller has checked it"
+        assert order.target is not None, "so the order is created"
         if left(place) <= HEADING_TOLERANCE:
             return
-        farthest = Circle((place[0], place[1], 0.0), ROOM, 1.0, clockwise=True).farthest
-        self._limits.check_goal(f"yaw, which takes {ROOM:g} m to drive round in,", farthest)
-        if why := await motion.fence.why_beyond(farthest, f"it needs {ROOM:g} m to drive round in, up to"):
+        farthest = Circle((place[0], place[1], 0.0), TURN_CLEARANCE, 1.0, clockwise=True).farthest
+        self._limits.check_goal(f"yaw, which needs {TURN_CLEARANCE:g} m to drive round in,", farthest)
+        if why := await motion.fence.why_beyond(
+            farthest, f"it needs {TURN_CLEARANCE:g} m to drive round in, up to"
+        ):
             raise self._vehicle.error(f"yaw refused: {why}")
         await self._follow("yaw", order.target(place))
-        await motion.travel("yaw", order, left, HEADING_TOLERANCE, DRIVES_ROUND)
+        await motion.travel("yaw", order, left, HEADING_TOLERANCE, LOOP_PATIENCE)
         motion.stream.stop()
         await motion.hold()
 
     async def do_orbit(
         self, north: float, east: float, down: float, radius: float, speed: float, turns: float
     ) -> None:
-        """Around a place, so many times; clockwise when `turns` is above 0. Then it holds."""
+        """Orbits a position `turns` times, clockwise if positive; then holds."""
         motion, limits, centre = self._motion, self._limits, (north, east, down)
         limits.check_goal("orbit", centre)
         if not (all(map(math.isfinite, (radius, speed, turns))) and radius > 0.0 and speed > 0.0 and turns):
-            raise self._vehicle.error("orbit needs a radius and a speed above 0, and turns other than 0")
+            raise self._vehicle.error("orbit requires a radius and a speed above 0, and turns other than 0")
         if self._vehicle.profile.px4 and not self._vehicle.profile.flies:
-            raise self._vehicle.error("orbit refused: PX4 circles with what flies only; use goTo")
+            raise self._vehicle.error("orbit refused: PX4 orbits only with flying vehicles; use goTo")
         circle = Circle(centre, radius, speed, turns > 0.0)
         limits.check_goal("orbit", circle.farthest)
         limits.check_speed("orbit", speed)
         self._check_placed("orbit")
-        motion.begin("orbit")
+        motion.start_motion("orbit")
         if why := await motion.fence.why_beyond(circle.farthest, "the circle leads up to"):
             raise self._vehicle.error(f"orbit refused: {why}")
         order = motion.orders.orbit(self._state, circle)
@@ -156,23 +163,23 @@ class Guidance:
     # -- speeds ---------------------------------------------------------------------------------------
 
     async def do_set_speed(self, speed: float) -> None:
-        """The speed over ground for what follows, within the limit of the binding."""
+        """The horizontal speed of following motions, within the limit of the binding."""
         if not speed > 0.0:
-            raise self._vehicle.error(f"setSpeed needs a speed above 0, not {speed:g}")
+            raise self._vehicle.error(f"setSpeed requires a speed above 0, not {speed:g}")
         self._limits.check_speed("setSpeed", speed)
         await self._motion.speed.set(speed)
 
     async def do_set_velocity(self, north: float, east: float, down: float) -> None:
-        """One velocity setpoint: it acts until the time-to-live of the binding, unless it is replaced."""
+        """A velocity setpoint, valid for the time-to-live of the binding unless it is replaced."""
         velocity = (north, east, down)
         self._limits.check_speed("setVelocity", math.hypot(*velocity))
         self._limits.check_way_out(self._state.position, velocity)
         commanded = self._motion.speed.of_velocity(velocity)
         await self._follow("setVelocity", Target(ONLY_VELOCITY, velocity=commanded))
-        self._look_ahead(velocity)
+        self._check_fence_ahead(velocity)
 
-    def _look_ahead(self, velocity: Vector) -> None:
-        """Have its fence looked at, when it does not follow."""
+    def _check_fence_ahead(self, velocity: Vector) -> None:
+        """Schedules a check of its own fence when it does not follow."""
         state, now, ttl = self._state, self._vehicle.clock.monotonic(), self._vehicle.binding.ttl
         place = state.position
         if self._following.fails(velocity, state.velocity, ttl, now) and place is not None:
@@ -181,15 +188,15 @@ class Guidance:
             what = f"setVelocity has hardly moved it for {Following.JUDGED:g} s"
             self._doubtful.put_nowait((what, f"{AHEAD:g} m ahead is", (north, east, down)))
 
-    def _look_here(self) -> None:
-        """Have its fence looked at, when a failsafe has taken it; its words name no parameter."""
+    def _check_fence_here(self) -> None:
+        """Schedules a check of its own fence after its failsafe acted; its text names no parameter."""
         if (place := self._state.position) is not None and not self._vehicle.quiet:
             self._doubtful.put_nowait((f"its failsafe has it in {self._state.mode}", "it is", place))
 
     async def do_set_yaw_rate(self, rate: float) -> None:
-        """One setpoint: it turns on the spot at this rate until the time-to-live."""
+        """A setpoint: turns on the spot at this rate for the time-to-live."""
         if not math.isfinite(rate):
-            raise self._vehicle.error(f"setYawRate needs a finite rate, not {rate}")
+            raise self._vehicle.error(f"setYawRate requires a finite rate, not {rate}")
         now, ttl = self._vehicle.clock.monotonic(), self._vehicle.binding.ttl
         yaw = self._state.yaw
         if self._state.kind == "rover" and yaw is not None and self._turning.fails(rate, yaw, ttl, now):
@@ -197,17 +204,17 @@ class Guidance:
         await self._follow("setYawRate", Target(VELOCITY_AND_YAW_RATE, yaw_rate=rate))
 
     async def _follow(self, what: str, target: Target) -> None:
-        """Send a setpoint, once to ArduPilot; to PX4 again and again until its time-to-live and no longer."""
+        """Sends a setpoint: once to ArduPilot, repeatedly to PX4 until its time-to-live."""
         motion, vehicle = self._motion, self._vehicle
         ttl, before = vehicle.binding.ttl, self._state.mode
         until = vehicle.clock.monotonic() + ttl
-        motion.begin(what)
+        motion.start_motion(what)
         if vehicle.profile.px4:
             motion.stream.start(target, until)
             try:
                 await motion.guided.enter_offboard(what, until, f"the ttl of {ttl:g} s")
             except BaseException:
-                # Failed or called off: what nobody waits for any more is not sent any more.
+                # Failed or cancelled: stop sending.
                 motion.brake()
                 raise
             motion.claim(vehicle.profile.guided, self._state.mode)
@@ -215,11 +222,11 @@ class Guidance:
         if not motion.guided.is_entered:
             if not await motion.guided.enter_guided(until):
                 await motion.set_mode(vehicle.profile.guided)
-            # Heartbeats from before may be under way, on another link.
+            # Earlier heartbeats may arrive on another link.
             motion.claim(vehicle.profile.guided, before)
         motion.send(target)
 
     def _check_placed(self, what: str) -> None:
         needs_home = self._vehicle.profile.px4
         if self._state.position is None or (needs_home and self._state.home is None):
-            raise self._vehicle.error(f"{what}: the vehicle has not told where it is, or where home is")
+            raise self._vehicle.error(f"{what}: its position or its home is unknown")

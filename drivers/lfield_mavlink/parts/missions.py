@@ -1,4 +1,4 @@
-"""Missions: waypoints that the autopilot flies by itself, uploaded, seen to be there, started, followed."""
+"""Missions: waypoints flown by the autopilot; uploaded, verified, started and monitored."""
 
 from __future__ import annotations
 
@@ -8,27 +8,26 @@ from collections.abc import Sequence
 from typing import Any
 
 from lfield.driver import DeviceError
+from lfield_mavlink import log_messages
 from lfield_mavlink.contact.contact import Contact
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.monitors.mission_changes import CHANGED, MissionChanges, MissionTarget
-from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.motion_control import Motion
 from lfield_mavlink.parts.returns import Returns
 from lfield_mavlink.services.mission_check import Situation
-from lfield_mavlink.services.mission_commands import CURVES, begins_with_takeoff, has_command
+from lfield_mavlink.services.mission_commands import CURVES, has_command, starts_with_takeoff
 from lfield_mavlink.services.mission_rules import check_mission
 from lfield_mavlink.services.plan_items import WAYPOINT, Item, PlanKind, coordinates, waypoints
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
-#: Seconds to wait until the current item is the one that was set, which PX4 tells once a second, and how
-#: often it is set.
+#: Seconds to wait for the current item that was set, which PX4 reports once a second; number of attempts.
 PATIENCE, QUESTIONS = 1.2, 4
-#: Seconds after the last sign of a change in which a transfer by another station may go on.
+#: Seconds after the last sign of a change in which a transfer by another station may continue.
 UNDER_WAY = 2.0
 
-#: The radius in metres of a circle whose item names none, by autopilot and kind of vehicle: the parameter by
-#: its names, and in how many units to a metre.
+#: The default radius of a circle, by autopilot and kind of vehicle: parameter names, with units per metre.
 _LOITER_RADII = {
     (ARDUPILOT, "copter"): {"CIRCLE_RADIUS_M": 1.0, "CIRCLE_RADIUS": 100.0},
     (ARDUPILOT, "rover"): {"CIRC_RADIUS": 1.0},
@@ -43,8 +42,8 @@ _CIRCLES = (
     dialect.MAV_CMD_NAV_LOITER_TO_ALT,
     dialect.MAV_CMD_DO_REPOSITION,
 )
-#: MISSION_STATEs of a mission that is over, or of which nothing is known.
-_BEGINS = (
+#: MISSION_STATEs of a mission that is complete, or unknown.
+_NOT_STARTED_STATES = (
     dialect.MISSION_STATE_UNKNOWN,
     dialect.MISSION_STATE_NO_MISSION,
     dialect.MISSION_STATE_COMPLETE,
@@ -53,7 +52,7 @@ _CURRENT = dialect.MAVLINK_MSG_ID_MISSION_CURRENT
 
 
 class Missions:
-    """Waypoints are numbered from 0 here, also for ArduPilot, whose own numbers begin with home."""
+    """Waypoints are numbered from 0, also for ArduPilot, whose own numbers start with home."""
 
     def __init__(
         self, vehicle: Contact, motion: Motion, limits: Limits, plans: PlanTransfer, returns: Returns
@@ -61,12 +60,12 @@ class Missions:
         self._vehicle, self._state, self._motion = vehicle, vehicle.state, motion
         self._limits, self._plans, self._returns = limits, plans, returns
         self._count = 0
-        # Whether the mission may have curves, whose path follows from where they begin.
+        # Whether the mission may have curves, whose path depends on their starting points.
         self._curved = True
         self._current = self._reached = -1
-        # Whether it has not told that it is in the middle of its mission, and so begins with waypoint 0.
-        self._begins = True
-        # Signs that others have changed the mission under way: '' for a look at it, else why it must hold.
+        # Whether it has not reported to be within its mission, and so starts with waypoint 0.
+        self._is_starting = True
+        # Signs of a changed mission in flight: '' requires a check, else it is why it must hold.
         self._changes = MissionChanges()
         self._target = MissionTarget(*limits.places)
         self._signs: asyncio.Queue[str] = asyncio.Queue()
@@ -84,7 +83,7 @@ class Missions:
     # -- instructions ---------------------------------------------------------------------------------
 
     async def do_upload_mission(self, values: list[float]) -> None:
-        """{latitude, longitude, height above home} for each waypoint, in place of what was there."""
+        """Replaces the mission: {latitude, longitude, height above home} per waypoint."""
         try:
             items = waypoints(values, yaw=math.nan if self._vehicle.profile.px4 else 0.0)
         except ValueError as error:
@@ -96,23 +95,23 @@ class Missions:
         await self._make_current("uploadMission", 0)
 
     async def do_mission_waypoints(self) -> list[float]:
-        """The waypoints that the vehicle holds, as uploadMission takes them."""
+        """The stored waypoints, in the format of uploadMission."""
         try:
             return coordinates(await self._plans.download(PlanKind.MISSION), WAYPOINT)
         except ValueError as error:
             raise self._vehicle.error(f"its mission is not made of waypoints alone: {error}") from None
 
     async def do_start_mission(self) -> None:
-        """Fly the mission that the vehicle holds, on from its current waypoint. Done when it has begun."""
+        """Flies the stored mission from its current waypoint. Done when it has started."""
         profile = self._vehicle.profile
         self._motion.check_bounded("startMission", profile.mission)
-        self._motion.begin("startMission")
+        self._motion.start_motion("startMission")
         if not self._state.armed:
             raise self._vehicle.error("startMission refused: the vehicle is not armed; call arm() first")
         items = await self._plans.download(PlanKind.MISSION)
         if not items:
             raise self._vehicle.error(
-                "startMission refused: the vehicle holds no mission; call uploadMission() first"
+                "startMission refused: the vehicle has no mission; call uploadMission() first"
             )
         await self._check("startMission", items, starts=True)
         if profile.flies and self._state.landed:
@@ -121,28 +120,28 @@ class Missions:
         start = dialect.MAV_CMD_MISSION_START
         await self._motion.enter("startMission", profile.mission, start, 0.0, 0.0)
         if profile.px4:
-            # It stays there when the mission is over.
+            # It stays in this mode when the mission is complete.
             self._motion.claim(profile.mission, profile.hold)
         try:
-            await self._motion.speed.keep_wanted()
+            await self._motion.speed.apply_target()
             if self._limits.bounds_anything:
                 # Another station may have changed it meanwhile.
                 await self._check("startMission", await self._plans.download(PlanKind.MISSION), starts=True)
         except DeviceError as error:
-            await self._motion.halt("its speed or its mission is not known to stay inside the limits")
-            raise self._vehicle.error(f"startMission: it holds, since {error.reason}") from None
+            await self._motion.halt("its speed or its mission is not known to stay within the limits")
+            raise self._vehicle.error(f"startMission: holding, {error.reason}") from None
 
     async def do_pause_mission(self) -> None:
-        """Stop and stay; startMission goes on from here."""
-        self._motion.begin("pauseMission")
+        """Stops and holds; startMission continues from here."""
+        self._motion.start_motion("pauseMission")
         if self._state.mode != self._vehicle.profile.mission:
             raise self._vehicle.error(
-                f"pauseMission: no mission is being flown, the vehicle is in {self._state.mode}"
+                f"pauseMission: no mission is running, the vehicle is in {self._state.mode}"
             )
         await self._motion.hold()
 
     async def do_set_mission_item(self, number: int) -> None:
-        """The waypoint that is flown to next."""
+        """Sets the next waypoint."""
         if not 0 <= number < 0xFFFF:
             raise self._vehicle.error(f"setMissionItem: there is no waypoint {number}")
         if self._curved and self._is_flown:
@@ -150,26 +149,26 @@ class Missions:
         await self._make_current("setMissionItem", number)
 
     async def do_clear_mission(self) -> None:
-        """Leave the vehicle without a mission."""
+        """Removes the mission."""
         self._check_not_flown("clearMission")
         await self._plans.clear(PlanKind.MISSION)
         self._count, self._reached = 0, -1
 
     # -- changes by others ----------------------------------------------------------------------------
 
-    async def keep(self) -> None:
-        """Hold when another station changes the mission under way to one that may leave the limits."""
+    async def run(self) -> None:
+        """Holds when another station changes the running mission to one that may leave the limits."""
         while True:
             sign: str | None = await self._signs.get()
             while sign is not None and self._is_ours:
-                if why := sign or await self._look():
+                if why := sign or await self._recheck():
                     await self._hold(why)
                     break
-                # A transfer may be under way of which nothing else is told.
+                # A transfer may be in progress without other notice.
                 sign = await self._next_sign(UNDER_WAY)
 
-    async def _look(self) -> str:
-        """Read and check the mission under way: why it must not go on, '' when it may."""
+    async def _recheck(self) -> str:
+        """Reads and checks the running mission; returns why it must stop, '' when it may continue."""
         try:
             await self._check("its mission", await self._plans.download(PlanKind.MISSION), starts=True)
         except DeviceError as error:
@@ -177,7 +176,7 @@ class Missions:
         return ""
 
     async def _next_sign(self, seconds: float) -> str | None:
-        """The next sign within so many seconds, None when there is none; those of before count as one."""
+        """The next sign within so many seconds, None without one; earlier ones are merged."""
         while self._signs.qsize() > 1:
             self._signs.get_nowait()
         try:
@@ -186,15 +185,15 @@ class Missions:
             return None
 
     async def _hold(self, why: str) -> None:
-        self._vehicle.note(f"the mission was changed in flight: {why}; the vehicle holds")
+        self._vehicle.note(log_messages.MISSION_CHANGED.line(reason=why))
         try:
             await self._motion.halt(why)
         except DeviceError as error:
-            self._vehicle.note(f"it does not hold: {error.reason}")
+            self._vehicle.note(log_messages.NOT_HOLDING.line(reason=error.reason))
 
     @property
     def _is_ours(self) -> bool:
-        """Whether a mission is being flown for this program, within limits."""
+        """Whether a mission of this program with limits is running."""
         return self._is_flown and self._motion.ours and self._limits.bounds_anything
 
     def _on_parameter(self, message: Any) -> None:
@@ -219,7 +218,7 @@ class Missions:
     # -- steps ----------------------------------------------------------------------------------------
 
     async def _make_current(self, what: str, number: int) -> None:
-        """Set the current item and see that it is. Raises DeviceError."""
+        """Sets the current item and confirms it. Raises DeviceError."""
         wanted = number + self._first
         message = dialect.MAVLink_mission_set_current_message(self._vehicle.system, AUTOPILOT, wanted)
 
@@ -237,24 +236,24 @@ class Missions:
         return self._state.armed and self._state.mode == self._vehicle.profile.mission
 
     def _check_takeoff(self, items: Sequence[Item]) -> None:
-        """Refuse a mission that would begin on the ground with something else. Raises DeviceError.
+        """Refuses a mission that would not start with a takeoff on the ground. Raises DeviceError.
 
-        ArduPilot goes on with its current item on the ground, too; PX4 begins with the first one.
+        ArduPilot continues with its current item, PX4 starts with the first.
         """
-        first = 0 if self._vehicle.profile.px4 or self._begins else max(self._current, 0)
-        if begins_with_takeoff(items[first:]):
+        first = 0 if self._vehicle.profile.px4 or self._is_starting else max(self._current, 0)
+        if starts_with_takeoff(items[first:]):
             return
-        number = f", and waypoint {first} is no takeoff" if first else ""
-        raise self._vehicle.error(
-            f"startMission refused: it stands on the ground{number}; call takeoff() first"
-        )
+        number = f", and waypoint {first} is not a takeoff" if first else ""
+        raise self._vehicle.error(f"startMission refused: it is on the ground{number}; call takeoff() first")
 
     def _check_not_flown(self, what: str) -> None:
         if self._is_flown:
-            raise self._vehicle.error(f"{what} refused: a mission is being flown; call pauseMission() first")
+            raise self._vehicle.error(f"{what} refused: a mission is running; call pauseMission() first")
 
     async def _check(self, what: str, items: Sequence[Item], *, starts: bool = False) -> None:
-        """Refuse a mission that leaves the limits of the binding, whoever made it. Raises DeviceError."""
+        """Refuses a mission that leaves the limits of the binding, whatever its source. Raises
+        DeviceError.
+        """
         self._curved = self._limits.bound_places and has_command(items, *CURVES)
         back = dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH
         returns = [number + self._first for number, item in enumerate(items) if item.command == back]
@@ -262,7 +261,7 @@ class Missions:
         check_mission(what, items, self._limits, self._vehicle.error, await self._situation(items, starts))
 
     async def _situation(self, items: Sequence[Item], starts: bool) -> Situation:
-        """What the items are checked against; asks the vehicle only for what these items need."""
+        """The data for the check; requests only what these items need."""
         profile, state, limits = self._vehicle.profile, self._state, self._limits
         autopilot, returns = profile.autopilot, has_command(items, dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
         radius, climb, rally = None, None, list[Item]()
@@ -272,30 +271,30 @@ class Missions:
             climb, rally = await self._returns.climb(), await self._returns.rally()
         home = state.home if state.knows_frames else None
         return Situation(
-            profile.kind, profile.px4, home, state.position, radius, climb, rally, begins_here=starts
+            profile.kind, profile.px4, home, state.position, radius, climb, rally, starts_here=starts
         )
 
     # -- telemetry ------------------------------------------------------------------------------------
 
     def _on_current(self, message: Any) -> None:
         if self._state.profile is None:
-            return  # from which number it counts is not known before its first heartbeat
+            return  # the first number is unknown before its first heartbeat
         if self._changes.on_current(message):
             self._sign()
         before, self._current = self._current, max(message.seq - self._first, -1)
-        self._begins = message.mission_state in _BEGINS
-        # The word that an item was reached comes once and may be lost.
+        self._is_starting = message.mission_state in _NOT_STARTED_STATES
+        # The message that an item was reached comes once and may be lost.
         if self._state.mode == self._vehicle.profile.mission:
             if self._current == before + 1:
                 self._reached = max(self._reached, before)
             if message.mission_state == dialect.MISSION_STATE_COMPLETE:
                 self._reached = max(self._reached, self._count - 1)
-        self._tell_mission()
+        self._publish_mission()
 
     def _on_reached(self, message: Any) -> None:
         if self._state.profile is not None:
             self._reached = max(message.seq - self._first, -1)
-            self._tell_mission()
+            self._publish_mission()
 
-    def _tell_mission(self) -> None:
+    def _publish_mission(self) -> None:
         self._vehicle.publish(missionItem=self._current, missionReached=self._reached)

@@ -1,8 +1,7 @@
-"""What hangs on a vehicle: gripper, winch, servos, relays, camera, gimbal.
+"""Payload of a vehicle: gripper, winch, servos, relays, camera, gimbal.
 
-Each is on a channel of its own, so that it works beside a flight. An autopilot tells little of its payload:
-where there is a message that shows the state, the call waits for it; where there is none, the acceptance of
-the command is all there is to know, and the manifest says so.
+Each has its own channel, so that it works during a flight. The call waits for a message with the state if
+there is one; otherwise the accepted command is all that is known, as the manifest says.
 """
 
 from __future__ import annotations
@@ -13,20 +12,20 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from lfield_mavlink.contact.contact import SHOWS, Contact
+from lfield_mavlink.contact.contact import STATE_TIMEOUT, Contact
 from lfield_mavlink.link.dialect import dialect
 
-# The messages that show the state of a payload.
+# Messages with the state of a payload.
 WINCH, SERVOS = dialect.MAVLINK_MSG_ID_WINCH_STATUS, dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW
 RELAYS, GIMBAL = (
     dialect.MAVLINK_MSG_ID_RELAY_STATUS,
     dialect.MAVLINK_MSG_ID_GIMBAL_DEVICE_ATTITUDE_STATUS,
 )
-#: Pulse of a servo in microseconds: its middle, and how far it goes to each side.
+#: Pulse of a servo in microseconds: centre, and range to each side.
 PULSE_MIDDLE, PULSE_RANGE = 1500.0, 500.0
-#: How exactly a winch is where it should be, in metres, and a gimbal, in radians.
+#: Tolerance of a winch in metres and of a gimbal in radians.
 LINE_TOLERANCE, GIMBAL_TOLERANCE = 0.1, math.radians(3.0)
-#: Seconds within which a line must have moved.
+#: Seconds within which a winch must finish.
 WINDING = 10.0
 
 
@@ -47,13 +46,13 @@ class Payload:
     # -- gripper --------------------------------------------------------------------------------------
 
     async def do_close_gripper(self) -> None:
-        """Grab."""
+        """Closes the gripper."""
         await self._vehicle.command(
             "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB, absent="gripper"
         )
 
     async def do_open_gripper(self) -> None:
-        """Let go."""
+        """Opens the gripper."""
         await self._vehicle.command(
             "openGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_RELEASE, absent="gripper"
         )
@@ -61,10 +60,10 @@ class Payload:
     # -- winch ----------------------------------------------------------------------------------------
 
     async def do_winch(self, length: float, speed: float) -> None:
-        """Pay line out (above 0) or in (below 0), at a speed."""
+        """Pays line out (above 0) or in (below 0), at a speed."""
         if not (math.isfinite(length) and math.isfinite(speed) and speed > 0.0):
-            raise self._vehicle.error("winch needs a finite length and a speed above 0")
-        before = await self._ask(WINCH)
+            raise self._vehicle.error("winch requires a finite length and a speed above 0")
+        before = await self._request(WINCH)
         relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
         await self._vehicle.command(
             "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True, absent="winch"
@@ -76,7 +75,7 @@ class Payload:
             )
 
     async def do_stop_winch(self) -> None:
-        """Hold the line: a speed of 0, since a winch that is relaxed lets go."""
+        """Holds the line: a speed of 0, since a relaxed winch releases it."""
         rate = float(dialect.WINCH_RATE_CONTROL)
         await self._vehicle.command(
             "stopWinch", dialect.MAV_CMD_DO_WINCH, 1.0, rate, 0.0, 0.0, absent="winch"
@@ -85,12 +84,12 @@ class Payload:
     # -- servos and relays ----------------------------------------------------------------------------
 
     async def do_set_servo(self, number: int, position: float) -> None:
-        """A servo to -1..1 of its range; ArduPilot counts outputs, PX4 the actuators of set 1."""
+        """Moves a servo to -1..1 of its range; ArduPilot counts outputs, PX4 the actuators of set 1."""
         if not (1 <= number <= 16 and abs(position) <= 1.0):
-            raise self._vehicle.error("setServo needs a number from 1 to 16 and a position from -1 to 1")
+            raise self._vehicle.error("setServo requires a number from 1 to 16 and a position from -1 to 1")
         if self._vehicle.profile.px4:
             if number > 6:
-                raise self._vehicle.error("setServo needs a number from 1 to 6 on PX4")
+                raise self._vehicle.error("setServo requires a number from 1 to 6 on PX4")
             others: list[float | None] = [None] * 6
             others[number - 1] = position
             await self._vehicle.command("setServo", dialect.MAV_CMD_DO_SET_ACTUATOR, *others, 0.0)
@@ -104,9 +103,9 @@ class Payload:
         )
 
     async def do_set_relay(self, number: int, on: bool) -> None:
-        """A relay on or off, counted from 0."""
+        """Switches a relay, counted from 0."""
         if not 0 <= number <= 15:
-            raise self._vehicle.error("setRelay needs a number from 0 to 15")
+            raise self._vehicle.error("setRelay requires a number from 0 to 15")
         await self._vehicle.command("setRelay", dialect.MAV_CMD_DO_SET_RELAY, float(number), float(on))
         await self._shows(
             "setRelay",
@@ -117,16 +116,16 @@ class Payload:
     # -- camera and gimbal ----------------------------------------------------------------------------
 
     async def do_trigger_camera(self) -> None:
-        """One picture: the camera protocol's command, or the older one."""
+        """Takes one picture by the camera protocol, or by the older command."""
         capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
         camera = partial(self._vehicle.command, "triggerCamera", once=True, absent="camera")
         if not await camera(capture, 0.0, 0.0, 1.0, optional=True):
             await camera(older, 0.0, 0.0, 0.0, 0.0, 1.0)
 
     async def do_point_gimbal(self, pitch: float, yaw: float) -> None:
-        """Radians; pitch above the horizon, yaw clockwise from the nose."""
+        """Points the gimbal, in radians: pitch above the horizon, yaw clockwise from the nose."""
         if not (abs(pitch) <= math.pi and abs(yaw) <= math.pi):
-            raise self._vehicle.error("pointGimbal needs angles from -pi to pi")
+            raise self._vehicle.error("pointGimbal requires angles from -pi to pi")
         degrees = (math.degrees(pitch), math.degrees(yaw))
         manager, mount = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, dialect.MAV_CMD_DO_MOUNT_CONTROL
         values = (*degrees, None, None, 0.0, None, 0.0)
@@ -139,18 +138,20 @@ class Payload:
 
     # -- what shows it --------------------------------------------------------------------------------
 
-    async def _ask(self, kind: int) -> Any | None:
-        """A message of this kind, asked for; None when the autopilot does not send it."""
+    async def _request(self, kind: int) -> Any | None:
+        """Requests a message of this kind; None when the autopilot does not send it."""
         self._shown.pop(kind, None)
         answer = await self._vehicle.exchange.command(dialect.MAV_CMD_REQUEST_MESSAGE, float(kind))
         if answer.result == dialect.MAV_RESULT_ACCEPTED:
-            await self._vehicle.seen(lambda: kind in self._shown, 0.5)
+            await self._vehicle.wait_for(lambda: kind in self._shown, 0.5)
         return self._shown.get(kind)
 
-    async def _shows(self, what: str, kind: int, agrees: Callable[[Any], bool], bound: float = SHOWS) -> None:
-        """Wait until a message shows it; an autopilot that does not send it has nothing to show."""
+    async def _shows(
+        self, what: str, kind: int, agrees: Callable[[Any], bool], bound: float = STATE_TIMEOUT
+    ) -> None:
+        """Waits until a message confirms it; returns at once if the autopilot does not send that message."""
         end = self._vehicle.clock.monotonic() + bound
-        message = await self._ask(kind)
+        message = await self._request(kind)
         if message is None:
             return
         while message is None or not agrees(message):
@@ -158,7 +159,7 @@ class Payload:
                 raise self._vehicle.error(f"{what} was accepted but did not happen within {bound:.1f} s")
             self._vehicle.check_link()
             await asyncio.sleep(0.1)
-            message = await self._ask(kind)
+            message = await self._request(kind)
 
 
 def _points(quaternion: Sequence[float], pitch: float, yaw: float) -> bool:

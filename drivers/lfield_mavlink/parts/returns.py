@@ -1,6 +1,7 @@
-"""Where the autopilot's own return leads, held against the limits: its height, rally points, a mission.
+"""Checks the autopilot's own return against the limits: height, rally points, mission.
 
-ArduPilot: https://ardupilot.org/copter/docs/rtl-mode.html; PX4: https://docs.px4.io/main/en/flight_modes/return.html
+ArduPilot: https://ardupilot.org/copter/docs/rtl-mode.html; PX4:
+https://docs.px4.io/main/en/flight_modes/return.html.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from contextlib import suppress
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.geodesy import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.modes import ARDUPILOT, PX4
 from lfield_mavlink.services.mission_check import Climb, Situation
@@ -19,8 +20,7 @@ from lfield_mavlink.services.parameters import Parameters
 from lfield_mavlink.services.plan_items import Item, PlanKind
 from lfield_mavlink.services.plan_transfer import PlanTransfer
 
-#: How high above its destination it returns at least, and by how much it climbs at least: parameters by their
-#: names, and in how many units to a metre.
+#: Minimum height above its destination and minimum climb: parameter names, with units per metre.
 _HEIGHTS: Mapping[tuple[int, str], Mapping[str, float]] = {
     (ARDUPILOT, "copter"): {"RTL_ALT_M": 1.0, "RTL_ALT": 100.0},
     (ARDUPILOT, "plane"): {"RTL_ALTITUDE": 1.0, "ALT_HOLD_RTL": 100.0},
@@ -30,19 +30,19 @@ _HEIGHTS: Mapping[tuple[int, str], Mapping[str, float]] = {
 _CLIMBS: Mapping[tuple[int, str], Mapping[str, float]] = {
     (ARDUPILOT, "copter"): {"RTL_CLIMB_MIN_M": 1.0, "RTL_CLIMB_MIN": 100.0},
 }
-#: Values of PX4's RTL_TYPE by which a return may fly the mission, or to its landing.
+#: Values of PX4's RTL_TYPE with which a return may follow the mission, or its landing.
 _BY_MISSION = frozenset({1, 2, 3, 4})
 
 
 class Returns:
-    """What a return does, as parameters and plans of the vehicle say."""
+    """The vehicle's return, from its parameters and plans."""
 
     def __init__(self, vehicle: Contact, limits: Limits, parameters: Parameters, plans: PlanTransfer) -> None:
         self._vehicle, self._limits = vehicle, limits
         self._parameters, self._plans = parameters, plans
 
     async def climb(self) -> Climb | None:
-        """How high it returns; None where that is not limited or not known. Raises DeviceError."""
+        """Its height; None if that is not limited or unknown. Raises DeviceError."""
         profile = self._vehicle.profile
         key = profile.autopilot, profile.kind
         if not self._limits.bounds_heights or key not in _HEIGHTS:
@@ -52,11 +52,11 @@ class Returns:
         return None if height is None else Climb(height, name, least or 0.0, least_name)
 
     async def rally(self) -> list[Item]:
-        """The rally points, where places are limited. Raises DeviceError."""
+        """The rally points, if positions are limited. Raises DeviceError."""
         return await self._plans.download(PlanKind.RALLY) if self._limits.bound_places else []
 
     async def ends(self) -> list[Vector]:
-        """Where a return may end, in metres of home: there, or at a rally point that is nearer."""
+        """Possible destinations in metres of home: home, or a nearer rally point."""
         home, points = self._vehicle.state.home, list[Item]()
         with suppress(DeviceError):
             points = await self._plans.download(PlanKind.RALLY)
@@ -64,9 +64,9 @@ class Returns:
         return [(0.0, 0.0, 0.0), *(home.to(place) for place in places if home is not None)]
 
     async def check(self, what: str) -> None:
-        """Refuse a return that may leave the limits. Raises DeviceError.
+        """Refuses a return that may leave the limits. Raises DeviceError.
 
-        The safe state and the failsafes return all the same.
+        The safe state and failsafes are not affected.
         """
         vehicle, limits, state = self._vehicle, self._limits, self._vehicle.state
         if not limits.bound_places:

@@ -1,1 +1,1 @@
-"""Protocols beside flight, each over a few messages of its own: parameters, plans, files."""
+"""MAVLink microservices: parameters, plans, files."""

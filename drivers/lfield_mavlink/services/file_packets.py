@@ -1,4 +1,4 @@
-"""The packets of MAVLink FTP, which travel as the 251 bytes of FILE_TRANSFER_PROTOCOL.
+"""Packets of MAVLink FTP, the 251 bytes of FILE_TRANSFER_PROTOCOL.
 
 https://mavlink.io/en/services/ftp.html. Pure: bytes in, packets out.
 """
@@ -14,12 +14,12 @@ from enum import IntEnum
 
 #: sequence, session, opcode, size, requested opcode, burst complete, padding, offset
 _HEAD = struct.Struct("<HBBBBBxI")
-#: Bytes of a whole packet, and of data in it.
+#: Bytes of a whole packet, and of its data.
 PACKET, DATA = 251, 251 - _HEAD.size
 
 
 class Opcode(IntEnum):
-    """What is asked for, and the two answers."""
+    """The requests, and the two answers."""
 
     TERMINATE = 1
     RESET = 2
@@ -38,8 +38,8 @@ class Opcode(IntEnum):
     NAK = 129
 
 
-class Refusal(IntEnum):
-    """The codes of a NAK that mean something to a caller."""
+class NakCode(IntEnum):
+    """NAK codes with their own text."""
 
     FAIL = 1
     FAIL_ERRNO = 2
@@ -51,22 +51,22 @@ class Refusal(IntEnum):
     NOT_FOUND = 10
 
 
-_WORDS: Mapping[int, str] = {
-    Refusal.FAIL: "it failed there",
+_REFUSAL_TEXTS: Mapping[int, str] = {
+    NakCode.FAIL: "it failed",
     3: "the packet had a wrong size",
     4: "the session is not open",
-    Refusal.NO_SESSIONS: "no session is free",
-    Refusal.END_OF_FILE: "the end of the file",
-    Refusal.UNKNOWN_COMMAND: "the autopilot does not offer this",
-    Refusal.EXISTS: "it is there already",
-    Refusal.PROTECTED: "it is write-protected",
-    Refusal.NOT_FOUND: "there is no such file or folder",
+    NakCode.NO_SESSIONS: "no session is free",
+    NakCode.END_OF_FILE: "the end of the file",
+    NakCode.UNKNOWN_COMMAND: "the autopilot does not support this",
+    NakCode.EXISTS: "it already exists",
+    NakCode.PROTECTED: "it is write-protected",
+    NakCode.NOT_FOUND: "no such file or folder",
 }
 
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """One request or answer. `size` is the length of `data`, but in reads it is how much is asked for."""
+    """One request or answer. `size` is the length of `data`; in reads the requested length."""
 
     sequence: int
     opcode: int
@@ -87,17 +87,17 @@ class Packet:
 
     @property
     def refusal(self) -> int:
-        """The code of a NAK; 0 when there is none in it."""
+        """The code of a NAK; 0 without one."""
         return self.data[0] if self.opcode == Opcode.NAK and self.data else 0
 
     @property
     def number(self) -> int | None:
-        """The 32-bit number that an answer carries (a file's size, a checksum), or None."""
+        """The 32-bit number in an answer (a file size, a checksum), or None."""
         return int.from_bytes(self.data[:4], "little") if len(self.data) >= 4 else None
 
 
 def decode(payload: Sequence[int]) -> Packet | None:
-    """The packet in a payload; None when it is none."""
+    """The packet in a payload; None if invalid."""
     raw = bytes(payload)
     if len(raw) != PACKET:
         return None
@@ -108,40 +108,40 @@ def decode(payload: Sequence[int]) -> Packet | None:
     return Packet(sequence, opcode, session, size, offset, data, requested, bool(complete))
 
 
-def refusal_words(answer: Packet) -> str:
-    """Why a NAK refuses, in words."""
+def refusal_text(answer: Packet) -> str:
+    """Describes a NAK."""
     code = answer.refusal
-    if code == Refusal.FAIL_ERRNO and len(answer.data) > 1:
+    if code == NakCode.FAIL_ERRNO and len(answer.data) > 1:
         return f"{os.strerror(answer.data[1])} (errno {answer.data[1]})"
-    return f"{_WORDS.get(code, 'for an unknown reason')} ({code})"
+    return f"{_REFUSAL_TEXTS.get(code, 'for an unknown reason')} ({code})"
 
 
 def crc32(data: bytes) -> int:
-    """The checksum of the CRC32 request: the usual polynomial, but begun at 0 and not inverted."""
+    """The checksum of the CRC32 request: the usual polynomial, starting at 0 and not inverted."""
     return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """A file, with its size in bytes, or a folder."""
+class FileEntry:
+    """A file with its size in bytes, or a folder."""
 
     name: str
     folder: bool
     size: int = 0
 
 
-def entries(data: bytes) -> tuple[list[Entry], int]:
-    """The entries in the answer to a list request, and how many places of the listing they take.
+def entries(data: bytes) -> tuple[list[FileEntry], int]:
+    """The entries in the answer to a list request, and the number of listing positions they take.
 
-    Entries that are skipped, or make no sense, take a place too.
+    Skipped and invalid entries count too.
     """
-    found: list[Entry] = []
+    found: list[FileEntry] = []
     texts = [part for part in data.split(b"\0") if part]
     for text in texts:
         kind, (name, _, rest) = text[:1], text[1:].decode(errors="replace").partition("\t")
         size = rest.partition("\t")[0]
         if kind == b"D" and name not in ("", ".", ".."):
-            found.append(Entry(name, True))
+            found.append(FileEntry(name, True))
         elif kind == b"F" and name:
-            found.append(Entry(name, False, int(size) if size.isascii() and size.isdigit() else 0))
+            found.append(FileEntry(name, False, int(size) if size.isascii() and size.isdigit() else 0))
     return found, len(texts)

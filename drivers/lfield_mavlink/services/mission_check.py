@@ -1,7 +1,6 @@
-"""Where the items of a mission lead, by kind of item, held against the limits of a binding. Pure.
+"""Checks where the items of a mission lead against the limits of a binding, by kind of item. Pure.
 
-Which command is of which kind is in `mission_rules`.
-https://mavlink.io/en/messages/common.html#mav_commands
+`mission_rules` assigns commands to kinds. https://mavlink.io/en/messages/common.html#mav_commands.
 """
 
 from __future__ import annotations
@@ -11,20 +10,22 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from lfield.driver import DeviceError
-from lfield_mavlink.geo import Place, Vector
+from lfield_mavlink.geodesy import Place, Vector
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.mission_commands import JUMPS, PLACED, has_command, is_flown
 from lfield_mavlink.services.mission_paths import arc_corners, spline_corners
 from lfield_mavlink.services.plan_items import Item, command_name
 
-#: MISSION_ITEM_INT.x or y of "the place where the vehicle is".
+#: MISSION_ITEM_INT.x or y for "at the vehicle's position".
 HERE = 0x7FFFFFFF
 
 
 @dataclass(frozen=True, slots=True)
 class Climb:
-    """How high it returns: `height` above its destination, after a climb by `least`; metres, and by name."""
+    """The height of a return: `height` above its destination, after a climb by at least `least`; metres, with
+    parameter names.
+    """
 
     height: float
     name: str
@@ -34,12 +35,11 @@ class Climb:
 
 @dataclass(frozen=True, slots=True)
 class Situation:
-    """What is known of the vehicle beside its mission.
+    """Data of the vehicle for the check of its mission.
 
-    `home` is None as long as the vehicle has not told it, `here` (metres of home) likewise. `loiter` is the
-    radius in metres of a circle whose item names none, `climb` how high it returns; None where they are not
-    known. `rally` are its rally points.
-    `begins_here` is set when the mission starts now from where the vehicle is.
+    `home` is None while unknown, `here` (metres of home) likewise. `loiter` is the default radius of a circle
+    in metres, `climb` the height of a return; None if unknown. `rally` are its rally points. `starts_here`:
+    the mission starts now at the vehicle's position.
     """
 
     kind: str
@@ -49,11 +49,11 @@ class Situation:
     loiter: float | None = None
     climb: Climb | None = None
     rally: Sequence[Item] = ()
-    begins_here: bool = False
+    starts_here: bool = False
 
 
 class MissionCheck:
-    """One mission against the limits. `error` makes the exception for a reason."""
+    """Checks one mission against the limits. `error` creates the exception for a reason."""
 
     def __init__(
         self,
@@ -70,26 +70,32 @@ class MissionCheck:
     # -- structure ----------------------------------------------------------------------------------------
 
     def structure(self, number: int, item: Item) -> None:
-        """Raise DeviceError when an item is wrong whatever the limits are."""
+        """Raises DeviceError when an item is invalid regardless of limits."""
         if item.command in PLACED:
             self._check_place(number, item)
         first = 0 if self._at.px4 else 1
         jumps = (dialect.MAV_CMD_DO_JUMP, dialect.MAV_CMD_DO_SET_MISSION_CURRENT)
         if item.command in jumps and not first <= item.parameters[0] < len(self._items) + first:
-            raise self._wrong(number, item, f"there is no item {item.parameters[0]:g} to jump to")
+            raise self._error_for(
+                number, item, f"there is no item {item.parameters[0]:g} as target of the jump"
+            )
         if item.command == dialect.MAV_CMD_DO_JUMP_TAG and not any(
             other.command == dialect.MAV_CMD_JUMP_TAG and other.parameters[0] == item.parameters[0]
             for other in self._items
         ):
-            raise self._wrong(number, item, f"there is no tag {item.parameters[0]:g} to jump to")
+            raise self._error_for(
+                number, item, f"there is no tag {item.parameters[0]:g} as target of the jump"
+            )
 
     def _check_place(self, number: int, item: Item) -> None:
         beyond = (item.x != HERE and abs(item.x) > 900_000_000) or (
             item.y != HERE and abs(item.y) > 1_800_000_000
         )
         if beyond or math.isinf(item.z):
-            raise self._wrong(
-                number, item, f"{item.x / 1e7:g}, {item.y / 1e7:g} at {item.z:g} m is no place on the Earth"
+            raise self._error_for(
+                number,
+                item,
+                f"{item.x / 1e7:g}, {item.y / 1e7:g} at {item.z:g} m is not a position on the Earth",
             )
 
     # -- rules: `mission_rules` says of which commands each is -----------------------------------------
@@ -98,52 +104,52 @@ class MissionCheck:
         """It moves nothing."""
 
     def refuse(self, number: int, item: Item) -> None:
-        """Nobody knows what it does, or it hands the vehicle to somebody who keeps no limits."""
-        raise self._wrong(
-            number, item, "its place, height, speed or home is not known to stay inside the limits"
+        """Its effect is unknown, or it hands control to somebody without limits."""
+        raise self._error_for(
+            number, item, "its position, height, speed or home is not known to stay within the limits"
         )
 
     def goal(self, number: int, item: Item) -> None:
-        """It is flown to."""
+        """A target position."""
         self._check_goal(number, item)
 
     def waypoint(self, number: int, item: Item) -> None:
-        """It is flown to, or passed at a distance (parameter 3)."""
+        """A target position, or one passed at a distance (parameter 3)."""
         self._check_goal(number, item, 0.0 if math.isnan(item.parameters[2]) else abs(item.parameters[2]))
 
     def land(self, number: int, item: Item) -> None:
-        """It comes down there; it may go round at a height above home (parameter 1 of NAV_LAND)."""
+        """A landing; it may go around at a height above home (parameter 1 of NAV_LAND)."""
         self._check_goal(number, item, sinks=True)
         self._check_height(number, item, item.parameters[0])
 
     def vtol_land(self, number: int, item: Item) -> None:
-        """It comes down there, from a height in parameter 3, in the frame of the item."""
+        """A landing from a height in parameter 3, in the frame of the item."""
         self._check_goal(number, item, sinks=True)
         approach = item.parameters[2]
         if approach and not math.isnan(approach):
             self._check_height(number, item, self._above_home(item, approach))
 
     def loiter(self, number: int, item: Item) -> None:
-        """It is circled: by what has wings, and with LOITER_TURNS by everything."""
+        """A circle for fixed wings, and for all vehicles with LOITER_TURNS."""
         self._check_goal(number, item, self._circle(item, item.parameters[2]))
 
     def loiter_to_height(self, number: int, item: Item) -> None:
-        """It is circled while the height changes."""
+        """A circle with a change of height."""
         self._check_goal(number, item, self._circle(item, item.parameters[1]))
 
     def orbit(self, number: int, item: Item) -> None:
-        """A circle of a radius (parameter 1) with a speed (parameter 2)."""
+        """A circle with a radius (parameter 1) and a speed (parameter 2)."""
         self._check_goal(number, item, abs(item.parameters[0]))
         self._check_speed(number, item, item.parameters[1])
 
     def reposition(self, number: int, item: Item) -> None:
-        """A goal with a speed (parameter 1; -1 changes nothing); what has wings circles it (parameter 3)."""
+        """A goal with a speed (parameter 1; -1 keeps it); fixed wings circle it (parameter 3)."""
         self._check_goal(number, item, self._circle(item, item.parameters[2]))
         if item.parameters[0] != -1.0:
             self._check_speed(number, item, item.parameters[0])
 
     def climb_on(self, number: int, item: Item) -> None:
-        """It goes on straight ahead until it is at a height: how far is not known."""
+        """It continues straight ahead up to a height: the distance is unknown."""
         if self._limits.bounds_radius:
             self.refuse(number, item)
         self._check_height(number, item, self._above_home(item, item.z))
@@ -159,7 +165,7 @@ class MissionCheck:
         self._check_height(number, item, self._above_home(framed, height))
 
     def spline(self, number: int, item: Item) -> None:
-        """A curve that bulges beyond its places."""
+        """A curve that extends beyond its positions."""
         self._check_goal(number, item)
         for start, before in self._starts(number, item):
             goal, after = self._position(item), self._after(number)
@@ -167,20 +173,20 @@ class MissionCheck:
                 self._limits.check_goal(f"{self._what}: the curve of item {number}", corner)
 
     def arc(self, number: int, item: Item) -> None:
-        """A part of a circle from the place before to this one; parameter 1 is its angle in degrees."""
+        """An arc from the previous position to this one; parameter 1 is its angle in degrees."""
         self._check_goal(number, item)
         for start, _ in self._starts(number, item):
             corners = arc_corners(start, self._position(item), item.parameters[0])
             if corners is None:
-                raise self._wrong(number, item, f"there is no arc of {item.parameters[0]:g} degrees")
+                raise self._error_for(number, item, f"there is no arc of {item.parameters[0]:g} degrees")
             for corner in corners:
                 self._limits.check_goal(f"{self._what}: the arc of item {number}", corner)
 
     def speed(self, number: int, item: Item) -> None:
-        """Speeds in air (0) and over ground (1) count; those of climb (2) and descent (3) do not.
+        """Airspeed (0) and ground speed (1) are checked; climb (2) and descent (3) are not.
 
-        A rover drives each of them, whatever its kind is. -1 changes nothing. A throttle (parameter 3) drives
-        what is no copter at a speed that nobody knows.
+        A rover uses each of them as its speed. -1 keeps the speed. A throttle (parameter 3) gives an unknown
+        speed to vehicles other than copters.
         """
         kind, speed, throttle = item.parameters[:3]
         climbs = kind in (2.0, 3.0)
@@ -192,16 +198,16 @@ class MissionCheck:
             self._check_speed(number, item, speed)
 
     def set_home(self, number: int, item: Item) -> None:
-        """The limits are about home."""
+        """The limits are relative to home."""
         if self._limits.bound_places:
-            raise self._wrong(number, item, "it changes home, which the limits are about")
+            raise self._error_for(number, item, "it changes home, which the limits refer to")
 
-    def back(self, number: int, item: Item) -> None:
-        """Home, or to a rally point, at a height of the autopilot's own."""
+    def return_home(self, number: int, item: Item) -> None:
+        """Home, or a rally point, at the autopilot's own height."""
         if self._limits.bounds_heights and self._at.kind != "rover":
             climb = self._at.climb
             if climb is None:
-                raise self._wrong(number, item, "the height at which it returns is not known")
+                raise self._error_for(number, item, "the height of its return is not known")
             self._limits.check_return(f"{self._what}: item {number}", climb.height, climb.name)
             if climb.least:
                 highest = max((-place[2] for _, place in self._places()), default=0.0)
@@ -212,15 +218,15 @@ class MissionCheck:
             self.rally_point(index, point)
 
     def rally_point(self, number: int, item: Item) -> None:
-        """Where a return may lead; PX4's heights of a return are about its destination."""
+        """A destination of a return; PX4's heights of a return are relative to its destination."""
         if self._at.px4 and self._at.climb is not None:
             item = replace(item, z=item.z + self._at.climb.height)
-        self._check_goal(number, item, words=f"{self._what}: rally point {number}")
+        self._check_goal(number, item, subject=f"{self._what}: rally point {number}")
 
     def fence(self, number: int, item: Item) -> None:
-        """Switching the autopilot's own fence off takes away what holds it when this computer is gone."""
+        """Disabling the autopilot's own fence removes the protection for a failure of this computer."""
         if not item.parameters[0] >= 1.0:
-            raise self._wrong(number, item, "it switches the autopilot's own fence off")
+            raise self._error_for(number, item, "it disables the autopilot's own fence")
 
     def guided_limits(self, number: int, item: Item) -> None:
         """Bounds for an external controller: a height above sea level (3) and a distance (4), 0 for none."""
@@ -233,7 +239,7 @@ class MissionCheck:
     # -- steps --------------------------------------------------------------------------------------------
 
     def _check_goal(
-        self, number: int, item: Item, extent: float = 0.0, *, sinks: bool = False, words: str = ""
+        self, number: int, item: Item, extent: float = 0.0, *, sinks: bool = False, subject: str = ""
     ) -> None:
         if not self._limits.bound_places:
             return
@@ -241,20 +247,20 @@ class MissionCheck:
         if self._limits.bounds_heights and self._at.kind != "rover":
             known = self._above_home(item, item.z)
             if known is None and not sinks:
-                raise self._wrong(number, item, "the height of this item is not known")
+                raise self._error_for(number, item, "the height of this item is not known")
             height = 0.0 if known is None else known
         away = self._away(number, item)
         if away is None and extent and self._limits.bounds_radius:
-            raise self._wrong(number, item, "it circles where it then is, which is not known")
+            raise self._error_for(number, item, "it circles its position at that time, which is not known")
         north, east = away or (0.0, 0.0)
-        label = words or f"{self._what}: waypoint {number}"
+        label = subject or f"{self._what}: waypoint {number}"
         self._limits.check_goal(label, (north, east, -height), extent if self._limits.bounds_radius else 0.0)
 
     def _away(self, number: int, item: Item) -> tuple[float, float] | None:
-        """Metres north and east of home; None for the place where the vehicle then is."""
+        """Metres north and east of home; None for the vehicle's position at that time."""
         home = self._home
         if not (item.above_home or item.above_sea or item.above_terrain):
-            raise self._wrong(number, item, f"the place of an item in frame {item.frame} is not known")
+            raise self._error_for(number, item, f"the position of an item in frame {item.frame} is not known")
         if HERE in (item.x, item.y) or (not self._at.px4 and not (item.x or item.y)):
             return None
         north, east, _ = home.to(Place(item.x / 1e7, item.y / 1e7, home.altitude))
@@ -263,13 +269,11 @@ class MissionCheck:
     @property
     def _home(self) -> Place:
         if self._at.home is None:
-            raise self._error(
-                f"{self._what} needs to know where home is, and the vehicle has not told; call waitReady()"
-            )
+            raise self._error(f"{self._what}: the home position is unknown; call waitReady()")
         return self._at.home
 
     def _above_home(self, item: Item, height: float) -> float | None:
-        """A height in the frame of an item as metres above home; None when that is not known."""
+        """A height in the frame of an item as metres above home; None if unknown."""
         if not math.isfinite(height):
             return None
         if item.above_home:
@@ -280,7 +284,7 @@ class MissionCheck:
         if not self._limits.bounds_heights or self._at.kind == "rover":
             return
         if height is None:
-            raise self._wrong(number, item, "the height of this item is not known")
+            raise self._error_for(number, item, "the height of this item is not known")
         if not math.isnan(height):
             self._limits.check_goal(f"{self._what}: item {number}", (0.0, 0.0, -height))
 
@@ -288,11 +292,11 @@ class MissionCheck:
         if not self._limits.bounds_speed:
             return
         if not speed >= 0.0:
-            raise self._wrong(number, item, f"{speed:g} is not known to be a speed inside the limit")
+            raise self._error_for(number, item, f"{speed:g} is not known to be within the speed limit")
         self._limits.check_speed(f"{self._what}: item {number}", speed)
 
     def _circle(self, item: Item, radius: float) -> float:
-        """The radius that is flown around an item; a copter stays on the spot but for LOITER_TURNS."""
+        """The radius flown around an item; a copter stays on the spot except for LOITER_TURNS."""
         if self._at.kind == "copter" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
             return 0.0
         if self._at.kind == "rover" and item.command != dialect.MAV_CMD_NAV_LOITER_TURNS:
@@ -304,14 +308,14 @@ class MissionCheck:
     # -- curves -------------------------------------------------------------------------------------------
 
     def _position(self, item: Item) -> Vector:
-        """Of an item that has been checked to have one; without a height where none is limited."""
+        """The position of a checked item; without a height if heights are not limited."""
         away = self._away(0, item)
         height = self._above_home(item, item.z) or 0.0
         north, east = away or (self._at.here or (0.0, 0.0, 0.0))[:2]
         return (north, east, -height)
 
     def _places(self) -> list[tuple[int, Vector]]:
-        """The items that are flown to, in their order."""
+        """The target positions in order."""
         if self._path is None:
             self._path = [
                 (number, self._position(item))
@@ -321,23 +325,25 @@ class MissionCheck:
         return self._path
 
     def _starts(self, number: int, item: Item) -> list[tuple[Vector, Vector | None]]:
-        """From where a curve may begin, with the place before that. Raises DeviceError when nobody knows."""
+        """Possible starting points of a curve, each with the previous position. Raises DeviceError if
+        unknown.
+        """
         if not self._limits.bound_places:
             return []
         if has_command(self._items, *JUMPS):
-            raise self._wrong(number, item, "a curve in a mission that jumps may begin anywhere")
+            raise self._error_for(number, item, "a curve in a mission with jumps may start anywhere")
         before = [place for index, place in self._places() if index < number]
         starts: list[tuple[Vector, Vector | None]] = []
         if before:
             starts.append((before[-1], before[-2] if len(before) > 1 else self._at.here))
         if self._at.here is not None:
             starts.append((self._at.here, None))
-        elif self._at.begins_here:
-            raise self._wrong(number, item, "the vehicle has told no position, where its curve may begin")
+        elif self._at.starts_here:
+            raise self._error_for(number, item, "the position where its curve may start is unknown")
         return starts
 
     def _after(self, number: int) -> Vector | None:
         return next((place for index, place in self._places() if index > number), None)
 
-    def _wrong(self, number: int, item: Item, reason: str) -> DeviceError:
+    def _error_for(self, number: int, item: Item, reason: str) -> DeviceError:
         return self._error(f"{self._what}: item {number}, {command_name(item.command)}, refused: {reason}")

@@ -1,6 +1,6 @@
-"""Kinds of commands in missions: which are flown, which have a place, which jump, which are curves. Tables.
+"""Tables of mission commands: flown, with a position, jumps, curves.
 
-https://mavlink.io/en/messages/common.html#mav_commands
+https://mavlink.io/en/messages/common.html#mav_commands.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.plan_items import Item
 
-#: What lifts a vehicle off the ground, and what may come before it in a mission that begins there.
+#: Commands that take off, and those that may precede them in a mission that starts on the ground.
 TAKEOFFS = frozenset(
     {
         dialect.MAV_CMD_NAV_TAKEOFF,
@@ -18,7 +18,7 @@ TAKEOFFS = frozenset(
         dialect.MAV_CMD_NAV_TAKEOFF_LOCAL,
     }
 )
-#: Commands below this number are flown (NAV), but those of `_NOT_FLOWN`; later ones are done beside it.
+#: Commands below this number are flown (NAV), except `_NOT_FLOWN`; later ones are executed in parallel.
 _LAST_FLOWN = dialect.MAV_CMD_NAV_LAST
 _NOT_FLOWN = frozenset(
     {
@@ -30,7 +30,7 @@ _NOT_FLOWN = frozenset(
         dialect.MAV_CMD_DO_FIGURE_EIGHT,
     }
 )
-#: Commands with a number beyond `_LAST_FLOWN` that are flown all the same.
+#: Commands above `_LAST_FLOWN` that are flown.
 _FLOWN = frozenset(
     {
         dialect.MAV_CMD_NAV_SET_YAW_SPEED,
@@ -39,7 +39,7 @@ _FLOWN = frozenset(
     }
 )
 
-#: Commands of items that are at a place.
+#: Commands with a position.
 PLACED = frozenset(
     {
         dialect.MAV_CMD_NAV_WAYPOINT,
@@ -58,28 +58,28 @@ PLACED = frozenset(
         dialect.MAV_CMD_DO_REPOSITION,
     }
 )
-#: Commands that make another item the current one.
+#: Commands that change the current item.
 JUMPS = (
     dialect.MAV_CMD_DO_JUMP,
     dialect.MAV_CMD_DO_JUMP_TAG,
     dialect.MAV_CMD_DO_SET_MISSION_CURRENT,
 )
 
-#: Commands whose path is a curve that begins at the place before.
+#: Commands with a curved path from the previous position.
 CURVES = (dialect.MAV_CMD_NAV_SPLINE_WAYPOINT, dialect.MAV_CMD_NAV_ARC_WAYPOINT)
 
 
-def begins_with_takeoff(items: Sequence[Item]) -> bool:
-    """Whether the first item that is flown is a takeoff: cameras, speeds and delays may come before it."""
+def starts_with_takeoff(items: Sequence[Item]) -> bool:
+    """Whether the first flown item is a takeoff: cameras, speeds and delays may precede it."""
     flown = next((item.command for item in items if is_flown(item.command)), None)
     return flown in TAKEOFFS
 
 
 def is_flown(command: int) -> bool:
-    """Whether a command is flown, and not done at once or waited for."""
+    """Whether a command is flown, as opposed to executed at once."""
     return (command < _LAST_FLOWN and command not in _NOT_FLOWN) or command in _FLOWN
 
 
 def has_command(items: Sequence[Item], *commands: int) -> bool:
-    """Whether one of the items is of these commands."""
+    """Whether one of the items has one of these commands."""
     return any(item.command in commands for item in items)

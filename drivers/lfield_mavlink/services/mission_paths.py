@@ -1,6 +1,6 @@
-"""Where the curves of a mission may lead: splines and arcs between its places. Pure geometry.
+"""Bounds of curved mission paths: splines and arcs. Pure geometry.
 
-All limits of a binding bound a convex region (a circle about home, a ceiling), so a path is inside when the
+All limits of a binding bound a convex region (a circle around home, a ceiling), so a path is inside if the
 corners of a polygon around it are. Vectors are metres north, east and down of home.
 """
 
@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from lfield_mavlink.geo import Vector
+from lfield_mavlink.geodesy import Vector
 
-#: Radians between two sampled points of an arc.
+#: Radians between two points of an arc.
 STEP = math.radians(5.0)
 #: Degrees below which an arc is a straight line.
 STRAIGHT = 0.01
@@ -20,11 +20,11 @@ STRAIGHT = 0.01
 def spline_corners(
     before: Vector | None, start: Vector, goal: Vector, after: Vector | None
 ) -> Iterator[Vector]:
-    """Corners of a polygon that holds the spline from `start` to `goal`.
+    """Corners of a polygon that contains the spline from `start` to `goal`.
 
-    `before` and `after` are the neighbours of the two, None where there are none. ArduPilot's tangent at a
-    place is the way from its predecessor to its successor, or from one of them to the place itself, and may
-    be shortened; a cubic stays inside the polygon of its ends and of the ends plus a third of the tangents.
+    `before` and `after` are their neighbours or None. ArduPilot's tangent at a position is the vector from
+    its predecessor to its successor, or between one of them and the position, possibly shortened; a cubic
+    stays inside the polygon of its ends and of the ends plus a third of the tangents.
     """
     yield start
     yield goal
@@ -37,11 +37,11 @@ def spline_corners(
 
 
 def arc_corners(start: Vector, goal: Vector, degrees: float) -> Sequence[Vector] | None:
-    """Corners of a polygon that holds the arc from `start` to `goal`; None when no such arc exists.
+    """Corners of a polygon that contains the arc from `start` to `goal`; None if there is no such arc.
 
-    `degrees` is the angle of the arc, above 0 clockwise (MAV_CMD_NAV_ARC_WAYPOINT).
+    `degrees` is the angle of the arc, positive clockwise (MAV_CMD_NAV_ARC_WAYPOINT).
     """
-    if not abs(degrees) < 360.0:  # so that NaN is refused too
+    if not abs(degrees) < 360.0:  # refuses NaN as well
         return None
     north, east, _ = _minus(goal, start)
     chord = math.hypot(north, east)
@@ -49,14 +49,14 @@ def arc_corners(start: Vector, goal: Vector, degrees: float) -> Sequence[Vector]
         return (start, goal)
     half = math.radians(degrees) / 2.0
     radius = chord / (2.0 * math.sin(abs(half)))
-    # To the right of the way for a clockwise arc of less than half a turn.
+    # To the right of the chord for a clockwise arc of less than half a turn.
     aside = math.copysign(radius, half) * math.cos(half)
     centre = (
         (start[0] + goal[0]) / 2.0 - east / chord * aside,
         (start[1] + goal[1]) / 2.0 + north / chord * aside,
     )
     count = max(2, math.ceil(abs(2.0 * half) / STEP))
-    # Beyond the circle by so much that the chords between the corners do not cut it.
+    # Outside the circle, so that the chords between the corners do not intersect it.
     beyond = 1.0 / math.cos(abs(half) / count)
     out = (start[0] - centre[0], start[1] - centre[1])
     corners = [start, goal]

@@ -1,10 +1,10 @@
-"""Which MAV_CMD a mission may hold inside the limits of a binding, and by which rule. A table, and the check.
+"""Permitted MAV_CMDs in missions within limits, and their rules: a table, and the check.
 
-A command without a rule is refused where there is any limit: nobody knows where it leads. Without limits only
-what is structurally wrong is refused: a place that is none on the Earth, a jump to an item that is not there.
+With limits a command without a rule is refused, since its effect is unknown. Without limits only invalid
+items are refused: an impossible position, a jump to a missing item.
 
-https://mavlink.io/en/messages/common.html#mav_commands; what ArduPilot flies of it:
-https://ardupilot.org/copter/docs/mission-command-list.html; PX4: https://docs.px4.io/main/en/flying/missions
+https://mavlink.io/en/messages/common.html#mav_commands; ArduPilot:
+https://ardupilot.org/copter/docs/mission-command-list.html; PX4: https://docs.px4.io/main/en/flying/missions.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from lfield_mavlink.services.plan_items import Item
 Rule = Callable[[MissionCheck, int, Item], None]
 _C = MissionCheck
 
-#: Items that are at a place, by the rule for it.
+#: Items with a position, by rule.
 _PLACED: Mapping[int, Rule] = {
     dialect.MAV_CMD_NAV_WAYPOINT: _C.waypoint,
     dialect.MAV_CMD_NAV_LOITER_UNLIM: _C.loiter,
@@ -38,7 +38,7 @@ _PLACED: Mapping[int, Rule] = {
     dialect.MAV_CMD_DO_ORBIT: _C.orbit,
     dialect.MAV_CMD_DO_REPOSITION: _C.reposition,
 }
-#: Items that move nothing: waits, marks, jumps (all items are checked), cameras, gimbals, outputs, payload.
+#: Items without motion: waits, marks, jumps (all items are checked), cameras, gimbals, outputs, payload.
 _ALLOWED = (
     dialect.MAV_CMD_NAV_DELAY,
     dialect.MAV_CMD_NAV_ROI,
@@ -89,11 +89,11 @@ _ALLOWED = (
     dialect.MAV_CMD_DO_SPRAYER,
     dialect.MAV_CMD_ILLUMINATOR_ON_OFF,
 )
-#: Every command that is not refused out of hand.
+#: Every command that may be permitted.
 RULES: Mapping[int, Rule] = {
     **_PLACED,
     **dict.fromkeys(_ALLOWED, _C.allow),
-    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _C.back,
+    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _C.return_home,
     dialect.MAV_CMD_NAV_CONTINUE_AND_CHANGE_ALT: _C.climb_on,
     dialect.MAV_CMD_CONDITION_CHANGE_ALT: _C.height,
     dialect.MAV_CMD_DO_CHANGE_ALTITUDE: _C.change_altitude,
@@ -111,9 +111,9 @@ def check_mission(
     error: Callable[[str], DeviceError],
     situation: Situation,
 ) -> None:
-    """Refuse a mission for the first item that is wrong, or not known to stay inside the limits.
+    """Refuses a mission for the first item that is invalid, or not known to stay within the limits.
 
-    `error` makes the exception for a reason. Raises DeviceError.
+    `error` creates the exception for a reason. Raises DeviceError.
     """
     check = MissionCheck(what, items, limits, error, situation)
     for number, item in enumerate(items):
@@ -129,7 +129,7 @@ def check_rally(
     error: Callable[[str], DeviceError],
     situation: Situation,
 ) -> None:
-    """Refuse rally points beyond the limits: a return would lead there. Raises DeviceError."""
+    """Refuses rally points beyond the limits, since a return would lead there. Raises DeviceError."""
     check = MissionCheck(what, points, limits, error, situation)
     for number, point in enumerate(points):
         check.rally_point(number, point)

@@ -1,10 +1,10 @@
-"""How an autopilot puts a parameter into the one float of PARAM_VALUE and PARAM_SET.
+"""Encoding of parameters in the float of PARAM_VALUE and PARAM_SET.
 
-ArduPilot casts: the integer 5 is sent as 5.0, so only integers that a 32-bit float can hold survive.
-PX4 goes byte-wise: the four bytes are the integer. https://mavlink.io/en/services/parameter.html#parameter_encoding
+ArduPilot casts: the integer 5 is sent as 5.0, so only integers that fit a 32-bit float survive. PX4 is
+byte-wise: the four bytes are the integer. https://mavlink.io/en/services/parameter.html#parameter_encoding
 
-The four bytes are taken from the packet itself: on its way through a float, an integer whose bytes happen
-to be a signalling NaN (-8388607 is one) would come out changed.
+The bytes are taken from the packet itself: converted to a float, an integer whose bytes are a signalling NaN
+(such as -8388607) would be changed.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from typing import Any
 
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 
-#: Where the payload of a packet begins, by its first byte (MAVLink 2, MAVLink 1); the value comes first.
+#: Offset of the payload by the packet's first byte (MAVLink 2, MAVLink 1); the value comes first.
 _PAYLOAD = {0xFD: 10, 0xFE: 6}
-#: Characters of a name, which has no end mark when it is as long as that.
+#: Characters of a name, which is not terminated at full length.
 NAME_LENGTH = 16
 
-#: struct codes of the parameter types that are integers; the float types are left out.
+#: struct codes of the integer parameter types.
 _INTEGERS: Mapping[int, str] = {
     dialect.MAV_PARAM_TYPE_UINT8: "B",
     dialect.MAV_PARAM_TYPE_INT8: "b",
@@ -34,14 +34,14 @@ _INTEGERS: Mapping[int, str] = {
 
 
 class Encoding(Enum):
-    """How integers are put into the float."""
+    """How integers are encoded in the float."""
 
     CAST = "cast"
     BYTEWISE = "bytewise"
 
 
 def decode(raw: bytes, kind: int, encoding: Encoding) -> int | float | None:
-    """The value in the four bytes; None when they are none (a cast integer that is not finite)."""
+    """The value in the four bytes; None if invalid (a cast integer that is not finite)."""
     number: float = struct.unpack("<f", raw)[0]
     if kind not in _INTEGERS:
         return number
@@ -53,38 +53,40 @@ def decode(raw: bytes, kind: int, encoding: Encoding) -> int | float | None:
 
 
 def encode(value: float, kind: int, encoding: Encoding) -> bytes:
-    """The four bytes of a value. Raises ValueError with a sentence when they cannot hold it exactly.
+    """The four bytes of a value. Raises ValueError if it cannot be encoded exactly.
 
-    A real number is rounded to 32 bits, as every autopilot keeps it.
+    A real is rounded to 32 bits, as in every autopilot.
     """
     if not math.isfinite(value):
-        raise ValueError(f"{value} is no value for a parameter")
+        raise ValueError(f"{value} is not a value for a parameter")
     if kind not in _INTEGERS:
         return _as_float(value)
     if value != int(value):
-        raise ValueError(f"it is a whole number, not {value:g}")
+        raise ValueError(f"it is an integer, not {value:g}")
     try:
         exact = struct.pack("<" + _INTEGERS[kind], int(value)).ljust(4, b"\0")
     except struct.error:
         bits = 8 * struct.calcsize(_INTEGERS[kind])
-        raise ValueError(f"{int(value)} is out of the range of its {bits} bits") from None
+        raise ValueError(f"{int(value)} is out of range of its {bits} bits") from None
     if encoding is Encoding.BYTEWISE:
         return exact
     cast = _as_float(value)
     if struct.unpack("<f", cast)[0] != value:
-        raise ValueError(f"{int(value)} is not sent exactly by this autopilot, which casts integers to float")
+        raise ValueError(
+            f"{int(value)} cannot be sent exactly to this autopilot, which casts integers to float"
+        )
     return cast
 
 
 def raw_value(message: Any) -> bytes:
-    """The four bytes of the value in a PARAM_VALUE as it came."""
+    """The four bytes of the value in a received PARAM_VALUE."""
     packet = message.get_msgbuf()
     start = _PAYLOAD[packet[0]]
     return bytes(packet[start : start + 4])
 
 
 class _ParamSet(dialect.MAVLink_param_set_message):  # type: ignore[misc]  # pymavlink has no types
-    """PARAM_SET with the value as the four bytes that they are."""
+    """PARAM_SET with the value as four bytes."""
 
     unpacker = struct.Struct("<4sBB16sB")
 
@@ -98,4 +100,4 @@ def _as_float(value: float) -> bytes:
     try:
         return struct.pack("<f", value)
     except OverflowError:
-        raise ValueError(f"{value:g} is out of the range of a 32-bit float") from None
+        raise ValueError(f"{value:g} is out of range of a 32-bit float") from None

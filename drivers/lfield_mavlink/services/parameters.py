@@ -1,7 +1,7 @@
-"""The parameters of an autopilot: read by name, set and seen to be set, listed without gaps.
+"""MAVLink parameter protocol: read by name, verified write, complete list.
 
-https://mavlink.io/en/services/parameter.html. Measured: an unknown name is answered with silence by both
-ArduPilot and PX4, so "no answer" is how it is told.
+https://mavlink.io/en/services/parameter.html. Measured: ArduPilot and PX4 do not answer for an unknown name,
+so a time-out means that.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from lfield_mavlink.services.parameter_values import (
 )
 from lfield_mavlink.services.peer import Inbox, Mail, Peer
 
-#: Seconds to wait for an answer, and how often to ask: on a bad radio every third question has no answer, and
-#: it is silence that says that there is no such name.
+#: Seconds to wait for an answer, and attempts: on a bad radio every third request has no answer, and silence
+#: means an unknown name.
 PATIENCE, QUESTIONS = 0.2, 15
-#: Seconds of silence after which a list has ended, and how many of its gaps are asked for at a time.
+#: Seconds of silence after which a list has ended, and the number of gaps requested at a time.
 LIST_SILENCE, GAPS = 1.0, 50
-#: Rounds of asking for gaps in which nothing comes before a list has failed, and the longest it may take.
+#: Rounds without an answer before a list has failed, and its longest time in seconds.
 ROUNDS, LONGEST = 6, 180.0
 
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter as the autopilot told it; `kind` is its MAV_PARAM_TYPE."""
+    """A received parameter; `kind` is its MAV_PARAM_TYPE."""
 
     name: str
     value: int | float
@@ -41,7 +41,7 @@ class Parameter:
 
 
 class Parameters:
-    """The parameters of one vehicle. `encoding` finds out how it sends integers; it is asked once."""
+    """The parameters of one vehicle. `encoding` determines how it sends integers; called once."""
 
     def __init__(self, peer: Peer, encoding: Callable[[], Awaitable[Encoding]]) -> None:
         self._peer, self._find_encoding = peer, encoding
@@ -51,17 +51,17 @@ class Parameters:
         self._writing = asyncio.Lock()
 
     async def read(self, name: str) -> int | float | None:
-        """The value; None when nobody answered within 3 s, as for a name that does not exist.
+        """The value; None without an answer within 3 s, as for an unknown name.
 
-        Raises DeviceError for what cannot be a name.
+        Raises DeviceError for an invalid name.
         """
         found = await self._read(name)
         return None if found is None else found.value
 
     async def read_any(self, names: Iterable[str]) -> tuple[str, float | None]:
-        """Ask for all names that one parameter has by version; the first that is answered for, and its value.
+        """Requests all names of a parameter by version; the first that is answered, with its value.
 
-        ("", None) when none is. Raises DeviceError.
+        ("", None) if none is. Raises DeviceError.
         """
 
         async def ask(name: str) -> tuple[str, float | None]:
@@ -79,7 +79,7 @@ class Parameters:
         return "", None
 
     async def write(self, name: str, value: float) -> None:
-        """Set a parameter; returns when the autopilot has told the new value. Raises DeviceError."""
+        """Sets a parameter; returns when the autopilot has reported the new value. Raises DeviceError."""
         found = await self._read(name)
         if found is None:
             raise self.unknown(name)
@@ -87,15 +87,15 @@ class Parameters:
             await self._write(found, value, await self._known_encoding())
 
     async def read_all(self) -> dict[str, int | float]:
-        """Every parameter by its name; what was lost on the way is asked for again. Raises DeviceError."""
+        """Every parameter by its name; lost ones are requested again. Raises DeviceError."""
         encoding = await self._known_encoding()
         with self._inbox.open() as mail:
             return await self._read_all(mail, encoding)
 
     def unknown(self, name: str) -> Exception:
-        """The exception for a parameter that is not answered for."""
+        """The exception for a parameter without an answer."""
         return self._peer.error(
-            f"no answer about a parameter {name} in {PATIENCE * QUESTIONS:g} s; does it have that name?"
+            f"no answer about a parameter {name} in {PATIENCE * QUESTIONS:g} s; is the name correct?"
         )
 
     async def _known_encoding(self) -> Encoding:
@@ -106,7 +106,7 @@ class Parameters:
 
     async def _read(self, name: str) -> Parameter | None:
         if not (0 < len(name) <= NAME_LENGTH and name.isascii() and name.isprintable()):
-            raise self._peer.error(f"'{name}' cannot be a parameter: 1 to {NAME_LENGTH} ASCII characters")
+            raise self._peer.error(f"'{name}' is not a parameter name: 1 to {NAME_LENGTH} ASCII characters")
         encoding = await self._known_encoding()
         ask = dialect.MAVLink_param_request_read_message(self._peer.system, AUTOPILOT, name.encode(), -1)
         with self._inbox.open() as mail:
@@ -126,7 +126,7 @@ class Parameters:
         told: list[Parameter] = []
 
         def is_set(message: Any) -> bool:
-            # An answer to an earlier question may come late: only the wanted value ends the wait.
+            # An answer to an earlier request may come late: only the new value ends the wait.
             if (now := _parameter(message, encoding, old.name)) is not None:
                 told.append(now)
             return now is not None and now.value == wanted
@@ -150,19 +150,19 @@ class Parameters:
             message = await mail.next(LIST_SILENCE)
             if message is None:
                 idle += 1
-                self._ask_for_gaps(listed, count)
+                self._request_gaps(listed, count)
                 continue
             parameter = _parameter(message, encoding)
-            # What is sent for another reason than the list has no place in it (index 65535).
+            # Values sent for other reasons have no position in the list (index 65535).
             if parameter is not None and message.param_index < message.param_count:
                 idle = idle if message.param_index in listed else 0
                 listed[message.param_index], count = parameter, message.param_count
             if count and len(listed) >= count:
                 return {parameter.name: parameter.value for parameter in listed.values()}
         heard = f"{len(listed)} of {count} parameters" if count else "nothing"
-        raise self._peer.error(f"listing the parameters: {heard} came", timeout=True)
+        raise self._peer.error(f"listing the parameters: received {heard}", timeout=True)
 
-    def _ask_for_gaps(self, listed: dict[int, Parameter], count: int) -> None:
+    def _request_gaps(self, listed: dict[int, Parameter], count: int) -> None:
         if not count:
             self._peer.send(dialect.MAVLink_param_request_list_message(self._peer.system, AUTOPILOT))
             return
@@ -174,7 +174,7 @@ class Parameters:
 
 
 def _parameter(message: Any, encoding: Encoding, name: str = "") -> Parameter | None:
-    """The parameter in a PARAM_VALUE; None when it is another than `name`, or no value."""
+    """The parameter in a PARAM_VALUE; None if it is not `name`, or invalid."""
     if name and message.param_id != name:
         return None
     value = decode(raw_value(message), message.param_type, encoding)

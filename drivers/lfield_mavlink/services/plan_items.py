@@ -1,7 +1,7 @@
-"""What plans consist of: waypoints, zones of a fence, rally points, as items of the mission protocol.
+"""Items of the mission protocol: waypoints, fence zones, rally points.
 
-https://mavlink.io/en/services/mission.html, https://mavlink.io/en/messages/common.html#mav_commands
-Places are latitude and longitude in degrees; on the wire they are 1e-7 degrees.
+https://mavlink.io/en/services/mission.html, https://mavlink.io/en/messages/common.html#mav_commands Positions
+are latitude and longitude in degrees; on the wire in 1e-7 degrees.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ POLYGONS = (
 )
 CIRCLES = (dialect.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION, dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
 
-#: Frames that mean the same: an item sent in the first may come back in the second.
+#: Equivalent frames: an item sent in the first may be returned in the second.
 _TWINS = {
     dialect.MAV_FRAME_GLOBAL_INT: dialect.MAV_FRAME_GLOBAL,
     dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT: dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT,
     dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT_INT: dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT,
 }
-#: How much an autopilot may round: ArduPilot keeps heights in cm; PX4 keeps places in floating point.
+#: Rounding by autopilots: ArduPilot stores heights in cm; PX4 stores positions as floats.
 _ROUND_HEIGHT, _ROUND_PLACE, _ROUND_PARAMETER = 0.0101, 1, 0.01
-#: The most corners of one polygon: ArduPilot counts them in a byte.
+#: Maximum corners of a polygon: ArduPilot counts them in a byte.
 MAX_CORNERS = 255
 
 
 class PlanKind(IntEnum):
-    """MAV_MISSION_TYPE: the plans that a vehicle keeps side by side."""
+    """MAV_MISSION_TYPE: the independent plans of a vehicle."""
 
     MISSION = 0
     FENCE = 1
     RALLY = 2
 
     @property
-    def word(self) -> str:
-        """As in a sentence."""
+    def noun(self) -> str:
+        """For use in a sentence."""
         return ("mission", "fence", "list of rally points")[self]
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
-    """One item of a plan: a MAV_CMD at a place. `x` and `y` are 1e-7 degrees, `z` metres in its frame."""
+    """One item of a plan: a MAV_CMD at a position. `x` and `y` are 1e-7 degrees, `z` metres in its frame."""
 
     command: int
     frame: int
@@ -65,7 +65,7 @@ class Item:
         return cls(message.command, message.frame, message.x, message.y, message.z, values)
 
     def message(self, system: int, number: int, kind: PlanKind) -> Any:
-        """The MISSION_ITEM_INT that carries it as the number-th of its plan."""
+        """The MISSION_ITEM_INT for it as the number-th of its plan."""
         return dialect.MAVLink_mission_item_int_message(
             system, AUTOPILOT, number, self.frame, self.command, 0, 1, *self.parameters, self.x, self.y,
             self.z, int(kind),
@@ -83,14 +83,14 @@ class Item:
 
     @property
     def above_terrain(self) -> bool:
-        """Whether `z` is a height above the ground below, wherever that is."""
+        """Whether `z` is a height above the terrain."""
         return bool(_TWINS.get(self.frame, self.frame) == dialect.MAV_FRAME_GLOBAL_TERRAIN_ALT)
 
     def same(self, other: Item) -> bool:
-        """Whether it is the same item, as far as an autopilot keeps it.
+        """Whether it is the same item after storage in an autopilot.
 
-        The first parameter counts (hold time, radius, number of corners); of the others, autopilots drop
-        what they have no use for.
+        The first parameter is compared (hold time, radius, number of corners); autopilots drop others that
+        they do not use.
         """
         frames = [_TWINS.get(frame, frame) for frame in (self.frame, other.frame)]
         return (
@@ -103,29 +103,29 @@ class Item:
         )
 
 
-#: What stands at the place of home in a mission of ArduPilot, which puts its own home there.
+#: Placeholder for home in a mission of ArduPilot, which inserts its own.
 HOME = Item(WAYPOINT, dialect.MAV_FRAME_GLOBAL, 0, 0)
 
 
 def place(latitude: float, longitude: float) -> tuple[int, int]:
-    """A place in 1e-7 degrees. Raises ValueError with a sentence when it is none on earth."""
-    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # so that NaN is refused too
-        raise ValueError(f"latitude {latitude:g}, longitude {longitude:g} is no place in degrees")
+    """A position in 1e-7 degrees. Raises ValueError if it is impossible."""
+    if not (abs(latitude) <= 90.0 and abs(longitude) <= 180.0):  # refuses NaN as well
+        raise ValueError(f"latitude {latitude:g}, longitude {longitude:g} is not a position in degrees")
     return round(latitude * 1e7), round(longitude * 1e7)
 
 
 def points(values: Sequence[float], width: int, what: str) -> Iterator[Sequence[float]]:
-    """Cut a flat array into points of `width` numbers. Raises ValueError with a sentence."""
+    """Splits a flat array into points of `width` numbers. Raises ValueError."""
     if not values or len(values) % width:
         names = "{latitude, longitude, height}" if width == 3 else "{latitude, longitude}"
-        raise ValueError(f"{what} are given as {names} for each, {len(values)} numbers are not that")
+        raise ValueError(f"{what} need {names} each, which {len(values)} numbers are not")
     return (values[start : start + width] for start in range(0, len(values), width))
 
 
 def waypoints(values: Sequence[float], *, yaw: float) -> list[Item]:
-    """{latitude, longitude, height above home} for each waypoint. Raises ValueError.
+    """{latitude, longitude, height above home} per waypoint. Raises ValueError.
 
-    `yaw` is what "the nose where it flies" is for this autopilot: NaN for PX4, 0 for ArduPilot.
+    `yaw` is this autopilot's value for "heading along the path": NaN for PX4, 0 for ArduPilot.
     """
     frame, parameters = dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT, (0.0, 0.0, 0.0, yaw)
     return [
@@ -135,7 +135,7 @@ def waypoints(values: Sequence[float], *, yaw: float) -> list[Item]:
 
 
 def rally_points(values: Sequence[float]) -> list[Item]:
-    """{latitude, longitude, height above home} for each rally point. Raises ValueError."""
+    """{latitude, longitude, height above home} per rally point. Raises ValueError."""
     frame = dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT
     return [
         Item(RALLY_POINT, frame, *place(latitude, longitude), _height(height))
@@ -144,29 +144,29 @@ def rally_points(values: Sequence[float]) -> list[Item]:
 
 
 def coordinates(items: Sequence[Item], command: int) -> list[float]:
-    """The inverse: three numbers for each item. Raises ValueError for items that are something else."""
+    """The inverse: three numbers per item. Raises ValueError for other items."""
     values: list[float] = []
     for number, item in enumerate(items):
         if item.command != command or not item.above_home:
             raise ValueError(
-                f"item {number} is {command_name(item.command)} in frame {item.frame}, "
-                "which {latitude, longitude, height above home} cannot say"
+                f"item {number} is {command_name(item.command)} in frame {item.frame}, which is not "
+                f"{{latitude, longitude, height above home}}"
             )
         values += (item.x / 1e7, item.y / 1e7, item.z)
     return values
 
 
 def circle(latitude: float, longitude: float, radius: float, *, inside: bool) -> list[Item]:
-    """A zone to stay inside, or outside. Raises ValueError."""
+    """An inclusion or exclusion circle. Raises ValueError."""
     if not 0.0 < radius < math.inf:
-        raise ValueError(f"a circle needs a radius above 0, not {radius:g}")
+        raise ValueError(f"a circle requires a radius above 0, not {radius:g}")
     command = CIRCLES[0 if inside else 1]
     parameters = (radius, 0.0, 0.0, 0.0)
     return [Item(command, dialect.MAV_FRAME_GLOBAL, *place(latitude, longitude), 0.0, parameters)]
 
 
 def polygon(corners: Sequence[float], *, inside: bool) -> list[Item]:
-    """A zone with {latitude, longitude} for each corner. Raises ValueError."""
+    """An inclusion or exclusion polygon with {latitude, longitude} per corner. Raises ValueError."""
     pairs = list(points(corners, 2, "corners"))
     if not 3 <= len(pairs) <= MAX_CORNERS:
         raise ValueError(f"a polygon has 3 to {MAX_CORNERS} corners, not {len(pairs)}")

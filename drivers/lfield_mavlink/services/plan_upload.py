@@ -1,6 +1,6 @@
-"""One attempt to hand a plan to a vehicle. Pure: messages and times in, messages out.
+"""One attempt to upload a plan. Pure: messages and times in, messages out.
 
-The vehicle asks for item after item; we answer, and repeat our last message when nothing comes.
+The vehicle requests item after item; the last message is repeated when nothing arrives.
 """
 
 from __future__ import annotations
@@ -11,23 +11,23 @@ from typing import Any
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
 from lfield_mavlink.services.plan_items import Item, PlanKind
 
-#: Silences in a row before an attempt has failed: at its beginning or its end, and in the middle, where
-#: ArduPilot goes on to ask for 8 s. A silence is half a second.
+#: Consecutive silences of half a second until an attempt fails: at its start or end, and within, where
+#: ArduPilot repeats requests for 8 s.
 QUESTIONS, SILENCES = 10, 16
-#: A question that comes again sooner than after so many seconds is the same packet twice.
+#: A request that is repeated within so many seconds is a duplicate packet.
 TWICE = 0.1
-#: Messages that an attempt may take for each item, and beside them: a bound for a vehicle gone mad.
+#: Bound of messages per item, and in addition, for a malfunctioning vehicle.
 PER_ITEM, BESIDE = 10, 100
 
-#: How a vehicle asks: ArduPilot by the first, which is deprecated, PX4 by the second.
+#: Requests of ArduPilot (deprecated) and PX4.
 REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
 
 
 class Upload:
-    """`last` is the message that was sent last, first of all the one that begins the upload.
+    """`last` is the last message sent, initially the one that starts the upload.
 
-    When `over`, `why` says why it failed, '' when the vehicle has asked for every item; `refusal` is the
-    MAV_MISSION_RESULT by which it refuses the plan as such, and `silent` that it has said nothing at all.
+    When `over`, `why` is why it failed, '' when the vehicle has requested every item; `refusal` is the
+    MAV_MISSION_RESULT for the plan as a whole, and `silent` that there was no response.
     """
 
     def __init__(self, system: int, kind: PlanKind, wire: Sequence[Item]) -> None:
@@ -42,11 +42,11 @@ class Upload:
 
     @property
     def silent(self) -> bool:
-        """Whether nothing was asked for though there was something to hand out."""
+        """Whether no item was requested of a plan that has some."""
         return bool(self._wire) and not self._handed
 
     def on_silence(self) -> Any | None:
-        """Nothing came for half a second; the message to send, if any."""
+        """Nothing arrived for half a second; returns the message to send, if any."""
         self._silences += 1
         most = SILENCES if self._handed and not self._complete else QUESTIONS
         if self._silences < most:
@@ -55,7 +55,7 @@ class Upload:
         return None
 
     def on_message(self, message: Any, now: float) -> Any | None:
-        """A message about this kind of plan; the answer to send, if any."""
+        """A message about this kind of plan; returns the answer, if any."""
         self._budget -= 1
         if self._budget < 0:
             self._end()
@@ -67,12 +67,12 @@ class Upload:
 
     @property
     def _complete(self) -> bool:
-        """Whether every item was asked for."""
+        """Whether every item was requested."""
         return len(self._handed) == len(self._wire)
 
     def _on_request(self, number: int, now: float) -> Any | None:
-        # A repeated packet must not be answered twice: each answer brings the next question, and every
-        # later item would cross twice as well.
+        # A repeated packet must not be answered twice: each answer causes the next request, which would
+        # double every later item.
         if number >= len(self._wire) or now - self._handed.get(number, -TWICE) < TWICE:
             return None
         if number not in self._handed:
@@ -83,16 +83,16 @@ class Upload:
 
     def _on_ack(self, result: int) -> None:
         if result == dialect.MAV_MISSION_INVALID_SEQUENCE:
-            # ArduPilot says this of an item that it did not ask for, as one that came twice, and goes on.
+            # ArduPilot sends this for an item that it did not request, such as a duplicate, and continues.
             return
         if result == dialect.MAV_MISSION_OPERATION_CANCELLED:
             self._end("it did not get the next item in time")
         elif result == dialect.MAV_MISSION_ACCEPTED:
-            # Before the last item it is the word of an earlier upload that comes late.
+            # Before the last item it is a late message of an earlier upload.
             if self._complete:
                 self._end()
         elif result == dialect.MAV_MISSION_ERROR and self._complete and self._silences:
-            # What we repeated came after the end, and the word of that end was lost.
+            # Our repetition arrived after the end, whose message was lost.
             self._end()
         else:
             self.refusal = result
@@ -101,4 +101,4 @@ class Upload:
     def _end(self, why: str = "") -> None:
         self.over = True
         if why or not self._complete:
-            self.why = why or f"it asked for {len(self._handed)} of {len(self._wire)} items only"
+            self.why = why or f"it requested {len(self._handed)} of {len(self._wire)} items only"

@@ -1,1 +1,1 @@
-"""What a vehicle is sent to move: orders, moving targets, their stream, and the speed that is commanded."""
+"""Motion commands: orders, trajectories, the setpoint stream, and speed control."""

@@ -1,4 +1,4 @@
-"""How the mode of setpoints is entered: GUIDED of ArduPilot, OFFBOARD of PX4; how a copter hovers in it."""
+"""Entering the mode for setpoints: ArduPilot's GUIDED, PX4's OFFBOARD; hovering of a copter in it."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from contextlib import suppress
 
 from lfield.driver import DeviceError
 from lfield_mavlink.contact.contact import Contact
-from lfield_mavlink.link.dialect import dialect, result_words
+from lfield_mavlink.link.dialect import dialect, result_text
 
-#: Seconds of setpoints that PX4 must have noticed before it is told to enter OFFBOARD.
+#: Seconds of setpoints that PX4 needs before OFFBOARD is commanded.
 NOTICES = 0.15
-#: Seconds for an answer, and for the mode to show, before it is told again; and how often PX4 may refuse.
+#: Seconds for an answer, and for the mode, before a repetition; number of refusals of PX4.
 SHOWN, REFUSALS = 0.05, 2
-#: Seconds after its acceptance, asked again meanwhile, after which it would have said that it does not.
+#: Seconds after its repeated acceptance after which a refusal would have arrived.
 BELIEVED = 0.1
 
 
 class GuidedMode:
-    """The mode of setpoints of one vehicle."""
+    """The mode for setpoints of one vehicle."""
 
     def __init__(self, vehicle: Contact) -> None:
         self._vehicle, self._state = vehicle, vehicle.state
-        #: Whether PX4 has accepted OFFBOARD and has told no mode since.
+        #: Whether PX4 has accepted OFFBOARD and has reported no mode since.
         self.is_believed = False
         vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_mode)
         vehicle.on(dialect.MAVLINK_MSG_ID_CURRENT_MODE, self._on_mode)
@@ -33,44 +33,44 @@ class GuidedMode:
 
     @property
     def is_entered(self) -> bool:
-        """Whether the vehicle is in it, as far as it has told."""
+        """Whether the vehicle has reported it."""
         return self._state.mode == self._vehicle.profile.guided
 
     async def enter_guided(self, until: float) -> bool:
-        """ArduPilot has entered GUIDED when it acknowledges that: this counts, or its heartbeat, if sooner.
+        """Enters GUIDED: confirmed by ArduPilot's acknowledgement or heartbeat, whichever comes first.
 
-        Any of these packets may be lost, so it is asked again soon. False when it refuses, or leaves all of
-        them without an answer until `until`: then it is to be asked as for any other mode, for the reason.
+        Repeated soon, since packets may be lost. False when it is refused, or unanswered until `until`: then
+        the caller uses the ordinary command to get the reason.
         """
         result = None
         while result is None and not self.is_entered:
             if self._vehicle.clock.monotonic() >= until:
                 break
-            result = await self._ask()
+            result = await self._request_mode()
         if result == dialect.MAV_RESULT_ACCEPTED:
-            self._state.enters(self._vehicle.profile.guided)
+            self._state.on_mode_entered(self._vehicle.profile.guided)
         return self.is_entered
 
     async def enter_offboard(self, what: str, until: float, within: str) -> None:
-        """PX4 enters OFFBOARD when it has noticed the setpoints, and shows it by CURRENT_MODE.
+        """Enters OFFBOARD: PX4 needs setpoints first, and confirms it by CURRENT_MODE.
 
-        What it does not enter it accepts all the same, and says so in words at once. CURRENT_MODE comes when
-        the mode changes and then after half a second: when that packet was lost, no such words are enough.
-        `within` is the time until `until` in words. Raises DeviceError.
+        PX4 accepts the command in any case, and reports a failure by a text at once. CURRENT_MODE comes at
+        the change of mode and then after half a second; if it was lost, the absence of such a text is
+        sufficient. `within` is the time until `until` in words. Raises DeviceError.
         """
         vehicle, guided = self._vehicle, self._vehicle.profile.guided
         start, pause, refusals, accepted = vehicle.clock.monotonic(), NOTICES, 0, math.inf
-        while not await vehicle.seen(lambda: self.is_entered, pause):
+        while not await vehicle.wait_for(lambda: self.is_entered, pause):
             asked = vehicle.clock.monotonic()
             if asked >= min(accepted + BELIEVED, max(accepted, until)):
                 self.is_believed = True
                 break
-            result = await self._ask_for_offboard(asked)
+            result = await self._request_offboard(asked)
             refused = vehicle.is_unavailable(guided, asked) or result not in (
                 None,
                 dialect.MAV_RESULT_ACCEPTED,
             )
-            # The first time it may be that the setpoints were lost.
+            # A first refusal may mean that the setpoints were lost.
             pause, refusals = (NOTICES, refusals + 1) if refused else (0.0, refusals)
             if refused:
                 accepted = math.inf
@@ -80,19 +80,19 @@ class GuidedMode:
             if not self.is_entered and (over or refusals == REFUSALS):
                 vehicle.check_link()
                 why = "refused" if refused else f"not entered within {within}"
-                words = "no answer" if result is None else result_words(result)
+                words = "no answer" if result is None else result_text(result)
                 raise vehicle.error(f"{what}: {guided} was {why}: {words}{vehicle.reasons(start)}")
 
-    async def _ask_for_offboard(self, asked: float) -> int | None:
-        """Tell PX4 once, and wait a moment for what becomes of it; the result of the command."""
+    async def _request_offboard(self, asked: float) -> int | None:
+        """Commands it once and waits briefly for the effect; returns the result."""
         vehicle, guided = self._vehicle, self._vehicle.profile.guided
-        result = await self._ask()
+        result = await self._request_mode()
         if result is not None:
-            await vehicle.seen(lambda: self.is_entered or vehicle.is_unavailable(guided, asked), SHOWN)
+            await vehicle.wait_for(lambda: self.is_entered or vehicle.is_unavailable(guided, asked), SHOWN)
         return result
 
-    async def _ask(self) -> int | None:
-        """Tell it once to enter the mode; the result, None when none has come soon."""
+    async def _request_mode(self) -> int | None:
+        """Commands the mode once; returns the result, None without a timely one."""
         profile, command = self._vehicle.profile, dialect.MAV_CMD_DO_SET_MODE
         values = profile.mode_command(profile.guided)
         answer = await self._vehicle.exchange.command(command, *values, once=True, patience=SHOWN)
@@ -104,11 +104,11 @@ STOPPED, WITHIN = 0.4, 10.0
 
 
 class Hover:
-    """A copter of ArduPilot that was told to stop, in BRAKE, hovers on in GUIDED.
+    """Moves a stopped ArduCopter from BRAKE to a hover in GUIDED.
 
-    In BRAKE its failsafe for the ground station would not act when this computer is dead: with bit 4 of
-    FS_OPTIONS, which is the default, that goes on in all modes of a pilot, and BRAKE is one of them
-    (Copter::failsafe_gcs_on_event and Mode::is_autopilot of ArduCopter 4.7).
+    Its ground station failsafe would not act in BRAKE when this computer fails: with bit 4 of FS_OPTIONS
+    (default) it is ignored in pilot modes, and BRAKE is one (Copter::failsafe_gcs_on_event and
+    Mode::is_autopilot of ArduCopter 4.7).
     """
 
     def __init__(self, vehicle: Contact) -> None:
@@ -116,20 +116,20 @@ class Hover:
         self._asked = asyncio.Event()
         self._work: asyncio.Task[None] | None = None
 
-    def begin(self) -> None:
-        """It has been told to stop; where BRAKE is its safe state it stays in that."""
+    def start(self) -> None:
+        """It was commanded to stop; if BRAKE is its safe state it stays in it."""
         profile, binding = self._vehicle.profile, self._vehicle.binding
         if profile.kind == "copter" and not profile.px4 and profile.hold != profile.safe(binding.safe_state):
             self._asked.set()
 
     def end(self) -> None:
-        """It is told something else."""
+        """Another command was given."""
         self._asked.clear()
         if self._work is not None:
             self._work.cancel()
 
-    async def keep(self) -> None:
-        """Do what was begun, until cancelled."""
+    async def run(self) -> None:
+        """Completes stops until cancelled."""
         while True:
             await self._asked.wait()
             self._asked.clear()
@@ -141,7 +141,7 @@ class Hover:
 
     async def _hover(self) -> None:
         vehicle, profile = self._vehicle, self._vehicle.profile
-        await vehicle.seen(lambda: not self._stops or self._has_stopped, WITHIN)
+        await vehicle.wait_for(lambda: not self._stops or self._has_stopped, WITHIN)
         if self._stops and self._has_stopped:
             mode, values = profile.guided, profile.mode_command(profile.guided)
             set_mode = dialect.MAV_CMD_DO_SET_MODE

@@ -1,11 +1,11 @@
-"""Where a vehicle that follows setpoints is to be now: a target that moves within bounds. Pure.
+"""Moving targets for setpoints, with bounded speed. Pure.
 
-PX4 shapes no step of a position setpoint in OFFBOARD: it flies there as fast as MPC_XY_VEL_MAX allows. So the
-target itself moves, no faster than the speed that is allowed, and waits when the vehicle falls behind.
+PX4 does not shape a step of a position setpoint in OFFBOARD: it flies there as fast as MPC_XY_VEL_MAX allows.
+So the target itself moves within the permitted speed, and waits when the vehicle falls behind.
 
-PX4's position control is proportional (MPC_XY_P 0.95, MPC_Z_P 1.0, per second;
+PX4's position controller is proportional (MPC_XY_P 0.95, MPC_Z_P 1.0 per second;
 https://docs.px4.io/main/en/flight_stack/controller_diagrams): the vehicle follows the target at a distance of
-about one second of its speed, and in steady motion it is exactly as fast as its target, whatever the wind.
+about one second of its speed, and in steady motion has exactly the target's speed, whatever the wind.
 """
 
 from __future__ import annotations
@@ -14,39 +14,39 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from lfield_mavlink.geo import Vector
+from lfield_mavlink.geodesy import Vector
 from lfield_mavlink.limits import BRAKES
 from lfield_mavlink.link.dialect import AUTOPILOT, dialect
-from lfield_mavlink.setpoints.correction import SpeedCorrection
+from lfield_mavlink.setpoints.speed_correction import SpeedCorrection
 
-# type_mask of SET_POSITION_TARGET_LOCAL_NED: everything ignored but what the name says.
+# type_mask of SET_POSITION_TARGET_LOCAL_NED: ignores everything but the named fields.
 ONLY_POSITION, ONLY_VELOCITY, VELOCITY_AND_YAW_RATE, ONLY_YAW = 0x0DF8, 0x0DC7, 0x05C7, 0x09FF
 POSITION_AND_YAW = 0x09F8
 
-#: m/s upwards and downwards; the autopilot's own parameters (MPC_Z_VEL_MAX_UP, _DN) bound them too.
+#: m/s upwards and downwards; also bounded by the autopilot's parameters (MPC_Z_VEL_MAX_UP, _DN).
 CLIMB, SINK = 2.5, 1.5
 #: m/s upwards from the ground (MPC_TKO_SPEED).
 LIFTS = 1.5
-#: m/s2 by which a target gains and loses speed.
+#: Acceleration and deceleration of a target, m/s2.
 GAINS, LOSES = 2.5, 4.0
 #: Seconds of its speed by which a vehicle follows its target.
 FOLLOWS = 1.05
-#: The longest distance of a target from its vehicle: so many seconds of its speed, and so many metres. In the
-#: last share of it the target slows down to a stand.
+#: The maximum lead of a target: seconds of its speed, and metres. In the last share of it the target slows
+#: down to a stop.
 LEAD_TIME, LEAD, SLOWS = 1.35, 0.5, 0.1
 #: The longest time between two setpoints in which a target moves, in seconds.
 LONGEST = 0.2
-#: m/s with which a target closes the last of its way.
+#: m/s with which a target completes its path.
 LEAST = 0.05
 #: Metres from a circle within which a target is on it.
 ON_CIRCLE = 0.05
-#: m/s2 by which a rover is slowed down before its goal.
+#: Deceleration of a rover before its goal, m/s2.
 ROVER_BRAKES = 0.8
 
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A setpoint in metres of home and m/s; `mask` says what counts."""
+    """A setpoint in metres of home and m/s; `mask` selects the fields."""
 
     mask: int
     place: Vector = (0.0, 0.0, 0.0)
@@ -65,19 +65,19 @@ class Target:
 
 
 class Trajectory(Protocol):
-    """A target that moves; `speed` is its greatest over ground in m/s, and may be changed under way."""
+    """A moving target; `speed` is its maximum horizontal speed in m/s, and may be changed."""
 
     speed: float
 
     def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
-        """The setpoint at a time in seconds; `place` is where the vehicle is, None where that is not known.
+        """The setpoint at a time in seconds; `place` is the vehicle's position, None if unknown.
 
-        The target of a vehicle whose place is not known stays where it is. `velocity` is its own, in m/s.
+        Without a position the target stops. `velocity` is the vehicle's, in m/s.
         """
 
 
 class _Moving:
-    """What every moving target has: a point, its pace in m/s, and the time of the last step."""
+    """State of a moving target: position, speed in m/s, and time of the last step."""
 
     def __init__(self, start: Vector, speed: float, pace: float = 0.0) -> None:
         self.speed = speed
@@ -96,7 +96,7 @@ class _Moving:
         return Target(ONLY_POSITION, self._point)
 
     def _share(self, place: Vector) -> float:
-        """The share of its pace at which the target may move on: 0 when it is as far ahead as it may be."""
+        """The share of its speed at which the target may move: 0 at maximum lead."""
         level = math.dist(self._point[:2], place[:2]) / (LEAD_TIME * self.speed + LEAD)
         upright = abs(self._point[2] - place[2]) / (LEAD_TIME * CLIMB + LEAD)
         return min(1.0, max(0.0, (1.0 - max(level, upright)) / SLOWS))
@@ -105,7 +105,7 @@ class _Moving:
         raise NotImplementedError
 
     def _step_to(self, goal: Vector, since: float, share: float, climb: float) -> None:
-        """Straight on to a goal, which it reaches at rest."""
+        """Moves straight to a goal and stops there."""
         way = tuple(g - p for g, p in zip(goal, self._point, strict=True))
         left = math.hypot(*way)
         if left < 1e-6:
@@ -124,7 +124,7 @@ class _Moving:
 
 
 class Leg(_Moving):
-    """Straight to a goal, and there until something else is commanded; `yaw` in rad, None to leave it."""
+    """Straight to a goal and stay; `yaw` in rad, None to keep it."""
 
     def __init__(
         self,
@@ -150,20 +150,20 @@ class Leg(_Moving):
 
 
 class Stay(_Moving):
-    """At a place: a stop, or a hover."""
+    """Stays at a position: a stop, or a hover."""
 
     def __init__(self, place: Vector, speed: float) -> None:
         super().__init__(place, speed)
 
     def _move(self, since: float, share: float) -> None:
-        """It stays."""
+        """Does not move."""
 
 
 class Ring(_Moving):
-    """To the nearest place of a circle and round it, until something else is commanded.
+    """To the nearest point of a circle and round it.
 
-    A vehicle that follows cuts the circle; so the target runs round outside of it, as far as makes up for
-    that. `speed` is the target's; the vehicle, on the smaller circle, is not faster.
+    A following vehicle cuts the circle, so the target uses a larger one that compensates for that. `speed` is
+    the target's; the vehicle, on the smaller circle, is not faster.
     """
 
     def __init__(
@@ -186,7 +186,7 @@ class Ring(_Moving):
 
     @property
     def _entry(self) -> Vector:
-        """Where the target is, or comes onto, its circle."""
+        """The point where the target is on, or enters, its circle."""
         lag = (self.speed * FOLLOWS) ** 2
         square = self._radius**2
         wide = math.sqrt((square + math.sqrt(square**2 + 4.0 * square * lag)) / 2.0)
@@ -208,9 +208,9 @@ class Ring(_Moving):
 
 
 class Pursuit:
-    """A velocity that leads a rover to a goal, less before it; it stands there.
+    """A velocity that leads a rover to a goal, slower near it; then it stops.
 
-    What it drives in steady motion corrects what it is commanded.
+    Corrected by the actual speed in steady motion.
     """
 
     def __init__(self, goal: Vector, speed: float, correction: SpeedCorrection) -> None:
@@ -218,7 +218,7 @@ class Pursuit:
         self._goal, self._correction = goal, correction
 
     def target(self, now: float, place: Vector | None, velocity: Vector) -> Target:
-        """As in Trajectory; nothing leads a rover whose place is not known: it stands."""
+        """As in Trajectory; a rover without a position stops."""
         if place is None:
             return Target(ONLY_VELOCITY)
         north, east = self._goal[0] - place[0], self._goal[1] - place[1]
@@ -235,9 +235,9 @@ class Pursuit:
 
 
 def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, float]:
-    """Where a target begins for a vehicle that moves already, and its pace towards the goal.
+    """Start of a target for a moving vehicle, and its speed towards the goal.
 
-    It begins where the vehicle's own speed goes on, and not beyond the goal.
+    It continues the vehicle's own speed, not beyond the goal.
     """
     way = tuple(g - p for g, p in zip(goal, place, strict=True))
     left = math.hypot(*way)
@@ -250,9 +250,9 @@ def _underway(place: Vector, velocity: Vector, goal: Vector) -> tuple[Vector, fl
 
 
 def stopping_place(place: Vector, velocity: Vector) -> Vector:
-    """Where a vehicle comes to rest when it brakes now, in metres of home.
+    """Where a vehicle would come to rest by braking now, in metres of home.
 
-    To a place behind that one, a rover that steers like a car would drive a loop.
+    To a position behind that one, a car-like rover would drive a loop.
     """
     way = math.hypot(*velocity[:2]) / (2.0 * BRAKES)
     return place[0] + velocity[0] * way, place[1] + velocity[1] * way, place[2]

@@ -1,4 +1,4 @@
-"""One receiver on one serial port, `serial:PATH:BAUD`. It talks by itself; nothing is ever sent to it."""
+"""One receiver on one serial port, `serial:PATH:BAUD`. It sends by itself; nothing is sent to it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from lfield.driver import Device, DeviceBinding, Driver
 from lfield.driver.serial import Lines, SerialLine
 from lfield_gps.nmea import LONGEST, Nonsense, parse
 
-#: Seconds between two looks, and without a sound sentence after which it is lost.
-LOOK, SILENCE = 0.1, 3.0
+#: Seconds between two checks, and without a valid sentence after which it is lost.
+CHECK_INTERVAL, SILENCE = 0.1, 3.0
 
 
 class GpsDriver(Driver):
@@ -27,7 +27,7 @@ class GpsDriver(Driver):
     async def _open(self) -> None:
         first, *others = self.devices.values()
         if others:
-            raise first.error(f"{self.endpoint} has one receiver, and one binding")
+            raise first.error(f"{self.endpoint} supports one receiver, with one binding")
         self._line.open()
         self.spawn(self._receiver.watch())
 
@@ -39,64 +39,64 @@ class GpsDriver(Driver):
         return next(device for device in self.devices.values() if isinstance(device, GpsDevice))
 
     def _sentence(self, line: bytes) -> None:
-        self._receiver.take(line)
+        self._receiver.on_line(line)
 
     def _note(self, text: str) -> None:
         self._receiver.note(text)
 
 
 class GpsDevice(Device):
-    """What the receiver tells. A pure sensor: no safe state, no watchdog, nothing that moves."""
+    """A receiver. A pure sensor: no safe state, no watchdog, no motion."""
 
     def __init__(self, *given: Any) -> None:
         super().__init__(*given)
         self.malformed = 0
         self._fix = ""
-        self._heard_at: float | None = None
+        self._received_at: float | None = None
         self._lost = False
 
-    def take(self, line: bytes) -> None:
-        """A line of the port; one that makes no sense is counted and dropped."""
+    def on_line(self, line: bytes) -> None:
+        """Handles a line of the port; invalid lines are counted and dropped."""
         try:
             told = parse(line)
         except Nonsense:
             self.malformed += 1
             self.publish(malformed=self.malformed)
             return
-        self._heard_at = self.clock.monotonic()
+        self._received_at = self.clock.monotonic()
         self._fix = str(told.get("fix", self._fix))
         self.heard()
         self.publish(**told)
 
     async def watch(self) -> None:
-        """Tell once when nothing is heard any more, and when it is again."""
+        """Logs loss and recovery of the receiver."""
         while True:
-            await asyncio.sleep(LOOK)
-            silent = self._heard_at is not None and self.clock.monotonic() - self._heard_at > SILENCE
+            await asyncio.sleep(CHECK_INTERVAL)
+            silent = self._received_at is not None and self.clock.monotonic() - self._received_at > SILENCE
             if silent != self._lost:
                 self._lost = silent
                 self.note("no sentence for 3 s" if silent else "heard again")
-                # What it knew before says nothing of now.
+                # An earlier fix is outdated.
                 self._fix = "" if silent else self._fix
 
     async def _open(self) -> str:
         patience: float = self.binding.option("connect")
         end = self.clock.monotonic() + patience
-        while self._heard_at is None:
+        while self._received_at is None:
             if self.clock.monotonic() >= end:
-                heard = f"{self.malformed} lines that are no NMEA" if self.malformed else "nothing"
+                heard = f"{self.malformed} lines that are not NMEA" if self.malformed else "nothing"
                 raise self.error(
-                    f"heard {heard} within {patience:g} s; check the wires and the baud rate", timeout=True
+                    f"received {heard} within {patience:g} s; check the wires and the baud rate", timeout=True
                 )
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(CHECK_INTERVAL)
         self.publish(malformed=self.malformed)
-        return f"NMEA receiver, fix: {self._fix or 'not told yet'}"
+        return f"NMEA receiver, fix: {self._fix or 'not known yet'}"
 
     async def do_wait_fix(self, seconds: float) -> bool:
-        """Wait for a fix."""
+        """Waits for a fix."""
         end = self.clock.monotonic() + seconds
         while self._fix in ("", "none"):
             if not self.clock.monotonic() < end:
                 return False
-            await asyncio.sleep(LOOK)
+            await asyncio.sleep(CHECK_INTERVAL)
         return True

@@ -1,4 +1,4 @@
-"""A receiver on a pseudo-terminal, as behind a USB adapter: it drives in a circle and tells of it."""
+"""A simulated receiver on a pseudo-terminal, as behind a USB adapter: it drives in a circle."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from typing import Any
 
 from lfield.driver import DeviceBinding
 from lfield_gps.nmea import KNOT, sentence
+from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option, share
-from lfield_sim.serving import serve_until_told
 from lfield_sim.terminal import Terminal
 
-#: Where the circle is, in degrees and metres; its radius in metres, and the speed on it in m/s.
+#: Centre of the circle in degrees and metres; its radius in metres, and the speed in m/s.
 LATITUDE, LONGITUDE, HEIGHT, RADIUS, SPEED = 47.397742, 8.545594, 488.0, 20.0, 2.0
 #: Metres of a degree of latitude.
 DEGREE = 111_320.0
-#: Its number among the devices of the fake: it is the only one.
+#: The number of the fake's only device.
 NUMBER = "1"
-#: Baud: ten times a second its three sentences are 2,000 bytes, which 9,600 do not carry.
+#: Baud: at ten times a second its three sentences are 2,000 bytes, too many for 9,600.
 BAUD = 38_400
 BEGINS = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
 
@@ -32,13 +32,13 @@ FAULTS = (
     share("noise", "bytes that are replaced by others"),
     share("half", "sentences that end in their middle"),
     Fault("no_fix", False, "it sees no satellites"),
-    Fault("silent", False, "it says nothing"),
+    Fault("silent", False, "it sends nothing"),
     Fault("unplug", False, "the adapter is pulled out"),
 )
 
 
 def sentences(seconds: float, *, fix: bool = True) -> bytes:
-    """What it says after so many seconds: GGA, GSA and RMC."""
+    """Its sentences after so many seconds: GGA, GSA and RMC."""
     angle = SPEED / RADIUS * seconds
     north, east = on_circle(seconds)
     latitude = LATITUDE + north / DEGREE
@@ -58,7 +58,7 @@ def sentences(seconds: float, *, fix: bool = True) -> bytes:
 
 
 def on_circle(seconds: float) -> tuple[float, float]:
-    """Where it is then: metres north and east of the middle of its circle."""
+    """Its position at that time: metres north and east of the centre."""
     angle = SPEED / RADIUS * seconds
     return RADIUS * math.cos(angle), RADIUS * math.sin(angle)
 
@@ -69,22 +69,22 @@ def _minutes(degrees: float, digits: int) -> str:
 
 
 class Receiver:
-    """The receiver at its adapter; `path` is a link to the terminal, the same after every unplug."""
+    """The receiver at its adapter; `path` is a link to the terminal, unchanged after an unplug."""
 
     def __init__(self, path: Path, faults: Faults, rate: float) -> None:
         self._faults, self._rate = faults, rate
-        # It is told nothing: what comes is not looked at.
+        # Received data is ignored.
         self._terminal = Terminal(path, lambda data, baud: None)
         self._random = random.Random(1)
         self._seconds = 0.0
 
     @property
     def place(self) -> tuple[float, float, float]:
-        """Where it is: metres north, east and up of the middle of its circle."""
+        """Its position: metres north, east and up of the centre."""
         return *on_circle(self._seconds), 0.0
 
     async def run(self) -> None:
-        """Speak, `rate` times a second, for ever."""
+        """Sends sentences `rate` times a second."""
         while True:
             self.be_plugged(not self._wrong("unplug"))
             if not self._wrong("silent"):
@@ -93,7 +93,7 @@ class Receiver:
             self._seconds += 1.0 / self._rate
 
     def be_plugged(self, plugged: bool) -> None:
-        """Be there, or be gone: then a client gets an input/output error. Raises AddressError."""
+        """Plugs it in, or unplugs it: then a client gets an input/output error. Raises AddressError."""
         if plugged:
             self._terminal.plug()
         else:
@@ -116,10 +116,10 @@ class GpsSim:
     """The fake for `lfield sim gps` and `lfield up --sim`."""
 
     name = "gps"
-    help = "A receiver that drives in a circle of 20 m and speaks NMEA 0183 on a pseudo-terminal."
+    help = "A receiver that drives in a circle of 20 m and sends NMEA 0183 on a pseudo-terminal."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Where it listens, how often it speaks, and what is wrong with it."""
+        """Adds the endpoint, the rate and the faults."""
         parser.add_argument("--listen", default="", metavar="PATH", help="of the link to its terminal")
         parser.add_argument("--rate", type=float, default=5.0, metavar="HZ", help="from 1 to 10 (5)")
         parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
@@ -131,21 +131,21 @@ class GpsSim:
         return ["--called", devices[0].name]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end."""
+        """Serves until it is stopped."""
         with tempfile.TemporaryDirectory(prefix="lfield-gps-") as folder:
             args.listen = args.listen or f"{folder}/gps"
             asyncio.run(self.serve(args))
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on a loop that runs; in a test that may be on virtual time."""
+        """As `run`, on a running loop, which may have virtual time in a test."""
         faults = Faults(FAULTS, {NUMBER: args.called})
         faults.apply(args.fault)
         path = args.listen or f"/dev/{args.called or 'gps'}"
         receiver = Receiver(Path(path), faults, min(10.0, max(1.0, args.rate)))
         receiver.be_plugged(True)
         speaking = asyncio.get_running_loop().create_task(receiver.run())
-        await serve_until_told(
+        await serve_until_stopped(
             "gps",
             f"serial:{path}:{BAUD}",
             "",

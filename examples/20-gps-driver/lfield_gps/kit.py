@@ -1,4 +1,4 @@
-"""What a Gps promises beyond what every device does: checks for the fake and for the real thing."""
+"""Conformance checks of a Gps, in addition to the standard ones."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from lfield.driver.kit import Bench, CheckFailed, Kit
 
 KIT = Kit()
 
-#: Seconds for a fix under an open sky, and between two positions. Degrees that a second may make, at most.
+#: Seconds for a fix under an open sky, and between two positions. Maximum change in degrees.
 FIX, APART, FAR = 60.0, 1.5, 0.01
 
 
 @KIT.check("it has a fix", moves=False)
 async def fix(bench: Bench) -> str:
-    """Under an open sky it has one, with at least three satellites."""
+    """Under an open sky it has a fix with at least three satellites."""
     if not await bench.call("waitFix", FIX):
         raise CheckFailed(f"no fix within {FIX:g} s: does it see the sky?")
     if bench.query("satellites") < 3:
@@ -22,20 +22,20 @@ async def fix(bench: Bench) -> str:
     return f"{bench.query('fix')} by {bench.query('satellites')} satellites"
 
 
-@KIT.check("its positions are of one place", moves=False)
+@KIT.check("its positions are consistent", moves=False)
 async def place(bench: Bench) -> str:
-    """Two positions, one after the other, are near each other, and new."""
+    """Two successive positions are near each other, and new."""
     before = bench.query("position")
     await asyncio.sleep(APART)
     after = bench.query("position")
     if max(abs(a - b) for a, b in zip(before[:2], after[:2], strict=True)) > FAR:
-        raise CheckFailed(f"it leaps from {before} to {after}")
+        raise CheckFailed(f"it jumps from {before} to {after}")
     return f"{after[0]:.6f}° {after[1]:.6f}° {after[2]:.1f} m at {bench.query('utc')}"
 
 
-@KIT.check("its sentences arrive whole", moves=False)
+@KIT.check("its sentences arrive undamaged", moves=False)
 async def whole(bench: Bench) -> str:
-    """A line or two may be cut when the port is opened; after that, none."""
+    """A line or two may be truncated when the port is opened; later ones not."""
     before = bench.query("malformed")
     await asyncio.sleep(APART)
     damaged = bench.query("malformed") - before

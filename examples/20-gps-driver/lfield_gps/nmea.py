@@ -1,7 +1,7 @@
 """NMEA 0183 sentences of GNSS receivers: GGA, RMC and GSA. Pure.
 
-`$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47`: talker, type, fields, and the exclusive
-or of all between `$` and `*`. A field may be empty: what is not known is not told.
+`$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47`: talker, type, fields, and the XOR of all
+characters between `$` and `*`. Unknown fields are empty and not reported.
 """
 
 from __future__ import annotations
@@ -13,20 +13,20 @@ from datetime import UTC, datetime
 Value = float | int | str | list[float]
 Values = dict[str, Value]
 
-#: Bytes of the longest sentence; the standard says 82, and receivers send a little more.
+#: Bytes of the longest sentence; the standard says 82, receivers send slightly more.
 LONGEST = 120
-#: m/s of a knot.
+#: m/s per knot.
 KNOT = 1852.0 / 3600.0
 #: The quality field of GGA.
 FIXES = ("none", "gps", "dgps", "pps", "rtk", "float rtk", "estimated", "manual", "simulated")
 
 
 class Nonsense(ValueError):
-    """A sentence that is damaged, or says what cannot be."""
+    """A damaged sentence, or one with impossible values."""
 
 
 def checksum(text: str) -> int:
-    """Of what is between `$` and `*`."""
+    """The checksum of the text between `$` and `*`."""
     total = 0
     for character in text.encode("ascii"):
         total ^= character
@@ -34,16 +34,16 @@ def checksum(text: str) -> int:
 
 
 def sentence(text: str) -> bytes:
-    """A sentence as it is sent, of what is between `$` and `*`."""
+    """A complete sentence for the text between `$` and `*`."""
     return f"${text}*{checksum(text):02X}\r\n".encode("ascii")
 
 
 def parse(line: bytes) -> Values:
-    """What a sentence tells, by telemetry quantity; nothing for one of another type. Raises Nonsense."""
+    """The telemetry of a sentence; empty for unknown types. Raises Nonsense."""
     try:
         text = line.strip().decode("ascii")
     except UnicodeDecodeError:
-        raise Nonsense("bytes that are no text") from None
+        raise Nonsense("bytes that are not text") from None
     body, star, given = text[1:].rpartition("*")
     if not text.startswith("$") or not star or len(given) != 2:
         raise Nonsense("no sentence")
@@ -56,7 +56,7 @@ def parse(line: bytes) -> Values:
     try:
         return reader(fields)
     except (ValueError, IndexError, OverflowError):
-        raise Nonsense(f"a {name} that makes no sense") from None
+        raise Nonsense(f"an invalid {name}") from None
 
 
 def _gga(fields: Sequence[str]) -> Values:
@@ -71,7 +71,7 @@ def _gga(fields: Sequence[str]) -> Values:
 
 
 def _rmc(fields: Sequence[str]) -> Values:
-    """Time and date, speed and course; status V is a warning: nothing of it counts."""
+    """Time and date, speed and course; status V is a warning: all is ignored."""
     told: Values = {}
     if fields[0] and fields[8]:
         when = datetime.strptime(fields[8] + fields[0][:6], "%d%m%y%H%M%S").replace(tzinfo=UTC)
@@ -86,12 +86,12 @@ def _rmc(fields: Sequence[str]) -> Values:
 
 
 def _gsa(fields: Sequence[str]) -> Values:
-    """The dilution of precision, where there is a fix."""
+    """The dilution of precision, if there is a fix."""
     return {"dilution": _number(fields[14])} if fields[1] in ("2", "3") and fields[14] else {}
 
 
 def _place(fields: Sequence[str]) -> tuple[float, float]:
-    """Latitude and longitude in degrees, of `4807.038,N,01131.000,E`."""
+    """Latitude and longitude in degrees, from `4807.038,N,01131.000,E`."""
     latitude, longitude = _angle(fields[0], 2, 90.0), _angle(fields[2], 3, 180.0)
     signs = {"N": 1.0, "S": -1.0, "E": 1.0, "W": -1.0}
     if fields[1] not in ("N", "S") or fields[3] not in ("E", "W"):
@@ -100,7 +100,7 @@ def _place(fields: Sequence[str]) -> tuple[float, float]:
 
 
 def _angle(text: str, digits: int, most: float) -> float:
-    """Degrees of `dddmm.mmmm`."""
+    """Degrees from `dddmm.mmmm`."""
     minutes = _number(text[digits:])
     degrees = int(text[:digits]) + minutes / 60.0
     if not (0.0 <= minutes < 60.0 and 0.0 <= degrees <= most):

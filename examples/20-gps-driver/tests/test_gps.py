@@ -18,7 +18,7 @@ from lfield_gps.fake import FAULTS, LATITUDE, LONGITUDE, SIM, Receiver, sentence
 from lfield_gps.nmea import Nonsense, parse, sentence
 
 from lfield.clock import SystemClock
-from lfield.devices.try_out import checks_of, try_devices
+from lfield.devices.conformance_run import conformance_checks, run_conformance
 from lfield.driver import DeviceError
 from lfield.driver.plugins import Plugins
 from lfield.lang.frontend import check_text
@@ -143,7 +143,7 @@ def test_an_unplugged_receiver_comes_back(rig):
         rig.faults.apply(["unplug=true"])
         await rig.bench.until(lambda: any("is gone" in note for note in rig.bench.notes))
         rig.faults.apply(["unplug=false"])
-        await rig.bench.until(lambda: any("is open again" in note for note in rig.bench.notes))
+        await rig.bench.until(lambda: any("open again" in note for note in rig.bench.notes))
         before = rig.bench.values["position"]
         await rig.bench.until(lambda: rig.bench.values["position"] != before)
 
@@ -154,7 +154,9 @@ def test_nobody_there_is_an_error_within_its_time(rig):
     rig.faults.apply(["silent=true"])
 
     async def story(gps):
-        with pytest.raises(DeviceError, match="heard nothing within 1 s; check the wires and the baud rate"):
+        with pytest.raises(
+            DeviceError, match="received nothing within 1 s; check the wires and the baud rate"
+        ):
             await gps.open()
 
     rig.bench.run_real(story, opened=False)
@@ -169,9 +171,9 @@ def test_it_is_tried_as_a_process(monkeypatch):
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as fake:
         ready, endpoint = fake.stdout.readline().split()
         assert ready == "ready"
-        checks, clock = checks_of(plugins.by_driver["gps"])[:3], SystemClock()
+        checks, clock = conformance_checks(plugins.by_driver["gps"])[:3], SystemClock()
         gps = bind(PLUGIN, endpoint=endpoint)
-        found = asyncio.run(try_devices(plugins, [gps], checks, False, print, clock=clock, silence=1.0))
+        found = asyncio.run(run_conformance(plugins, [gps], checks, False, print, clock=clock, silence=10.0))
         fake.stdin.close()
     assert [f.check for f in found if f.outcome == "passed"] == ["endpoint", "identity", "telemetry"]
 

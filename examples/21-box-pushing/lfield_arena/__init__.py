@@ -1,4 +1,4 @@
-"""The driver 'arena': devices of the type Omni, small robots on a plane with things (README.md)."""
+"""The driver 'arena': devices of the type Omni, small robots on a plane with objects (README.md)."""
 
 from lfield.driver import Plugin
 

@@ -1,7 +1,7 @@
 """A ball on a pitch with walls and two goals: it rolls, bounces and is kicked. Pure.
 
-The walls are as those of an indoor pitch: there is no out. The goals are gaps in the middle of the walls in
-the north and in the south. Metres north and east of the middle, m/s, seconds.
+The pitch is an indoor pitch with walls. The goals are gaps in the middle of the north and south walls. Metres
+north and east of the middle, m/s, seconds.
 """
 
 from __future__ import annotations
@@ -11,32 +11,32 @@ from dataclasses import dataclass, field
 
 from lfield_arena.box import Vector
 
-#: Of the pitch, north and east, and of a goal.
+#: Length and width of the pitch, and width of a goal.
 LENGTH, WIDTH, GOAL = 4.0, 3.0, 1.0
-#: Of the ball; how near it must be to be kicked, between the rims, and the hardest kick.
+#: Radius of the ball; maximum distance for a kick, between the rims; maximum speed of a kick.
 BALL_RADIUS, REACH, HARDEST = 0.06, 0.05, 2.0
-#: What rolling takes of its speed each second; the shares of it that walls and robots give back.
+#: Relative loss of speed per second by rolling; restitution of walls and robots.
 ROLL, WALL, BUMPER = 0.4, 0.6, 0.3
-#: How long it lies in a goal; by how many metres it comes in how many seconds, or is put into the middle.
+#: Seconds in a goal; if it moves less than so many metres in so many seconds, it is put into the middle.
 PAUSE, PROGRESS, PATIENCE = 3.0, 0.2, 4.0
 
 
 @dataclass(slots=True)
 class Ball:
-    """A ball, and how often it was in the north goal and in the south goal."""
+    """A ball, and its numbers of goals in the north and in the south."""
 
     place: Vector = (0.0, 0.0)
     speed: Vector = (0.0, 0.0)
     radius: float = BALL_RADIUS
     goals: list[int] = field(default_factory=lambda: [0, 0])
-    #: How long it still lies in a goal; 0 in play.
+    #: Remaining seconds in a goal; 0 in play.
     rests: float = 0.0
-    #: A place near which it has been for so long.
+    #: A position near which it has stayed, and for how long.
     mark: Vector = (0.0, 0.0)
     stuck: float = 0.0
 
     def step(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advances time."""
         if self.rests > 0.0:
             self._rest(seconds)
             return
@@ -63,7 +63,7 @@ class Ball:
             self.place, self.speed, self.stuck = (0.0, 0.0), (0.0, 0.0), 0.0
 
     def hold(self) -> None:
-        """Beyond a wall it is put at the wall, and bounces; between the posts there is none."""
+        """Puts it back inside the walls, bouncing; between the posts there is no wall."""
         beyond = abs(self.place[0]) - (LENGTH / 2.0 - self.radius)
         beside = abs(self.place[1]) - (GOAL / 2.0 - self.radius)
         if beyond > 0.0 and beside > 0.0:
@@ -81,13 +81,13 @@ class Ball:
         self.place, self.speed = (place[0], place[1]), (speed[0], speed[1])
 
     def touch(self, place: Vector, radius: float) -> tuple[float, Vector]:
-        """Metres between it and a disc, and the direction from the disc to it."""
+        """Distance to a disc in metres, and the direction from the disc to it."""
         north, east = self.place[0] - place[0], self.place[1] - place[1]
         away = math.hypot(north, east)
         return away - radius - self.radius, (north / away, east / away) if away > 0.0 else (1.0, 0.0)
 
     def struck(self, normal: Vector, speed: Vector) -> None:
-        """By something that touches it, and goes with that speed."""
+        """A collision with an object that moves with that speed."""
         closing = sum(
             (theirs - own) * along for theirs, own, along in zip(speed, self.speed, normal, strict=True)
         )
@@ -95,7 +95,7 @@ class Ball:
         self.speed = self.speed[0] + normal[0] * gained, self.speed[1] + normal[1] * gained
 
     def kicked(self, place: Vector, radius: float, speed: float) -> bool:
-        """By a disc: straight away from it, so who aims stands behind it. False when too far away."""
+        """A kick by a disc, straight away from it. False when it is too far away."""
         gap, normal = self.touch(place, radius)
         if gap > REACH or self.rests > 0.0:
             return False

@@ -1,12 +1,12 @@
-"""A box on the floor: its mass, the friction below it, and what robots that touch it do to it. Pure.
+"""A box on the floor: mass, friction, and pushing by robots. Pure.
 
 The friction is a *limit surface* (Goyal, Ruina and Papadopoulos, 1991): all forces and torques that the floor
-can hold. Here it is a ball over force and torque divided by the radius of gyration. A box at rest stays there
-while the push is inside; when it slides, the floor takes all that it can, against the motion. So unequal
-pushes turn it, as they do a real one.
+can hold. Here it is a ball over force and torque divided by the radius of gyration. A box at rest stays while
+the push is inside; when it slides, the maximum acts against the motion. So unequal pushes turn it, as in
+reality.
 
-Places are north and east in metres, headings in radians from north to east. A box moves `ahead`, along its
-heading, and `aside`, to the right of it.
+Positions are north and east in metres, headings in radians from north to east. A box moves `ahead`, along its
+heading, and `aside`, to the right.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 Vector = tuple[float, float]
 
-#: The sides of the box in metres, ahead and across. kg, and newtons that the floor holds.
+#: The sides of the box in metres, along and across; mass in kg; friction in newtons.
 LENGTH, WIDTH, MASS, FRICTION = 0.4, 1.2, 10.0, 12.0
 #: Its radius of gyration in metres, as of a plate.
 GYRATION = math.hypot(LENGTH, WIDTH) / math.sqrt(12.0)
@@ -24,10 +24,10 @@ GYRATION = math.hypot(LENGTH, WIDTH) / math.sqrt(12.0)
 
 @dataclass(frozen=True, slots=True)
 class Contact:
-    """Where a disc is nearest to the box.
+    """The point of the box that is nearest to a disc.
 
-    `gap` is in metres, below 0 where they overlap; `normal` points from the disc into the box; `lever` are
-    the metres by which a push along it turns the box.
+    `gap` is in metres, below 0 where they overlap; `normal` points from the disc into the box; `lever` is the
+    arm in metres of a push along it.
     """
 
     gap: float
@@ -37,7 +37,7 @@ class Contact:
 
 @dataclass(slots=True)
 class Box:
-    """A box by its pose, and its motion in m/s and rad/s."""
+    """A box: its pose, and its motion in m/s and rad/s."""
 
     north: float
     east: float
@@ -47,11 +47,11 @@ class Box:
 
     @property
     def energy(self) -> float:
-        """Of its motion, in joules."""
+        """Its kinetic energy in joules."""
         return 0.5 * MASS * (math.hypot(*self.speed) ** 2 + (GYRATION * self.spin) ** 2)
 
     def touch(self, place: Vector, radius: float) -> Contact:
-        """Of a disc of that radius."""
+        """The contact with a disc of that radius."""
         cos, sin = math.cos(self.heading), math.sin(self.heading)
         north, east = place[0] - self.north, place[1] - self.east
         ahead, aside = north * cos + east * sin, east * cos - north * sin
@@ -60,7 +60,7 @@ class Box:
         if away > 0.0:
             inward = (near[0] - ahead) / away, (near[1] - aside) / away
         else:
-            # The middle of the disc is inside: out by the nearest side.
+            # The centre of the disc is inside: out by the nearest side.
             depth = LENGTH / 2.0 - abs(ahead), WIDTH / 2.0 - abs(aside)
             away = -min(depth)
             out = depth[0] < depth[1]
@@ -70,13 +70,13 @@ class Box:
         return Contact(away - radius, normal, lever)
 
     def speed_at(self, contact: Contact) -> float:
-        """How fast the touched place goes along the normal, in m/s."""
+        """The speed of the contact point along the normal, in m/s."""
         return (
             self.speed[0] * contact.normal[0] + self.speed[1] * contact.normal[1] + self.spin * contact.lever
         )
 
     def step(self, pushes: list[tuple[Contact, float]], seconds: float) -> None:
-        """Let time pass under pushes in newtons: Newton's second law, then friction, which only slows."""
+        """Advances time with pushes in newtons: Newton's second law, then friction, which only slows."""
         kick = seconds / MASS
         north = self.speed[0] + kick * sum(contact.normal[0] * force for contact, force in pushes)
         east = self.speed[1] + kick * sum(contact.normal[1] * force for contact, force in pushes)

@@ -1,4 +1,4 @@
-"""One robot on the plane: what its manifest promises. Its requests are those of `robot.py`."""
+"""One robot on the plane: its instructions and telemetry. Its requests are those of `robot.py`."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from typing import Any
 
 from lfield.driver import Device, DeviceError
 
-#: Seconds between two polls, and for its wheels to stand.
+#: Seconds between two polls, and for its wheels to stop.
 POLL, STAND = 0.05, 0.5
-#: What every state tells.
+#: The fields of every state.
 STATE = (
     *("north", "east", "moving", "broken", "watchdog", "target_north", "target_east", "target_heading"),
     *("now", "north_goals", "south_goals"),
@@ -19,7 +19,7 @@ STATE = (
 
 
 class OmniDevice(Device):
-    """A robot; `ask` sends a request and gives its answer."""
+    """A robot; `ask` sends a request and returns its answer."""
 
     def __init__(self, *given: Any) -> None:
         *own, ask = given
@@ -28,7 +28,7 @@ class OmniDevice(Device):
         self._lost = self._moves = False
 
     async def poll(self) -> None:
-        """Read its state; that it is lost, or back, is told once."""
+        """Reads its state; logs loss and recovery."""
         try:
             await self._state()
         except DeviceError as error:
@@ -37,7 +37,7 @@ class OmniDevice(Device):
             self._lost = True
         else:
             if self._lost:
-                self.note("it answers again")
+                self.note("it responds again")
             self._lost = False
 
     async def _open(self) -> str:
@@ -60,7 +60,7 @@ class OmniDevice(Device):
         end = self.clock.monotonic() + STAND
         while (await self._state())["moving"]:
             if self.clock.monotonic() > end:
-                raise self.error("it was told to stop and still moves")
+                raise self.error("it was commanded to stop but still moves")
             await asyncio.sleep(POLL)
 
     def _moving(self) -> str:
@@ -69,10 +69,12 @@ class OmniDevice(Device):
         return "still moving" if self._moves else ""
 
     async def do_drive_to(self, north: float, east: float, seconds: float) -> bool:
-        """Done when its state says that it stands: there, or where it is when the time is over."""
+        """Done when it is at rest: at its goal, or where it is when the time is over."""
         self._check(north, east, seconds)
         if math.hypot(north, east) > self.binding.limits.get("radius", math.inf):
-            raise self.error(f"({north:g}, {east:g}) is farther out than {self.binding.limits['radius']:g} m")
+            raise self.error(
+                f"({north:g}, {east:g}) is outside the radius of {self.binding.limits['radius']:g} m"
+            )
         end = self.clock.monotonic() + seconds
         await self._command(f"go {north} {east} {self._limit}")
         while (state := await self._state())["moving"]:
@@ -85,18 +87,18 @@ class OmniDevice(Device):
         return True
 
     async def do_stop(self) -> None:
-        """Done when its state says that it stands; also what a cancel of driveTo does."""
+        """Done when it is at rest; also the cancel of driveTo."""
         await self._make_safe("stop")
 
     async def do_set_velocity(self, north: float, east: float) -> None:
-        """Sent once; the guard sees to its end."""
+        """Sent once; the guard ends it."""
         self._check(north, east)
         if math.hypot(north, east) > self._limit:
-            raise self.error(f"{math.hypot(north, east):g} m/s is faster than its limit of {self._limit:g}")
+            raise self.error(f"{math.hypot(north, east):g} m/s is above its limit of {self._limit:g}")
         await self._command(f"drive {north} {east}")
 
     async def do_kick(self, speed: float) -> bool:
-        """The ball, if it is near enough."""
+        """Kicks the ball, if it is near enough."""
         self._check(speed)
         answer = await self._ask(f"kick {speed}")
         if answer not in ("ok", "no ball"):
@@ -109,7 +111,7 @@ class OmniDevice(Device):
 
     def _check(self, *numbers: float) -> None:
         if not all(map(math.isfinite, numbers)):
-            raise self.error(f"these are no numbers to drive by: {', '.join(map(str, numbers))}")
+            raise self.error(f"numbers must be finite, not {', '.join(map(str, numbers))}")
 
     async def _command(self, line: str) -> None:
         answer = await self._ask(line)
@@ -117,14 +119,14 @@ class OmniDevice(Device):
             raise self.error(answer if answer.isprintable() else repr(answer))
 
     async def _state(self) -> dict[str, float]:
-        """Its state as a table, published."""
+        """Its state as a table; publishes it."""
         words = (await self._ask("?")).split()
         try:
             state = {name: float(value) for name, value in zip(words[::2], words[1::2], strict=True)}
             if not all(map(math.isfinite, state.values())) or not state.keys() >= set(STATE):
                 raise ValueError
         except ValueError:
-            raise self.error(f"its state makes no sense: {' '.join(words)[:80]!r}") from None
+            raise self.error(f"its state is invalid: {' '.join(words)[:80]!r}") from None
         self._moves = bool(state["moving"])
         self.heard()
         self.publish(

@@ -1,4 +1,4 @@
-"""One robot behind one connection, `tcp:HOST:PORT`. A request is a line and so is its answer."""
+"""One robot behind one connection, `tcp:HOST:PORT`. Requests and answers are lines."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_arena.device import POLL, OmniDevice
 
-#: How a link is opened: by asyncio, or in a test by a fake in memory.
+#: Opens a link: by asyncio, or in a test to a fake in memory.
 Connect = Callable[..., Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
-#: Seconds for an answer; the longest line.
+#: Seconds for an answer; bytes of the longest line.
 ANSWER, LONGEST = 0.5, 4096
 
 
 class ArenaDriver(Driver):
-    """The link to a robot; after a failure the next request connects again."""
+    """The link to a robot; after a failure the next request reconnects."""
 
     def __init__(self, *given: Any, connect: Connect = asyncio.open_connection) -> None:
         self._connect, self._polling = connect, True
@@ -32,7 +32,7 @@ class ArenaDriver(Driver):
     async def _open(self) -> None:
         first, *others = self.devices.values()
         if others:
-            raise first.error(f"{self.endpoint} has one robot, and one binding")
+            raise first.error(f"{self.endpoint} supports one robot, with one binding")
         assert isinstance(first, OmniDevice)
         self.spawn(self._poll(first))
 
@@ -40,7 +40,7 @@ class ArenaDriver(Driver):
         self._disconnect()
 
     def _quiet(self) -> None:
-        # Every request feeds the robot's watchdog; for an owner who is gone there are none.
+        # Every request feeds the robot's watchdog; none are sent while the host is silent.
         self._polling = False
 
     def _resume(self) -> None:
@@ -65,7 +65,7 @@ class ArenaDriver(Driver):
                 told = f"{self.endpoint}: {reason}"
                 raise DeviceError(field, told, kind="DeviceTimeoutException") from None
             except asyncio.CancelledError:
-                # The answer is still to come and would be taken for that of the next request.
+                # The late answer would be taken for that to the next request.
                 self._disconnect()
                 raise
 
@@ -74,7 +74,7 @@ class ArenaDriver(Driver):
             kind, _, rest = self.endpoint.partition(":")
             host, _, port = rest.rpartition(":")
             if kind != "tcp" or not port.isdecimal():
-                raise OSError("this is no endpoint; write tcp:HOST:PORT")
+                raise OSError("not an endpoint; write tcp:HOST:PORT")
             self._streams = await self._connect(host, int(port), limit=LONGEST)
         reader, writer = self._streams
         writer.write(f"{line}\n".encode())

@@ -1,4 +1,4 @@
-"""A robot on the plane, as a fake: its radio, at a port of its own. The plane is that of all such fakes."""
+"""A simulated robot on the plane: its radio, at its own port. All such fakes share the plane."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ from contextlib import suppress
 from lfield.driver import DeviceBinding
 from lfield.errors import AddressError, UsageError
 from lfield_arena.field import LAYOUTS
-from lfield_arena.plane import HOST, LONGEST, LOOK, PORTS, Plane, Way, way_to
+from lfield_arena.plane import CHECK_INTERVAL, HOST, LONGEST, PORTS, Plane, Way, way_to
+from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option
-from lfield_sim.serving import serve_until_told
 
-#: Seconds for a driver to leave.
+#: Seconds for a driver to disconnect.
 PATIENCE = 5.0
 
 FAULTS = (
-    Fault("weak", 1.0, "the share of its grip that is left", 0.0, 1.0),
-    Fault("broken", False, "its motors are off, and it says so"),
+    Fault("weak", 1.0, "the remaining share of its grip", 0.0, 1.0),
+    Fault("broken", False, "its motors are off, which it reports"),
     Fault("silent", False, "it does not answer"),
 )
 
 
 class Radio:
-    """What stands between the driver of a robot and the plane, with what is wrong with the robot."""
+    """Connects the driver of a robot to the plane, with fault injection."""
 
     def __init__(self, way: Way, number: str, faults: Faults) -> None:
         self._way, self._number, self._faults = way, number, faults
@@ -35,7 +35,7 @@ class Radio:
         self._follow()
 
     async def talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Serve a driver; a request is a line, and so is its answer."""
+        """Serves a driver: one answer line per request line."""
         self._drivers += 1
         try:
             while line := (await reader.readline()).decode("ascii", "replace").strip():
@@ -49,11 +49,13 @@ class Radio:
             self._drivers -= 1
 
     async def left(self) -> None:
-        """Wait until no driver is there, but not for long: a killed host's guard still stops its robot."""
+        """Waits until no driver is connected, with a limit: the guard of a killed host still stops its
+        robot.
+        """
         with suppress(TimeoutError):
             async with asyncio.timeout(PATIENCE):
                 while self._drivers:
-                    await asyncio.sleep(LOOK)
+                    await asyncio.sleep(CHECK_INTERVAL)
 
     def _follow(self) -> None:
         task = asyncio.get_running_loop().create_task(self._tell())
@@ -62,7 +64,7 @@ class Radio:
 
     async def _tell(self) -> None:
         weak, broken = self._faults.get("weak", self._number), self._faults.get("broken", self._number)
-        # Where the plane is gone its driver is told, by a link that is closed.
+        # Without the plane the link to the driver is closed.
         with suppress(OSError):
             await self._way.ask(f"{self._number} wrong {weak} {int(broken)}")
 
@@ -71,10 +73,10 @@ class ArenaSim:
     """The fake for `lfield sim arena` and `lfield up --sim`."""
 
     name = "arena"
-    help = "A small robot on a plane with a box, a prey or a ball; all that run here are on the same plane."
+    help = "A small robot on a plane with a box, a prey or a ball, shared by all of them on this computer."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Which robot on which plane, where it answers, and what is wrong with it."""
+        """Adds robot, plane, endpoint and faults."""
         parser.add_argument("--plane", default="box", choices=sorted(LAYOUTS), help="what is on it (box)")
         parser.add_argument("--robot", type=int, default=1, metavar="NUMBER", help="its number (1)")
         parser.add_argument("--listen", default=f"tcp:{HOST}:0", metavar="tcp:HOST:PORT")
@@ -89,16 +91,16 @@ class ArenaSim:
         return ["--plane", plane, "--robot", str(robot), "--called", device.name]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end; 0. Raises UsageError and AddressError."""
+        """Serves until it is stopped; returns 0. Raises UsageError and AddressError."""
         asyncio.run(self.serve(args))
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on the running loop. Raises UsageError and AddressError."""
+        """As `run`, on the running loop. Raises UsageError and AddressError."""
         kind, _, place = args.listen.partition(":")
         host, _, port = place.rpartition(":")
         if kind != "tcp" or not port.isdecimal():
-            raise UsageError(f"'{args.listen}' is no place to listen at: write tcp:HOST:PORT")
+            raise UsageError(f"'{args.listen}' is not an address to listen at: write tcp:HOST:PORT")
         number, there = str(args.robot), LAYOUTS[args.plane].robots
         if args.robot not in there:
             known = ", ".join(map(str, there))
@@ -114,7 +116,7 @@ class ArenaSim:
             raise AddressError(places, error.strerror or str(error)) from None
         host, port = server.sockets[0].getsockname()[:2]
         here = {number: way.robots[number].place, **way.places} if isinstance(way, Plane) else {}
-        await serve_until_told(
+        await serve_until_stopped(
             "arena",
             f"tcp:{host}:{port}",
             "",

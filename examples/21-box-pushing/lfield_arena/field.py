@@ -1,4 +1,4 @@
-"""The plane with all that is on it: robots, which are discs, and a box, a prey or a ball. Pure."""
+"""The plane with its objects: robots, which are discs, and a box, a prey or a ball. Pure."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from dataclasses import dataclass, field
 from lfield_arena.ball import LENGTH, WIDTH, Ball
 from lfield_arena.box import Box, Vector
 
-#: Metres. A robot touches the box when it is as near as this.
+#: Metres: radius of a robot, and distance at which it touches the box.
 RADIUS, TOUCH = 0.15, 0.001
-#: Newtons that the wheels of a robot have before they slip, and N per m/s by which they lack speed.
+#: Grip of a robot's wheels in newtons, and force per speed deficit in N per m/s.
 GRIP, STIFFNESS = 10.0, 100.0
-#: Of the prey: its radius, how far it sees and from where on it runs, in metres, and how fast, in m/s.
-PREY_RADIUS, SIGHT, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
-#: Overlaps smaller than this are none, in metres; and how often all are looked at in one step.
+#: The prey: its radius, range of sight and flight distance in metres, and its speed in m/s.
+PREY_RADIUS, SIGHT_RANGE, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
+#: Tolerated overlap in metres; maximum iterations per step.
 EXACT, SWEEPS = 1e-7, 400
-#: So often a prey that meets robots gives way in one step.
+#: Iterations per step in which a prey avoids robots.
 SLIDES = 4
 
 
 @dataclass(slots=True)
 class Body:
-    """A disc: where it is, where its wheels want to go in m/s, and the share of its grip that it has."""
+    """A disc: position, velocity of its wheels in m/s, and share of its grip."""
 
     place: Vector
     wish: Vector = (0.0, 0.0)
@@ -31,13 +31,13 @@ class Body:
     grip: float = 1.0
 
 
-#: What gives way to others.
+#: Objects that yield to others.
 Disc = Body | Ball
 
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a field begins: robots by number, and what else there is."""
+    """The initial state of a field: robots by number, and other objects."""
 
     robots: Mapping[int, Vector]
     box: tuple[float, float, float] | None = None
@@ -58,18 +58,18 @@ LAYOUTS: Mapping[str, Layout] = {
 
 @dataclass(slots=True)
 class Field:
-    """Robots by number. Who meets moves nobody's wheels: it stops there, or is pushed away."""
+    """Robots by number. Collisions do not turn wheels: a robot stops, or is pushed away."""
 
     robots: dict[int, Body]
     box: Box | None = None
     prey: Body | None = None
     ball: Ball | None = None
-    #: Seconds since it began.
+    #: Seconds since the start.
     now: float = field(default=0.0)
 
     @classmethod
     def of(cls, layout: Layout) -> Field:
-        """The field as it begins."""
+        """The initial field."""
         return cls(
             {number: Body(place) for number, place in layout.robots.items()},
             None if layout.box is None else Box(*layout.box),
@@ -78,7 +78,7 @@ class Field:
         )
 
     def step(self, seconds: float) -> None:
-        """Let time pass."""
+        """Advances time."""
         self.now += seconds
         if self.prey is not None:
             self.prey.wish = flight(self.prey.place, [robot.place for robot in self.robots.values()])
@@ -94,7 +94,7 @@ class Field:
 
     @property
     def target(self) -> tuple[float, float, float]:
-        """What the robots are there for: north, east and heading of the box, the prey or the ball."""
+        """The robots' object: north, east and heading of the box, the prey or the ball."""
         if self.box is not None:
             return self.box.north, self.box.east, self.box.heading
         if self.prey is not None:
@@ -120,7 +120,7 @@ class Field:
         ball.step(seconds)
 
     def _push(self, box: Box, seconds: float) -> None:
-        """Wheels push by the speed that they lack, up to their grip; those that stand hold."""
+        """Wheels push in proportion to their speed deficit, up to their grip; stationary ones hold."""
         pushes = []
         for robot in self.robots.values():
             contact = box.touch(robot.place, robot.radius)
@@ -131,7 +131,7 @@ class Field:
         box.step(pushes, seconds)
 
     def _run(self, prey: Body, seconds: float) -> None:
-        """It pushes nobody: where somebody is it gives way, and where it cannot it stays."""
+        """Moves the prey: it pushes nobody, slides along obstacles, and stops if it cannot."""
         before = prey.place
         prey.place = _moved(before, prey.wish, seconds)
         for _ in range(SLIDES):
@@ -146,7 +146,7 @@ class Field:
             prey.place = before
 
     def _part(self) -> None:
-        """Nothing is where something else is: discs give way to each other by halves, and to the box."""
+        """Resolves overlaps: discs yield to each other by halves, and to the box."""
         bodies = self._bodies
         for _ in range(SWEEPS):
             worst = 0.0
@@ -163,7 +163,7 @@ class Field:
                 return
 
     def _wall_in(self, ball: Ball) -> None:
-        """Robots stay on the pitch, in front of the goals as well; the ball as it does."""
+        """Keeps robots on the pitch, also in front of the goals, and the ball."""
         for robot in self.robots.values():
             most = LENGTH / 2.0 - robot.radius, WIDTH / 2.0 - robot.radius
             robot.place = _within(robot.place[0], most[0]), _within(robot.place[1], most[1])
@@ -176,7 +176,7 @@ def _within(value: float, most: float) -> float:
 
 
 def _apart(one: Disc, other: Disc) -> float:
-    """Move two discs apart that overlap; by how much they did, in metres."""
+    """Moves two overlapping discs apart; returns the overlap in metres."""
     north, east = other.place[0] - one.place[0], other.place[1] - one.place[1]
     away = math.hypot(north, east)
     overlap = one.radius + other.radius - away
@@ -192,9 +192,11 @@ def _moved(place: Vector, along: Vector, metres: float) -> Vector:
 
 
 def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
-    """Where a prey runs, in m/s: to the middle of the widest gap between those that it sees."""
+    """The velocity of a prey in m/s: to the middle of the widest gap between the hunters that it sees."""
     seen = [
-        (hunter[0] - place[0], hunter[1] - place[1]) for hunter in hunters if math.dist(hunter, place) < SIGHT
+        (hunter[0] - place[0], hunter[1] - place[1])
+        for hunter in hunters
+        if math.dist(hunter, place) < SIGHT_RANGE
     ]
     if all(math.hypot(*way) > NEAR for way in seen):
         return 0.0, 0.0

@@ -1,7 +1,7 @@
-"""The plane that all robots stand on, and the ways of their fakes to it.
+"""The shared plane of all robots, and the access of their fakes to it.
 
-Of the fakes of one computer the first has the plane, and serves it at a port; the others join it there. On a
-simulated computer they share it.
+The first fake on a computer has the plane and serves it at a port; the others connect to it. On a simulated
+computer they share it directly.
 """
 
 from __future__ import annotations
@@ -12,40 +12,40 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
-from lfield.loop import Simulated
+from lfield.event_loop import SimulatedLoop
 from lfield_arena.box import WIDTH
 from lfield_arena.field import LAYOUTS, Field
 from lfield_arena.robot import Robot
 
-#: Seconds of a step, and between two looks whether somebody is still there. The longest line.
-TICK, LOOK, LONGEST = 0.01, 0.1, 4096
-#: Where each plane is.
+#: Seconds of a step, and between two checks for clients; bytes of the longest line.
+TICK, CHECK_INTERVAL, LONGEST = 0.01, 0.1, 4096
+#: The address of each plane.
 HOST, PORTS = "127.0.0.1", {"box": 7100, "hunt": 7200, "pitch": 7300}
 Place = tuple[float, float, float]
 
 
 class Way(Protocol):
-    """How a fake gets to the plane."""
+    """Access of a fake to the plane."""
 
     async def ask(self, line: str) -> str:
-        """Tell the plane something of a robot, `NUMBER REQUEST`; its answer. Raises OSError."""
+        """Sends a request of a robot to the plane, `NUMBER REQUEST`; returns the answer. Raises OSError."""
 
     async def leave(self) -> None:
-        """End it; the plane itself stays until all others have left."""
+        """Ends it; the plane itself remains until all others have left."""
 
 
 class Plane:
-    """The plane, here."""
+    """The plane in this process."""
 
     def __init__(self, layout: str) -> None:
         self.field = Field.of(LAYOUTS[layout])
         self.robots = {str(number): Robot(self.field, number) for number in self.field.robots}
-        self._guests = 0
+        self._clients = 0
         self._living = asyncio.get_running_loop().create_task(self._live())
 
     @property
     def places(self) -> dict[str, Callable[[], Place]]:
-        """Where things are that are no robots: metres north, east and up, by their names."""
+        """Positions of objects other than robots: metres north, east and up, by name."""
         if self.field.box is None:
             what = "prey" if self.field.prey is not None else "ball"
             return {what: lambda: (*self.field.target[:2], 0.0)}
@@ -57,7 +57,7 @@ class Plane:
         return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
 
     async def serve(self, port: int) -> None:
-        """Let others join. Raises OSError where a plane is there already."""
+        """Accepts other fakes. Raises OSError if there is a plane already."""
         await asyncio.start_server(self._talk, HOST, port, limit=LONGEST)
 
     async def ask(self, line: str) -> str:
@@ -67,8 +67,8 @@ class Plane:
 
     async def leave(self) -> None:
         """See Way."""
-        while self._guests:
-            await asyncio.sleep(LOOK)
+        while self._clients:
+            await asyncio.sleep(CHECK_INTERVAL)
         self._living.cancel()
 
     async def _live(self) -> None:
@@ -79,7 +79,7 @@ class Plane:
             self.field.step(TICK)
 
     async def _talk(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        self._guests += 1
+        self._clients += 1
         try:
             while line := (await reader.readline()).decode("ascii", "replace").strip():
                 writer.write(f"{await self.ask(line)}\n".encode())
@@ -87,7 +87,7 @@ class Plane:
             pass
         finally:
             writer.close()
-            self._guests -= 1
+            self._clients -= 1
 
 
 class Joined:
@@ -112,9 +112,9 @@ class Joined:
 
 
 async def way_to(layout: str) -> Way:
-    """The plane of that name: shared, or joined, or begun. Raises OSError where something else is there."""
+    """Access to the plane of that name: shared, remote, or new. Raises OSError if the port is taken."""
     loop = asyncio.get_running_loop()
-    if isinstance(loop, Simulated):
+    if isinstance(loop, SimulatedLoop):
         return loop.shared(f"the plane '{layout}'", lambda: Plane(layout))
     plane = Plane(layout)
     try:

@@ -1,4 +1,4 @@
-"""The computer of a robot on the plane: its line protocol, its wheels' wishes, its watchdog. Pure.
+"""The controller of a robot on the plane: line protocol, wheel control, watchdog. Pure.
 
 A request is a line, and so is its answer:
 
@@ -18,8 +18,8 @@ import math
 from lfield_arena.box import Vector
 from lfield_arena.field import Body, Field
 
-#: The fastest and the slowest that it goes, in m/s; how many seconds before its goal it begins to slow down;
-#: metres that count as there.
+#: Maximum and minimum speed in m/s; seconds before its goal at which it slows down; tolerance of a goal in
+#: metres.
 FASTEST, SLOWEST, BRAKE, THERE = 0.5, 0.1, 0.3, 0.01
 #: So many numbers each request has, and which of its words there are.
 REQUESTS = {"go": 3, "drive": 2, "kick": 1, "stop": 0, "watchdog": 1, "wrong": 2}
@@ -37,15 +37,15 @@ class Robot:
 
     @property
     def body(self) -> Body:
-        """Itself on the plane."""
+        """Its body on the plane."""
         return self._field.robots[self._number]
 
     def place(self) -> tuple[float, float, float]:
-        """Where it is: metres north, east and up."""
+        """Its position: metres north, east and up."""
         return *self.body.place, 0.0
 
     def step(self, seconds: float) -> None:
-        """Say what the wheels shall do next."""
+        """Sets the velocity of the wheels for the next step."""
         self._since += seconds
         if self._broken or 0.0 < self.watchdog < self._since:
             self._stop()
@@ -66,7 +66,7 @@ class Robot:
         self._goal, self._velocity = None, (0.0, 0.0)
 
     def answer(self, line: str) -> str:
-        """What a request is answered with."""
+        """The answer to a request."""
         word, *rest = line.split() or [""]
         if word != "wrong":
             self._since = 0.0
@@ -104,7 +104,7 @@ class Robot:
             self._velocity = numbers[0] / much, numbers[1] / much
 
     def _state(self) -> str:
-        """`north 0.5 east 1.0 moving 0 ...`, each a name and a number."""
+        """`north 0.5 east 1.0 moving 0 ...`, name and number alternately."""
         place, target = self.body.place, self._field.target
         moving = self._goal is not None or self._velocity != (0.0, 0.0)
         goals = self._field.ball.goals if self._field.ball is not None else [0, 0]

@@ -50,7 +50,7 @@ def test_energy_does_not_appear_from_nothing(rounds):
         with_wishes(field, wishes)
         before, most = field.box.energy, sum(GRIP * math.hypot(*wish) for wish in wishes)
         field.step(TICK)
-        # What wheels do is their grip times their speed at most; the floor only takes.
+        # The work of the wheels is at most their grip times their speed; the floor only takes energy.
         assert field.box.energy <= before + most * TICK + 1e-9
 
 
@@ -99,7 +99,7 @@ def test_what_the_floor_holds_does_not_move():
 def test_nothing_is_where_something_else_is(layout, wishes, data):
     field = Field.of(LAYOUTS[layout])
     if field.prey is not None:
-        # All of them run at it, so that they meet.
+        # All of them run towards it.
         field.prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
     for _ in range(300):
         for robot, wish in zip(field.robots.values(), wishes, strict=False):
@@ -140,7 +140,7 @@ def test_a_touch_points_into_the_box(north, east, heading):
     assert box.touch(moved, RADIUS).gap < contact.gap
 
 
-# --- the robot's computer -------------------------------------------------------------------------
+# --- the robot's controller -----------------------------------------------------------------------
 
 
 @given(
@@ -177,7 +177,7 @@ def test_a_driver_that_is_silent_is_stopped_by_the_watchdog():
 
 
 class Wire:
-    """A robot, and a wire to it in memory: what is written is answered, unless it is cut."""
+    """A robot with a wire in memory: requests are answered, unless it is cut."""
 
     def __init__(self):
         self.field, self.cut, self.says = Field.of(LAYOUTS["hunt"]), False, None
@@ -249,10 +249,10 @@ def test_the_driver_kicks_and_tells_the_score(bench, wire):
 @pytest.mark.parametrize(
     ("call", "why"),
     [
-        (("driveTo", [math.nan, 0.0, 1.0]), "no numbers to drive by"),
-        (("driveTo", [4.0, 4.0, 1.0]), "farther out than 5 m"),
-        (("setVelocity", [0.4, 0.4]), "faster than its limit of 0.4"),
-        (("setVelocity", [math.inf, 0.0]), "no numbers to drive by"),
+        (("driveTo", [math.nan, 0.0, 1.0]), "numbers must be finite"),
+        (("driveTo", [4.0, 4.0, 1.0]), "outside the radius of 5 m"),
+        (("setVelocity", [0.4, 0.4]), "above its limit of 0.4"),
+        (("setVelocity", [math.inf, 0.0]), "numbers must be finite"),
     ],
 )
 def test_what_is_beyond_a_limit_is_refused(bench, wire, call, why):
@@ -283,7 +283,7 @@ def test_a_wire_that_is_cut_is_told_and_it_comes_back(bench, wire):
         await bench.until(lambda: any(note.startswith("lost: ") for note in bench.notes))
         assert robot.moving() == "not heard"
         wire.cut = False
-        await bench.until(lambda: bench.notes[-1] == "it answers again")
+        await bench.until(lambda: bench.notes[-1] == "it responds again")
 
     bench.run(story)
 
@@ -292,7 +292,7 @@ def test_a_wire_that_is_cut_is_told_and_it_comes_back(bench, wire):
 def test_a_state_that_makes_no_sense_is_an_error(bench, wire, nonsense):
     async def story(robot):
         wire.says = nonsense
-        with pytest.raises(DeviceError, match="its state makes no sense"):
+        with pytest.raises(DeviceError, match="its state is invalid"):
             await robot.make_safe()
 
     bench.run(story)

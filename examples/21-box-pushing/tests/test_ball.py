@@ -1,4 +1,4 @@
-"""The ball and its pitch: properties of what examples/23-soccer is played on."""
+"""The ball and its pitch: properties of the physics of examples/23-soccer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lfield_arena.robot import Robot
 
 COORDINATES = st.tuples(st.floats(-1.9, 1.9), st.floats(-1.4, 1.4))
 SPEEDS = st.tuples(st.floats(-HARDEST, HARDEST), st.floats(-HARDEST, HARDEST))
-#: For each robot where it runs, and whether it kicks all the time.
+#: Target of each robot, and whether it kicks all the time.
 WILLS = st.lists(st.tuples(COORDINATES, st.booleans()), min_size=6, max_size=6)
 
 

@@ -1,1 +1,1 @@
-"""Who offers what now, as this host knows it, and what hosts tell one another of it."""
+"""The directory of agents and their attributes on one host, and its replication between hosts."""

@@ -8,19 +8,19 @@ from itertools import combinations
 from typing import get_args
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import evaluator, names
-from lfield.capability.matching.expression import POSITION
-from lfield.capability.matching.joining import Combinations, Effort, Stream
-from lfield.capability.matching.narrowing import Narrowed, narrow
+from lfield.capability.matching.best_first_join import BestFirstJoin, PlanStream, SearchBudget
+from lfield.capability.matching.condition_checker import POSITION
+from lfield.capability.matching.condition_evaluator import evaluator, fact_names
+from lfield.capability.matching.failure_reasons import failure_reasons
 from lfield.capability.matching.plan import Plan
+from lfield.capability.matching.pushdown import PushedDown, push_down
 from lfield.capability.matching.ranking import ONE_TO_MANY, Ranking
-from lfield.capability.matching.reasons import reasons
 from lfield.capability.model import Composition, Expression, Value
 from lfield.capability.offer import Fact, Offer, Provenance
-from lfield.text.suggest import listed
+from lfield.text.suggestions import listed
 
-#: Of so many questions it is kept what they ask of the parts.
-KEPT = 64
+#: The number of queries whose conditions on the parts are cached.
+CACHE_SIZE = 64
 #: The less sure first.
 _SURER: Sequence[Provenance] = get_args(Provenance)
 
@@ -37,16 +37,16 @@ class Assembly:
         self._attributes = [(name, evaluator(e), e) for name, e in sorted(rule.attributes.items())]
         self._distinct = frozenset(self._needs.index(need) for need in rule.distinct)
         expressions = [*rule.where, *rule.attributes.values()]
-        self._looked_at = [
+        self._inputs = [
             (name, *self._place(name))
-            for name in dict.fromkeys(name for e in expressions for name in names(e))
+            for name in dict.fromkeys(name for e in expressions for name in fact_names(e))
             if "." in name
         ]
-        self.narrowed = lru_cache(KEPT)(self._narrowed)
+        self.pushed_down = lru_cache(CACHE_SIZE)(self._push_down)
 
-    def _narrowed(self, wishes: tuple[Expression, ...]) -> list[Narrowed]:
+    def _push_down(self, wishes: tuple[Expression, ...]) -> list[PushedDown]:
         """What the rule and the wishes ask of the parts."""
-        return narrow(self.rule, wishes)
+        return push_down(self.rule, wishes)
 
     def _place(self, name: str) -> tuple[int, str]:
         """Which part, and which of its attributes, `need.attribute` is."""
@@ -57,22 +57,22 @@ class Assembly:
         """What the whole costs when its parts cost that."""
         return self._ranking.whole(parts, self.rule.loss)
 
-    def least(self, costs: Mapping[str, float]) -> float | None:
+    def least_cost(self, costs: Mapping[str, float]) -> float | None:
         """The least the whole can cost when primitives cost that; None when one of them is not there."""
         found = [costs.get(need.primitive) for need in self.rule.needs.values()]
         known = [cost for cost in found if cost is not None]
         return self.cost(known) if len(known) == len(found) else None
 
     def combinations(
-        self, streams: Sequence[Stream], narrowed: Narrowed, effort: Effort
+        self, streams: Sequence[PlanStream], narrowed: PushedDown, effort: SearchBudget
     ) -> Iterable[tuple[Plan, ...]]:
-        """The choices of parts that fit together, the best first. Raises GivenUp."""
-        return Combinations(streams, self.cost, effort, narrowed.joins, narrowed.checks, self._distinct)
+        """The choices of parts that fit together, the best first. Raises SearchBudgetExceeded."""
+        return BestFirstJoin(streams, self.cost, effort, narrowed.joins, narrowed.checks, self._distinct)
 
-    def misfits(self, parts: Sequence[Plan]) -> tuple[str, ...]:
+    def conflicts(self, parts: Sequence[Plan]) -> tuple[str, ...]:
         """Why the parts do not fit together; () when they do."""
         facts, why = self._facts(parts), self._why(parts)
-        found = [reason for condition in self.rule.where for reason in reasons(condition, facts, why)]
+        found = [reason for condition in self.rule.where for reason in failure_reasons(condition, facts, why)]
         return (*found, *self._shared(parts))
 
     def _shared(self, parts: Sequence[Plan]) -> Iterator[str]:
@@ -84,7 +84,7 @@ class Assembly:
     def _facts(self, parts: Sequence[Plan]) -> dict[str, Value]:
         """What the rule's expressions look at: of the parts, and of the whole."""
         facts: dict[str, Value] = {}
-        for name, index, attribute in self._looked_at:
+        for name, index, attribute in self._inputs:
             value = parts[index].values.get(attribute)
             if value is not None:
                 facts[name] = value
@@ -108,7 +108,7 @@ class Assembly:
         parts, facts = plan.given
         rule, offers = self.rule, [part.offer for part in parts]
         known = {
-            name: self._fact(facts[name], names(expression), offers)
+            name: self._fact(facts[name], fact_names(expression), offers)
             for name, _, expression in self._attributes
             if name in facts
         }
@@ -125,25 +125,25 @@ class Assembly:
             self._ranking.terms(ONE_TO_MANY, [rule.loss, len(parts) - 1]),
         )
 
-    def _fact(self, value: Value, looked_at: Sequence[str], offers: Sequence[Offer]) -> Fact:
+    def _fact(self, value: Value, inputs: Sequence[str], offers: Sequence[Offer]) -> Fact:
         """A value of the whole: as old as the oldest of what it is from, and no surer than the least sure."""
-        places = [self._place(name) for name in looked_at]
+        places = [self._place(name) for name in inputs]
         found = [fact for index, name in places if (fact := offers[index].facts.get(name)) is not None]
         least: Provenance = next((of for of in _SURER if any(fact.of == of for fact in found)), "stated")
         return Fact(value, max((fact.age for fact in found), default=0.0), least)
 
     def _why(self, parts: Sequence[Plan]) -> Callable[[str], str]:
-        """Says why an attribute of a part, or of the whole, has no value."""
+        """The reason why an attribute of a part, or of the whole, has no value."""
 
         def why(name: str) -> str:
             if "." not in name:
                 facts = self._facts(parts)
-                lacking = [n for n in names(self.rule.attributes[name]) if n not in facts]
+                lacking = [n for n in fact_names(self.rule.attributes[name]) if n not in facts]
                 return ", ".join([f"{name} is not known", *dict.fromkeys(map(why, lacking))])
             index, attribute = self._place(name)
             if attribute in POSITION:
                 return f"the position of {self._needs[index]} is not known{_in_part(parts[index])}"
-            return f"of {self._needs[index]}, {parts[index].why(attribute)}"
+            return f"of {self._needs[index]}, {parts[index].unknown_reason(attribute)}"
 
         return why
 
@@ -151,7 +151,7 @@ class Assembly:
 def _in_part(part: Plan) -> str:
     """What lacks of a position of which the rest is known."""
     lacking = [axis for axis in POSITION if axis not in part.values]
-    return f": {', '.join(map(part.why, lacking))}" if len(lacking) < len(POSITION) else ""
+    return f": {', '.join(map(part.unknown_reason, lacking))}" if len(lacking) < len(POSITION) else ""
 
 
 def _joined(found: Sequence[Value]) -> Value:

@@ -8,23 +8,23 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
-from lfield.capability.matching.evaluate import evaluator, names
-from lfield.capability.matching.explain import TOO_MANY, Explanation, only_best
-from lfield.capability.matching.joining import Effort, GivenUp, Stream, teams
+from lfield.capability.matching.best_first_join import PlanStream, SearchBudget, SearchBudgetExceeded, teams
+from lfield.capability.matching.condition_evaluator import evaluator, fact_names
+from lfield.capability.matching.explanation import TOO_MANY, Explanation, partial_search_note
 from lfield.capability.matching.plan import Plan
-from lfield.capability.matching.rules import Rules
-from lfield.capability.matching.search import Limits, Search
-from lfield.capability.model import ANYBODY, Expression, Key, Registry, Wish
-from lfield.capability.offer import Offer, Refusal, Team
+from lfield.capability.matching.plan_search import Search, SearchLimits
+from lfield.capability.matching.rule_index import RuleIndex
+from lfield.capability.model import ANY_OFFER, Expression, OfferQuery, Registry, SortKey
+from lfield.capability.offer import AgentSource, Offer, Rejection
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
-    """The best offers, best first; how many there are; and what the search left out, in words.
+class MatchResult:
+    """The best offers, best first; how many there are; and notes on what the search left out.
 
     Of `cut` rules not all combinations of parts could be tried: there may be more offers, and better ones. Of
     `full` rules only the best `per_rule` are offered.
-    `unordered` are attributes that nobody states and by which was to be ordered.
+    `unordered` are attributes of the `order by` that no agent has.
     """
 
     offers: Sequence[Offer]
@@ -37,11 +37,13 @@ class Answer:
     @property
     def notes(self) -> list[str]:
         """What was left out, a sentence each."""
-        found = [f"{rule}: {only_best(self.per_rule)}" for rule in self.full if rule not in self.cut]
+        found = [
+            f"{rule}: {partial_search_note(self.per_rule)}" for rule in self.full if rule not in self.cut
+        ]
         if self.count > len(self.offers):
             least = "at least " if self.cut else ""
             found.append(f"the best {len(self.offers)} of {least}{self.count} offers are given")
-        return found + self._doubts()
+        return found + self._caveats()
 
     def summary(self, agents: int) -> list[str]:
         """How many offers there are, of so many agents, and what was left out."""
@@ -50,14 +52,14 @@ class Answer:
         offers = "there is 1 offer" if self.count == 1 else f"there are {self.count} offers"
         return [f"{offers}, by {agents} agent{'s' if agents > 1 else ''}", *self.notes]
 
-    def _doubts(self) -> list[str]:
-        found = [f"{name} is known of nobody: it orders nothing" for name in self.unordered]
+    def _caveats(self) -> list[str]:
+        found = [f"no agent has a value of {name}: offers are not ordered by it" for name in self.unordered]
         found += [f"{rule}: {TOO_MANY}" for rule in self.cut]
         return found
 
 
 @dataclass(frozen=True, slots=True)
-class Teams:
+class TeamResult:
     """Teams of offers, best first, the members of each best first; how many agents there are for one.
 
     There are `others` that are not given. Of `cut` rules not all combinations of parts could be tried, nor of
@@ -77,11 +79,11 @@ class Teams:
         found = [f"the best {len(self.teams)} of more teams are given"] if self.others else []
         found += [f"{rule}: {TOO_MANY}" for rule in self.cut]
         found += [f"{rule}: only the best combinations can be in a team" for rule in self.full]
-        return [*found, "there are more teams than could be tried"] if self.more else found
+        return [*found, "more teams exist than could be tried"] if self.more else found
 
 
 class Matcher:
-    """Answers questions from what one host knows; nothing is sent.
+    """Evaluates queries on the directory of one host, without communication.
 
     `ways` restricts the answers to the fields that a program was compiled with, by primitive (ways.py).
     Candidates that are the same objects as in the last query are not looked at again.
@@ -90,24 +92,24 @@ class Matcher:
     def __init__(
         self,
         registry: Registry,
-        team: Team,
+        team: AgentSource,
         ways: Mapping[str, Collection[str]] | None = None,
-        limits: Limits | None = None,
+        limits: SearchLimits | None = None,
     ) -> None:
-        self._limits = limits or Limits()
-        #: So many offers are given where the question does not say.
-        self.most = self._limits.offers
+        self._limits = limits or SearchLimits()
+        #: The number of offers if the query has no limit.
+        self.max_offers = self._limits.offers
         self._team = team
-        self._rules = Rules(registry, team.candidates, ways, self._limits.depth)
+        self._rules = RuleIndex(registry, team.candidates, ways, self._limits.depth)
 
-    def find(self, primitive: str, wish: Wish = ANYBODY) -> Answer:
-        """The best who serve the primitive as is asked, at most as many as is asked or `most`.
+    def find(self, primitive: str, wish: OfferQuery = ANY_OFFER) -> MatchResult:
+        """The best who serve the primitive as is asked, at most as many as is asked or `max_offers`.
 
         Ties go to the way with fewer rules, then by the names of rules, then to the better first part, and at
         last by the order of the deployment. Of each composition there are the best `limits.per_rule`.
         """
         search = self._search(primitive, wish)
-        most = wish.limit or self.most
+        most = wish.limit or self.max_offers
         if wish.order:
             plans, unordered = self._ordered(search, wish.order)
             count = len(plans)
@@ -116,17 +118,17 @@ class Matcher:
             count = len(plans) if len(plans) < most else max(len(plans), search.count())
         offers = [plan.offer for plan in plans[:most]]
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
-        return Answer(offers, count, cut, unordered, full, self._limits.per_rule)
+        return MatchResult(offers, count, cut, unordered, full, self._limits.per_rule)
 
     def offers(self, primitive: str, constraint: Expression | None = None) -> Sequence[Offer]:
         """The best who serve the primitive and fulfil a condition."""
-        return self.find(primitive, Wish(constraint)).offers
+        return self.find(primitive, OfferQuery(constraint)).offers
 
     def count(self, primitive: str, constraint: Expression | None = None) -> int:
         """How many there are of whom `offers` gives the best."""
-        return self.find(primitive, Wish(constraint)).count
+        return self.find(primitive, OfferQuery(constraint)).count
 
-    def teams(self, primitive: str, size: int, wish: Wish = ANYBODY) -> Teams:
+    def teams(self, primitive: str, size: int, wish: OfferQuery = ANY_OFFER) -> TeamResult:
         """The best teams of so many offers that have no agent in common.
 
         Of offers by the same agents only the best can be a member. A team costs the sum of what its members
@@ -136,35 +138,35 @@ class Matcher:
         search = self._search(primitive, wish)
         cost: Callable[[Iterable[float]], float]
         if wish.order:
-            members, cost = Stream(_by_agents(self._ordered(search, wish.order)[0])), _no_cost
+            members, cost = PlanStream(_by_agents(self._ordered(search, wish.order)[0])), _no_cost
         else:
-            members, cost = Stream(_by_agents(search.plans())), self._rules.ranking.whole
+            members, cost = PlanStream(_by_agents(search.plans())), self._rules.ranking.whole
         found, more = [], False
-        most = wish.limit or self.most
+        most = wish.limit or self.max_offers
         try:
-            effort = Effort(self._limits.tried, self._limits.steps)
+            effort = SearchBudget(self._limits.failures, self._limits.steps)
             for team in islice(teams(members, size, cost, effort), most + 1):
                 found.append([plan.offer for plan in team])
-        except GivenUp:
+        except SearchBudgetExceeded:
             more = True
         agents = len(_agents(members.all()))
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
-        return Teams(found[:most], agents, cut, more, full, len(found) > most)
+        return TeamResult(found[:most], agents, cut, more, full, len(found) > most)
 
-    def agents(self, primitive: str, wish: Wish = ANYBODY) -> int:
+    def agents(self, primitive: str, wish: OfferQuery = ANY_OFFER) -> int:
         """How many agents take part in any offer."""
         return len(_agents(self._search(primitive, wish).plans()))
 
-    def explain(self, primitive: str, constraint: Expression | None = None) -> list[Refusal]:
+    def explain(self, primitive: str, constraint: Expression | None = None) -> list[Rejection]:
         """Everyone who could serve the primitive and is not offered: each agent of each way, each rule."""
-        return Explanation(self._search(primitive, Wish(constraint))).refusals()
+        return Explanation(self._search(primitive, OfferQuery(constraint))).refusals()
 
-    def _search(self, primitive: str, wish: Wish) -> Search:
-        looked_at = [name for key in wish.order for name in names(key.value)]
+    def _search(self, primitive: str, wish: OfferQuery) -> Search:
+        looked_at = [name for key in wish.order for name in fact_names(key.value)]
         return Search(self._rules, self._team, self._limits, primitive, wish.condition, looked_at)
 
-    def _ordered(self, search: Search, keys: Sequence[Key]) -> tuple[list[Plan], tuple[str, ...]]:
-        """All plans by some keys, then by their ranks; and what of the keys is known of nobody."""
+    def _ordered(self, search: Search, keys: Sequence[SortKey]) -> tuple[list[Plan], tuple[str, ...]]:
+        """All plans by some keys, then by their ranks; and the keys of which no agent has a value."""
         values = [evaluator(key.value) for key in keys]
         known = [False] * len(keys)
 

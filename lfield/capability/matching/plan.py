@@ -9,12 +9,12 @@ from typing import Any
 from msgspec import Struct
 
 from lfield.capability import ways
-from lfield.capability.matching.evaluate import Facts, Judge
+from lfield.capability.matching.condition_evaluator import Facts, Judge
 from lfield.capability.matching.ranking import ONE_TO_ONE, Ranking
 from lfield.capability.model import Equivalence
 from lfield.capability.offer import Offer
 
-#: The cost, how many rules lead to the agent or the whole, their names, and what stands at their end: the
+#: The cost, how many rules lead to the agent or the whole, their names, and the end of the chain: the
 #: number of the agent in the deployment, or the ranks of the parts, one by one.
 Rank = tuple[float, int, tuple[str, ...], tuple[Any, ...]]
 
@@ -23,7 +23,7 @@ class Plan(Struct, eq=False):
     """An offer, its rank, and its attributes as flat facts with `agent`, `robot` and `host`.
 
     Plans are offered in the order of their ranks. Where a plan takes several agents, the three are sets.
-    `unknown` tells of attributes why they have no value. `composition` is the rule that puts several parts
+    `unknown` has the reasons why attributes have no value. `composition` is the rule that puts several parts
     together, '' when it is one agent. The offer itself is made by `make`, of the plan and what it is `given`,
     when it is asked for: most plans of a search are not offered in the end.
     """
@@ -54,7 +54,7 @@ class Plan(Struct, eq=False):
             self._offer = self.make(self)
         return self._offer
 
-    def why(self, name: str) -> str:
+    def unknown_reason(self, name: str) -> str:
         """Why an attribute has no value."""
         return self.unknown.get(name) or f"{name} is not stated"
 
@@ -64,7 +64,7 @@ class Plan(Struct, eq=False):
         return "" if fact is None or fact.of == "stated" else f" ({fact.source})"
 
 
-def fulfilling(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]:
+def satisfying(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]:
     """Those of which all conditions are true, one by one; one that is unknown is not."""
     # Written out, because a thousand plans go through here in a query.
     for plan in plans:
@@ -80,8 +80,8 @@ def fulfilling(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]
 _way = cache(ways.equivalent)
 
 
-def standing_in(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
-    """The plan by a one-to-one rule, from one for what the rule asks."""
+def substitute(rule: Equivalence, behind: Plan, ranking: Ranking) -> Plan:
+    """The plan by a one-to-one rule, from one for the need of the rule."""
     cost, rules, names, end = behind.rank
     cost = ranking.by_rule(cost, rule.loss)
     rank = (cost, rules + 1, (rule.name, *names), end)

@@ -5,13 +5,13 @@
 
 - F, the fitness, is the mean penalty of the rated attributes, weighed by `attributes` of the weights (1 by
   default). Rated for a primitive is every number with a `better` of more or less that an agent of the team
-  which serves it itself states or measures, now or at another time: what nobody here is of does not count,
+  which serves it itself states or measures, now or at another time: types without an agent do not count,
   and a lost link changes no score of the others. A value x of an attribute with the typical value t has the
   penalty t / (t + x) when more is better and x / (t + x) when less is, x being at least 0: from 0 over 0.5
   for the typical value up to 1. What is not stated or not known counts as typical, so silence is no merit.
 - H is the number of hops: 0 on this host, else 1.
 - N is d / (nearby + d) for an agent d metres from where the question is asked, 0.5 where its place is not
-  known; it is 0 for all where nobody knows where the question is asked.
+  known; it is 0 for all when the place of the query is unknown.
 - A is the largest age / max_age of the live attributes that are rated or named in the question, at most 1;
   one that is too old counts 1.
 
@@ -24,9 +24,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from lfield.capability.matching.evaluate import Facts, conjuncts, distance_to, evaluator, names
+from lfield.capability.matching.condition_evaluator import (
+    Facts,
+    conjuncts,
+    distance_to,
+    evaluator,
+    fact_names,
+)
 from lfield.capability.model import Attribute, Provider, Registry, Value
-from lfield.capability.offer import Candidate, Penalty, Place, Term
+from lfield.capability.offer import Candidate, CostTerm, Penalty, Position
 
 #: The penalty of a typical value, and of one that is not known.
 TYPICAL_PENALTY = 0.5
@@ -40,22 +46,7 @@ ONE_TO_MANY: Mapping[str, str] = {"loss": "its loss", "part": "(parts - 1)"}
 TEAM: Mapping[str, str] = {"part": "(members - 1)"}
 
 
-def formula() -> str:
-    """The cost of everything that is offered, a line each."""
-    rows = (
-        ("an agent", "", AGENT),
-        ("one-to-one", "the cost of who stands in", ONE_TO_ONE),
-        ("one-to-many", "the sum of the parts' costs", ONE_TO_MANY),
-        ("a team", "the sum of the members' costs", TEAM),
-    )
-    return "\n".join(f"{kind:<17}{'  +  '.join(_summands(base, terms))}" for kind, base, terms in rows)
-
-
-def _summands(base: str, terms: Mapping[str, str]) -> list[str]:
-    return [*filter(None, [base]), *(f"{weight} * {amount}" for weight, amount in terms.items())]
-
-
-class Rated(NamedTuple):
+class RatedAttribute(NamedTuple):
     """An attribute with its share in the fitness; all shares of a primitive make 1."""
 
     name: str
@@ -76,9 +67,9 @@ class Ranking:
         self._registry, self._agents = registry, agents
         self._weights = registry.weights
         self._of_agent = tuple(float(getattr(registry.weights, name)) for name in AGENT)
-        self._rated: dict[str, tuple[Rated, ...]] = {}
+        self._rated: dict[str, tuple[RatedAttribute, ...]] = {}
 
-    def rated(self, primitive: str) -> tuple[Rated, ...]:
+    def rated(self, primitive: str) -> tuple[RatedAttribute, ...]:
         """What counts in the fitness for a primitive, in the order of the names."""
         if primitive not in self._rated:
             self._rated[primitive] = self._shares(sorted(set(self._stated(primitive))))
@@ -96,10 +87,10 @@ class Ranking:
                     yield from (*values, *live)
 
     def _own(self, candidate: Candidate) -> dict[str, Value]:
-        """What is stated of a single agent, whatever is measured."""
+        """The stated attributes of a single agent, without measurements."""
         known = self._registry.attributes
-        told = {n: f.value for n, f in candidate.facts.items() if n in known and not known[n].live}
-        return {**told, **self._registry.agents.get(candidate.agent, {})}
+        reported = {n: f.value for n, f in candidate.facts.items() if n in known and not known[n].live}
+        return {**reported, **self._registry.agents.get(candidate.agent, {})}
 
     def _may_serve(
         self,
@@ -119,17 +110,17 @@ class Ranking:
         values |= {"agent": candidate.agent, "robot": host, "host": host}
         for conjunct in conjuncts(when):
             value = evaluator(conjunct)(values)
-            if value is False or (value is None and changing.isdisjoint(names(conjunct))):
+            if value is False or (value is None and changing.isdisjoint(fact_names(conjunct))):
                 return False
         return True
 
-    def _shares(self, stated: Iterable[str]) -> tuple[Rated, ...]:
+    def _shares(self, stated: Iterable[str]) -> tuple[RatedAttribute, ...]:
         known = self._registry.attributes
         counted = [known[name] for name in stated if name in known and _is_rated(known[name])]
         weights = [max(self._weights.attributes.get(attribute.name, 1.0), 0.0) for attribute in counted]
         total = sum(weights)
         return tuple(
-            Rated(attribute.name, weight / total, attribute.typical, attribute.better == "more")
+            RatedAttribute(attribute.name, weight / total, attribute.typical, attribute.better == "more")
             for attribute, weight in zip(counted, weights, strict=True)
             if weight > 0.0
         )
@@ -146,7 +137,7 @@ class Ranking:
 
     # --- an agent -------------------------------------------------------------------------------------
 
-    def agents(self, primitive: str, here: Place | None) -> Costing:
+    def agents(self, primitive: str, here: Position | None) -> Costing:
         """What an agent costs that serves the primitive itself, when the question is asked `here`."""
         rated = [(r.name, r.share, r.typical, r.more) for r in self.rated(primitive)]
         nearby = self._weights.nearby
@@ -166,10 +157,10 @@ class Ranking:
 
         return costing
 
-    def terms(self, kind: Mapping[str, str], amounts: Iterable[float]) -> tuple[Term, ...]:
+    def terms(self, kind: Mapping[str, str], amounts: Iterable[float]) -> tuple[CostTerm, ...]:
         """The terms of a cost, for people: those of AGENT, ONE_TO_ONE, ONE_TO_MANY or TEAM."""
         return tuple(
-            Term(name, amount, getattr(self._weights, name))
+            CostTerm(name, amount, getattr(self._weights, name))
             for name, amount in zip(kind, amounts, strict=True)
         )
 
@@ -183,7 +174,7 @@ class Ranking:
     # --- rules and teams ------------------------------------------------------------------------------
 
     def by_rule(self, behind: float, loss: float) -> float:
-        """The cost of an offer that stands in by a one-to-one rule, from that of the one behind it."""
+        """The cost of an offer by a one-to-one rule, from that of the offer it substitutes."""
         return _rounded(behind + self._weights.loss * loss)
 
     def whole(self, parts: Iterable[float], loss: float = 0.0) -> float:

@@ -13,23 +13,23 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield import exits
+from lfield import exit_status
 from lfield.cli.mission_argument import add_bindings, add_mission, add_program, mission_path, setup_command
 from lfield.errors import DevicesError, OutputFileError, UsageError
-from lfield.text.numbers import real_above_0, whole_between
+from lfield.text.number_arguments import real_above_0, whole_between
 
 #: Seconds that a mission may take that nobody says more of.
 DAY = 86400.0
 #: The most that anybody may say: no keys last longer.
-LONGEST = 36500 * DAY
+MAX_SECONDS = 36500 * DAY
 #: A time to wait for somebody.
 _SECONDS = real_above_0(1e6, "seconds")
 _DESCRIPTOR = whole_between(0, 1 << 20)
 
 if TYPE_CHECKING:
-    from lfield.host.process.proving import Proof
+    from lfield.host.process.credentials import HostCredentials
     from lfield.journal.journal import Journal
-    from lfield.journal.opening import Owner
+    from lfield.journal.journal_loader import JournalOwner
     from lfield.mission.mission import Mission
 
 
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_mission(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--host", metavar="NAME", help="host to run (default: the one named like this computer)"
+        "--host", metavar="NAME", help="host to run (default: the one whose address is this computer)"
     )
     where.add_argument("--all", action="store_true", help="run every host on this computer, one process each")
     add_program(parser)
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--unreachable-after",
         metavar="SECONDS",
         type=_SECONDS,
-        help="time-out of a portal call (default: 10)",
+        help="time-out for reaching the host of a portal call (default: 10)",
     )
     parser.add_argument(
         "--lost-after",
@@ -70,7 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=15.0,
         help="with --until-done: exit when a host was unreachable for this long (default: 15)",
     )
-    _add_kept(parser)
+    _add_journal_options(parser)
     parser.add_argument(
         "--engine",
         choices=("auto", "wasm", "reference"),
@@ -83,14 +83,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--lasts",
         metavar="SECONDS",
-        type=real_above_0(LONGEST, "seconds"),
+        type=real_above_0(MAX_SECONDS, "seconds"),
         default=DAY,
         help="maximum duration of the mission; keys that expire earlier are refused (default: one day)",
     )
     _add_hidden(parser)
 
 
-def _add_kept(parser: argparse.ArgumentParser) -> None:
+def _add_journal_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--state", metavar="DIR", type=Path, help="directory for the journal; also enables it with --sim"
     )
@@ -111,20 +111,21 @@ def _add_kept(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
-    # For processes that `--all` starts: the listening socket and the keys they inherit, the address where
-    # commands find them, to end with their parent, and the command that sets up their devices.
+    # For the processes that `--all` starts: the inherited listening socket, keys and pipe for the result, the
+    # control socket, the pipe whose end stops them, and the command that sets up their devices.
     parser.add_argument("--listen-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
     parser.add_argument("--keys-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
+    parser.add_argument("--result-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
     parser.add_argument("--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until done or stopped; the status is of exits.py: 0 if all ended normally."""
-    from lfield.text.outlet import never_waiting
+    """Run until done or stopped; returns the exit status, 0 if all ended normally."""
+    from lfield.text.nonblocking_output import nonblocking_output
 
-    with never_waiting("lfield: " if args.all else ""):
+    with nonblocking_output("lfield: " if args.all else ""):
         return _run_mission(mission_path(args), args)
 
 
@@ -141,13 +142,13 @@ def _run_mission(path: Path, args: argparse.Namespace) -> int:
 
 
 def _run_built(path: Path, args: argparse.Namespace) -> int:
-    """Run what is built from files, in a process of its own or before."""
-    from lfield.mission.cache import NotBuilt, Order, prepared
+    """Run a mission that is built from files, or taken from the build cache."""
+    from lfield.mission.build_cache import BuildFailed, BuildRequest, cached_bundle
 
     try:
-        with prepared(Order(path, args.program, args.devices, simulate=args.sim)) as file:
+        with cached_bundle(BuildRequest(path, args.program, args.devices, simulate=args.sim)) as file:
             return _run(file, args, built=True)
-    except NotBuilt as error:
+    except BuildFailed as error:
         return error.status
 
 
@@ -163,9 +164,11 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
         for warning in mission.warnings[len(told) :]:
             print(warning, file=sys.stderr)
     if args.dump is not None and not args.leash:
-        _look_at_dumps(args.dump)
+        _check_dump_folder(args.dump)
     if args.volatile and args.state is not None:
-        raise UsageError("--volatile keeps nothing, and --state says where: leave one of them out")
+        raise UsageError(
+            "--volatile runs without a journal, and --state names its directory: leave one of them out"
+        )
     if args.all:
         if args.first_start:
             raise UsageError("--first-start is for a host on its own: with --all every host is heard first")
@@ -173,49 +176,50 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
             raise UsageError("--fresh is for a host on its own: with --all name a new folder with --state")
         from lfield.cli.run.up_all import run_all
 
-        return run_all(mission, file, args, tell)
+        return run_all(mission, file, args, print_line)
     return _run_one(mission, args, built=built)
 
 
-def _look_at_dumps(folder: Path) -> None:
-    """See that agents that die can be dumped there, before anything moves. Raises OutputFileError."""
-    from lfield.text.private import private_folder
+def _check_dump_folder(folder: Path) -> None:
+    """Check that the directory for dumps is writable, before anything moves. Raises OutputFileError."""
+    from lfield.text.secure_files import private_folder
 
     if not os.access(private_folder(folder), os.W_OK | os.X_OK):
         raise OutputFileError(str(folder), "nothing may be written there")
 
 
 def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
-    from lfield import loop
-    from lfield.cli.run.own_keys import built_here, proof_of
-    from lfield.host.process.leash import keep_for_oneself
-    from lfield.host.process.run import run_host
-    from lfield.net.local import own_host
+    from lfield import event_loop
+    from lfield.cli.run.host_keys import built_here, load_credentials
+    from lfield.host.process.host_process import run_host
+    from lfield.host.process.parent_pipe import set_cloexec_on_all
+    from lfield.net.local_addresses import own_host
 
-    keep_for_oneself()
-    name = mission.team.lookup(args.host) if args.host else own_host(mission.team.hosts)
-    proof = proof_of(name, args)
+    set_cloexec_on_all()
+    name = mission.team.find_host(args.host) if args.host else own_host(mission.team.hosts)
+    proof = load_credentials(name, args)
     if proof is not None and built:
         mission = built_here(mission, mission_path(args), args)
-    _look_first(mission, name, proof, args)
-    if not _ready(mission, name, args):
-        return exits.FAILED
+    _check_start(mission, name, proof, args)
+    if not _may_start(mission, name, args):
+        return exit_status.FAILED
     with (
-        _door(mission, name, args) as door,
+        _control_socket(mission, name, args) as door,
         _setup_named(args, name),
         _journal(mission, name, args) as journal,
     ):
-        return loop.run(
+        return event_loop.run(
             run_host(
                 _with_own_drivers(mission, name),
                 name,
                 listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
-                door=door,
+                control_socket=door,
                 dump=args.dump,
                 unreachable_after=args.unreachable_after,
                 lost_after=args.lost_after if args.until_done else None,
-                proof=proof,
-                leash=args.leash,
+                credentials=proof,
+                parent_pipe=args.leash,
+                result_fd=args.result_fd,
                 journal=journal,
                 first_start=args.first_start,
                 engine=args.engine,
@@ -225,7 +229,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
 
 @contextmanager
 def _setup_named(args: argparse.Namespace, host: str) -> Iterator[None]:
-    """Devices that are not set up are told with the command that does it."""
+    """Adds the `lfield setup` command to errors of devices that are not set up."""
     try:
         yield
     except DevicesError as error:
@@ -234,98 +238,102 @@ def _setup_named(args: argparse.Namespace, host: str) -> Iterator[None]:
 
 
 @contextmanager
-def _door(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[str]:
-    """Where commands of this computer find the host: in its own run, or in that of `--all`.
+def _control_socket(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[str]:
+    """The control socket of the host: in its own run, or in that of `--all`.
 
     Raises OutputFileError where they would not.
     """
-    from lfield.operator.runs import begun, running
+    from lfield.operator.runs import publish_run, run_manifest
 
     if args.leash:
         yield args.door
         return
 
-    with running(begun(mission, mission_path(args), [host]), tell) as doors:
+    with publish_run(run_manifest(mission, mission_path(args), [host]), print_line) as doors:
         yield doors.addresses[host]
 
 
-def tell(text: str) -> None:
-    """A line of the command itself."""
+def print_line(text: str) -> None:
+    """Print a line of the command itself."""
     print(f"lfield: {text}", file=sys.stderr)
 
 
 @contextmanager
 def _journal(mission: Mission, host: str, args: argparse.Namespace) -> Iterator[Journal | None]:
-    """Where the host keeps its coordinators; None for --volatile, and where no folder is named for a trial.
+    """The journal of the host; None for --volatile, and for a trial without --state.
 
-    A trial is on fakes, or with --all where nothing is driven.
+    A trial runs on simulated devices, or is `--all` without devices.
     """
     from lfield.clock import SystemClock
-    from lfield.journal.file import FileJournal
+    from lfield.journal.file_journal import FileJournal
 
-    if not _keeps(mission, args):
+    if not _keeps_journal(mission, args):
         yield None
         return
-    journal = FileJournal(*_place(mission, host, args), tell, SystemClock())
+    journal = FileJournal(*_journal_place(mission, host, args), print_line, SystemClock())
     try:
         yield journal
     finally:
         journal.close()
 
 
-def _look_first(mission: Mission, host: str, proof: Proof | None, args: argparse.Namespace) -> None:
-    """See that a host may begin before a journal of it is, or is thrown away: what is refused leaves none.
+def _check_start(
+    mission: Mission, host: str, proof: HostCredentials | None, args: argparse.Namespace
+) -> None:
+    """Check that a host may start before its journal is created or discarded.
 
     And that no host runs here whose folder was moved away: in its place no new journal may be put. One that
     has its folder keeps others out by its lock. Raises LfieldError.
     """
     from lfield.clock import SystemClock
-    from lfield.host.process.proving import insist_on_all
-    from lfield.net.local import insist_on_free
+    from lfield.host.process.credentials import validate_startup
+    from lfield.net.local_addresses import require_port_free
 
-    if not _keeps(mission, args):
+    if not _keeps_journal(mission, args):
         return
-    is_there = os.path.exists(_place(mission, host, args)[0])
+    is_there = os.path.exists(_journal_place(mission, host, args)[0])
     if args.fresh or not is_there:
-        insist_on_all(mission, host, proof, SystemClock())
+        validate_startup(mission, host, proof, SystemClock())
     if proof is not None and args.listen_fd is None and not is_there:
-        insist_on_free(mission.team.addresses[mission.team.number(host)])
+        require_port_free(mission.team.addresses[mission.team.number(host)])
 
 
-def _keeps(mission: Mission, args: argparse.Namespace) -> bool:
+def _keeps_journal(mission: Mission, args: argparse.Namespace) -> bool:
     trial = args.sim or mission.world == "fakes" or (args.leash and mission.world != "hardware")
     return not (args.volatile or (trial and args.state is None))
 
 
-def _place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path, Owner]:
-    """The journal of a host, and whose it is."""
+def _journal_place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path, JournalOwner]:
+    """The path of the journal of a host, and its owner."""
     from lfield.journal.journal import journal_file
-    from lfield.journal.opening import Owner
-    from lfield.journal.owner import machine_identity
+    from lfield.journal.journal_loader import JournalOwner
+    from lfield.journal.journal_lock import machine_id
 
-    return journal_file(args.state, mission.name, host), Owner(mission.name, host, machine_identity())
+    return journal_file(args.state, mission.name, host), JournalOwner(mission.name, host, machine_id())
 
 
-def _ready(mission: Mission, host: str, args: argparse.Namespace) -> bool:
-    """Whether the host may start: with --fresh, when what it keeps was thrown away. Raises LfieldError."""
-    from lfield.cli.run.fresh import begun_anew
-    from lfield.cli.run.own_keys import keys_for_asking
+def _may_start(mission: Mission, host: str, args: argparse.Namespace) -> bool:
+    """Whether the host may start: with --fresh, after its journal was reset. Raises LfieldError."""
+    from lfield.cli.run.host_keys import observer_keys
+    from lfield.cli.run.journal_reset_prompt import reset_journal
 
     if args.yes and not args.fresh:
         raise UsageError("--yes is an answer to --fresh")
     if not args.fresh:
         return True
-    if not _keeps(mission, args):
-        raise UsageError("--fresh is for a host that keeps its coordinators: this one keeps nothing")
-    others = {name: address for name, address in mission.team.reached.items() if name != host}
-    return begun_anew(*_place(mission, host, args), others, tell, keys_for_asking(host, args), yes=args.yes)
+    if not _keeps_journal(mission, args):
+        raise UsageError("--fresh is for a host with a journal: this one has none")
+    others = {name: address for name, address in mission.team.addresses_by_host.items() if name != host}
+    return reset_journal(
+        *_journal_place(mission, host, args), others, print_line, observer_keys(host, args), yes=args.yes
+    )
 
 
 def _with_own_drivers(mission: Mission, host: str) -> Mission:
-    """The mission with the drivers of this host's devices as they are installed here."""
+    """The mission with the installed drivers of the devices of this host."""
     from dataclasses import replace
 
-    from lfield.driver.known import installed_here
+    from lfield.driver.driver_index import installed_drivers
 
     names = {device.driver for device in mission.devices_of(host)}
-    return replace(mission, drivers=installed_here(mission.drivers, names))
+    return replace(mission, drivers=installed_drivers(mission.drivers, names))

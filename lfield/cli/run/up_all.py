@@ -1,10 +1,10 @@
-"""`lfield up --all`: every host of a mission as a process of its own, on free ports or as --map says.
+"""`lfield up --all`: every host of a mission as a process, on free ports or as --map says.
 
-All run one bundle; none of them compiles anything.
+All run the same bundle; no host compiles.
 
-Each child inherits its listening socket, so no port is taken by somebody else in between, and holds the
-other end of a pipe to this process: when it closes, the child stops in order, its devices made safe. A line
-on it tells of another child that was reaped.
+Each child inherits its listening socket, so that no other process takes the port. Its stdin is a supervision
+pipe: a line reports a sibling that has exited, and at EOF the child stops in order, its devices in their safe
+states.
 """
 
 from __future__ import annotations
@@ -16,67 +16,79 @@ import signal
 import socket
 import sys
 from asyncio.subprocess import PIPE, Process
+from contextlib import suppress
 from typing import TYPE_CHECKING, TextIO
 
-from lfield import exits
+from lfield import exit_status
 from lfield.cli.mission_argument import mission_path, setup_command
-from lfield.cli.run.own_keys import minted
+from lfield.cli.run.host_keys import ephemeral_keys
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
-from lfield.host.process import leash
-from lfield.host.process.stop_words import ECHO, StopWords, hear_signals
+from lfield.host.process import parent_pipe
+from lfield.host.process.shutdown_signals import REPEAT_WINDOW, ShutdownSignals, install_signal_handlers
 from lfield.mission.team import parse_maps
-from lfield.net.local import reserve
-from lfield.operator.runs import Doors, begun, running
-from lfield.text.visible import visible
+from lfield.net.local_addresses import open_listening_socket
+from lfield.operator.runs import ControlSockets, publish_run, run_manifest
+from lfield.text.terminal_escape import escape
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
     from pathlib import Path
 
-    from lfield.cli.views.live import LiveView
+    from lfield.cli.views.live_view import LiveView
     from lfield.mission.mission import Mission
 
-#: A host that is silent under --all hangs: it is waited for for less long than in the field.
-LOST_AFTER = 3.0
-#: Where a host listens that no --map names: on a free port.
-FREE = "127.0.0.1:0"
-#: How long hosts may take to end, in seconds, beyond the time that their devices have to come to rest.
-PATIENCE = 10.0
-#: Seconds for what the hosts have said last to come through.
-LAST_WORDS = 3.0
-#: The longest line that is passed on whole, in bytes.
-LONGEST = 1 << 20
-#: The statuses of a host that has run; one with any other could not start, or has failed.
-RAN = (exits.DONE, exits.FAILED, exits.UNSAFE, exits.UNHEARD)
+#: Time-out of a silent host under --all, in seconds: it hangs, so less than in the field.
+DEFAULT_LOST_AFTER = 3.0
+#: The address of a host without --map.
+ANY_FREE_PORT = "127.0.0.1:0"
+#: Time for hosts to exit, in seconds, after their devices have come to rest.
+KILL_GRACE = 10.0
+#: Time to read the last output of the hosts, in seconds.
+OUTPUT_TIMEOUT = 3.0
+#: The longest line that is forwarded whole, in bytes.
+MAX_LINE = 1 << 20
+#: The exit statuses of a host that has run; any other means that it could not start, or failed.
+HOST_STATUSES = (exit_status.DONE, exit_status.FAILED, exit_status.UNSAFE, exit_status.UNKNOWN_OUTCOME)
 
 
-def run_all(mission: Mission, file: Path, args: argparse.Namespace, tell: Callable[[str], None]) -> int:
-    """Run every host of the mission in a bundle until all have ended: 0 if all did so normally.
+def run_all(mission: Mission, file: Path, args: argparse.Namespace, report: Callable[[str], None]) -> int:
+    """Run every host of a mission until all have ended; returns the exit status.
 
-    `tell` hears which commands would not find it; raises OutputFileError where none would.
+    `report` prints which commands would not find the run. Raises OutputFileError when none would.
     """
     mapped = parse_maps(args.map, mission.team)
-    reserved = {host: reserve(mapped.get(host, FREE)) for host in mission.team.hosts}
+    reserved = {host: open_listening_socket(mapped.get(host, ANY_FREE_PORT)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     named = mission_path(args)
-    with running(begun(mission.at(mission.team.at(addresses)), named, addresses), tell) as doors:
-        return asyncio.run(_Team(mission, file, args, reserved, addresses, doors).run())
+    with publish_run(run_manifest(mission.at(mission.team.at(addresses)), named, addresses), report) as doors:
+        return asyncio.run(_HostProcesses(mission, file, args, reserved, addresses, doors).run())
 
 
-def summary(statuses: Mapping[str, int], status: int, seconds: float) -> str:
-    """The last line of a run of so many `seconds`: mission completed, or which hosts failed and how."""
-    end = f"after {seconds:.0f} s; exit status {status}"
-    if status == exits.DONE:
+def summary(statuses: Mapping[str, int], status: int, seconds: float, hops: int) -> str:
+    """The last line of a run of so many `seconds`: mission completed, or which hosts failed and how.
+
+    `hops` are those of all coordinators.
+    """
+    end = f"after {seconds:.0f} s, {hops} hop{'s' * (hops != 1)}; exit status {status}"
+    if status == exit_status.DONE:
         return f"mission completed {end}"
     failed = [host for host, each in statuses.items() if each and each == status]
     where = f" on {', '.join(failed)}" if failed else ""
-    how = "stopped" if status == exits.INTERRUPTED else "failed"
-    meaning = exits.MEANINGS.get(status, "a host was killed").partition(";")[0]
+    how = "stopped" if status == exit_status.INTERRUPTED else "failed"
+    meaning = exit_status.MEANINGS.get(status, "a host was killed").partition(";")[0]
     return f"mission {how}{where} {end}: {meaning.removeprefix('the mission failed: ')}"
 
 
-class _Team:
+def _read_count(pipe: int) -> int:
+    """The number in a pipe, 0 where a host was killed before it wrote one."""
+    os.set_blocking(pipe, False)
+    with suppress(BlockingIOError), os.fdopen(pipe, "rb") as reader:
+        return int(reader.read(20) or 0)
+    return 0
+
+
+class _HostProcesses:
     def __init__(
         self,
         mission: Mission,
@@ -84,16 +96,18 @@ class _Team:
         args: argparse.Namespace,
         reserved: dict[str, tuple[socket.socket, str]],
         addresses: dict[str, str],
-        doors: Doors,
+        control_sockets: ControlSockets,
     ) -> None:
-        self.mission, self.file, self.args, self.doors = mission, file, args, doors
+        self.mission, self.file, self.args, self.control_sockets = mission, file, args, control_sockets
         self.reserved, self.addresses = reserved, addresses
-        self.keys = minted(addresses, mission.release)
+        self.keys = ephemeral_keys(addresses, mission.release)
         self.children: dict[str, Process] = {}
         self.pipes: list[asyncio.ReadTransport] = []
+        #: Pipes to which the hosts write how many hops their coordinators made.
+        self.results: list[int] = []
         self.width = max(len(host) for host in addresses)
-        self.words = StopWords(SystemClock())
-        #: Set when the hosts that still run are to end.
+        self.stop_signals = ShutdownSignals(SystemClock(), self.stop_again)
+        #: Set when the remaining hosts must stop.
         self.ending = asyncio.Event()
         #: The exit status of the first host that could not start.
         self.refused = 0
@@ -101,52 +115,56 @@ class _Team:
 
     async def run(self) -> int:
         started = asyncio.get_running_loop().time()
-        hear_signals(self.words)
-        self.words.on_second = self.hurry
+        install_signal_handlers(self.stop_signals)
         if sys.stderr.isatty():
-            from lfield.cli.views.live import LiveView
+            from lfield.cli.views.live_view import LiveView
 
-            self.view = LiveView(self.mission, self.doors.addresses)
+            self.view = LiveView(self.mission, self.control_sockets.addresses)
         readers = [task for host in self.addresses for task in await self.start(host)]
-        watcher = asyncio.create_task(self.watch())
+        watcher = asyncio.create_task(self.stop_on_signal())
         if self.view:
             self.view.start()
         statuses = await asyncio.gather(*(self.wait(host) for host in self.addresses))
         watcher.cancel()
-        # A guard whose host was killed has the other end too, and stays until its vehicle is down.
-        _, late = await asyncio.wait(readers, timeout=LAST_WORDS)
+        # The guard of a killed host holds the pipe open until its vehicle has landed.
+        _, late = await asyncio.wait(readers, timeout=OUTPUT_TIMEOUT)
         for reader in late:
             reader.cancel()
         for pipe in self.pipes:
             pipe.close()
         if self.view:
             await self.view.stop()
-        if self.words.first.is_set():
-            status = exits.worst([exits.INTERRUPTED, *(s for s in statuses if s == exits.UNSAFE)])
+        if self.stop_signals.first_requested.is_set():
+            status = exit_status.most_severe(
+                [exit_status.INTERRUPTED, *(s for s in statuses if s == exit_status.UNSAFE)]
+            )
         else:
-            status = exits.worst([self.refused, *statuses])
+            status = exit_status.most_severe([self.refused, *statuses])
         seconds = asyncio.get_running_loop().time() - started
-        print(summary(dict(zip(self.addresses, statuses, strict=True)), status, seconds), file=sys.stderr)
+        ended = dict(zip(self.addresses, statuses, strict=True))
+        print(summary(ended, status, seconds, sum(map(_read_count, self.results))), file=sys.stderr)
         return status
 
     async def start(self, host: str) -> list[asyncio.Task[None]]:
-        """Start the process of a host; returns the tasks that pass its lines on."""
+        """Start the process of a host; returns the tasks that forward its output."""
         listening = self.reserved[host][0]
         (out, stdout), (err, stderr) = await self.pipe(), await self.pipe()
+        result, written = os.pipe()
+        self.results.append(result)
         child = await asyncio.create_subprocess_exec(
             *self.command(host, listening.fileno(), self.keys[host]),
+            f"--result-fd={written}",
             stdin=PIPE,
             stdout=stdout,
             stderr=stderr,
-            # With the lock the run lives, for those who look, until its last host has ended.
-            pass_fds=[listening.fileno(), self.keys[host], self.doors.lock],
-            # A Ctrl-C of the terminal is for this process; it stops the hosts in order.
+            # The lock marks the run as alive until its last host has exited.
+            pass_fds=[listening.fileno(), self.keys[host], self.control_sockets.lock, written],
+            # A Ctrl-C of the terminal goes to this process only; it stops the hosts in order.
             start_new_session=True,
         )
         listening.close()
-        os.close(self.keys[host])
-        os.close(stdout)
-        os.close(stderr)
+        for descriptor in (self.keys[host], stdout, stderr, written):
+            os.close(descriptor)
         self.children[host] = child
         return [
             asyncio.create_task(self.pass_on(host, out, sys.stdout)),
@@ -154,13 +172,12 @@ class _Team:
         ]
 
     async def pipe(self) -> tuple[asyncio.StreamReader, int]:
-        """What is read of a child, and the end that it writes to.
+        """A reader, and the descriptor that a child writes to.
 
-        Not asyncio's own: they would have to end before a child counts as ended, and a guard that outlives
-        its host keeps them open.
+        Not the pipes of asyncio: a child would count as running while its guard holds them open.
         """
         reading, writing = os.pipe()
-        reader = asyncio.StreamReader(LONGEST)
+        reader = asyncio.StreamReader(MAX_LINE)
         connected = asyncio.get_running_loop().connect_read_pipe(
             lambda: asyncio.StreamReaderProtocol(reader), os.fdopen(reading, "rb", 0)
         )
@@ -170,11 +187,11 @@ class _Team:
     def command(self, host: str, listening: int, keys: int) -> list[str]:
         args = self.args
         words = [sys.executable, "-P", "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
-        # One word each: what begins with a dash would be taken for another option.
+        # As one argument each: a value that begins with a dash would be taken for an option.
         words += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
         words += ["--engine", args.engine] if args.engine else []
-        words.append(f"--door={self.doors.addresses[host]}")
-        # Of all hosts: the first with a device that is not set up ends the others before they can tell.
+        words.append(f"--door={self.control_sockets.addresses[host]}")
+        # For all hosts: the first with a device that is not set up stops the others.
         words.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
         for name, address in self.addresses.items():
             words.append(f"--map={name}={address}")
@@ -183,84 +200,84 @@ class _Team:
                 words += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
         words += [f"--{option}" for option in ("sim", "volatile") if getattr(args, option)]
         if args.until_done:
-            words += ["--until-done", "--lost-after", str(min(args.lost_after, LOST_AFTER))]
+            words += ["--until-done", "--lost-after", str(min(args.lost_after, DEFAULT_LOST_AFTER))]
         return words
 
     async def pass_on(self, host: str, source: asyncio.StreamReader, target: TextIO) -> None:
-        """Lines of a host, each with its name before it."""
+        """Forward the lines of a host, each with its name in front."""
         while line := await self.line(source):
             self.show(host, line.decode(errors="replace").removesuffix("\n"), target)
 
     def show(self, host: str, text: str, target: TextIO) -> None:
-        """One line with its host's name before it, above the table where there is one.
+        """Print a line with the name of its host in front, above the table if there is one.
 
-        On a terminal its control characters are shown as escapes; elsewhere it goes out unchanged.
+        On a terminal control characters are escaped; elsewhere the line is unchanged.
         """
         line = f"{host:<{self.width}} | {text}"
         if not target.isatty():
             target.write(line + "\n")
         elif self.view:
-            self.view.print(visible(line))
+            self.view.print(escape(line))
         else:
-            target.write(visible(line) + "\n")
+            target.write(escape(line) + "\n")
 
     async def line(self, source: asyncio.StreamReader) -> bytes:
         try:
             return await source.readline()
         except ValueError:
-            # A line over the limit: show what there is of it.
+            # A line over the limit: print a part of it.
             return await source.read(1 << 16)
 
     async def wait(self, host: str) -> int:
-        """The exit status of a host. One that cannot start, or has not heard of another, stops the others."""
+        """The exit status of a host. One that cannot start, or lost another, stops the others."""
         status = await self.children[host].wait()
         if status:
-            self.tell(host)
+            self.on_exit(host)
         if status < 0:
-            return self.ended_by(signal.Signals(-status), host)
-        if status not in RAN and not self.words.first.is_set():
+            return self.signal_status(signal.Signals(-status), host)
+        if status not in HOST_STATUSES and not self.stop_signals.first_requested.is_set():
             self.refused = self.refused or status
-        if status not in RAN or status == exits.UNHEARD:
-            # It has not heard of one that may hang, and would be waited for for ever.
+        if status not in HOST_STATUSES or status == exit_status.UNKNOWN_OUTCOME:
+            # A host that hangs would be waited for forever.
             self.ending.set()
         return status
 
-    def tell(self, reaped: str) -> None:
-        """The other hosts hear of one that has ended before its mission: that is proof, silence is none."""
+    def on_exit(self, reaped: str) -> None:
+        """Report a host that has exited to the others: unlike silence it is proof of its end."""
         for host, child in self.children.items():
             if host != reaped and child.returncode is None and child.stdin and not child.stdin.is_closing():
-                child.stdin.write(leash.news(reaped))
+                child.stdin.write(parent_pipe.exit_line(reaped))
 
-    def ended_by(self, number: signal.Signals, host: str) -> int:
-        """The status of a host that a signal ended: nobody has seen what became of its devices."""
+    def signal_status(self, number: signal.Signals, host: str) -> int:
+        """The status of a host that a signal ended: its devices are not confirmed to be safe."""
         self.show(host, f"ended by {number.name}", sys.stderr)
         devices = [device for device in self.mission.devices_of(host) if not device.is_sensor]
         for device in devices:
-            told = f"{device.name}: NOT SAFE: nobody has seen its safe state '{device.safe_state}'"
+            told = f"{device.name} NOT SAFE: not confirmed to be in its safe state '{device.safe_state}'"
             self.show(host, told, sys.stderr)
-        return exits.UNSAFE if devices else exits.FAILED
+        return exit_status.UNSAFE if devices else exit_status.FAILED
 
-    async def watch(self) -> None:
-        """Stop everything in order when told to, and by force when that takes too long."""
-        told = asyncio.create_task(self.words.first.wait())
+    async def stop_on_signal(self) -> None:
+        """Stop all hosts in order after a signal, and by force after a time-out."""
+        told = asyncio.create_task(self.stop_signals.first_requested.wait())
         told.add_done_callback(lambda _: self.ending.set())
         await self.ending.wait()
         self.release()
         left = [host for host, child in self.children.items() if child.returncode is None]
         devices = [device for host in left for device in self.mission.devices_of(host)]
-        await asyncio.sleep(longest_rest(devices) + PATIENCE)
+        await asyncio.sleep(longest_rest(devices) + KILL_GRACE)
         for host in left:
             if self.children[host].returncode is None:
                 print(f"{host} does not end: killed", file=sys.stderr)
                 self.children[host].kill()
 
-    def hurry(self) -> None:
-        """Say the second word to every host: the first was the end of its leash.
+    def stop_again(self) -> None:
+        """Send the second stop signal to every host; the first was EOF on its supervision pipe.
 
-        A host may have heard that a little later than this process said it: said again, it is no echo.
+        It is repeated, since a host that saw EOF late takes the first one for an echo.
         """
         self.terminate()
-        asyncio.get_running_loop().call_later(ECHO, self.terminate)
+        asyncio.get_running_loop().call_later(REPEAT_WINDOW, self.terminate)
 
     def terminate(self) -> None:
         """Send SIGTERM to every host that runs."""
@@ -269,7 +286,7 @@ class _Team:
                 child.terminate()
 
     def release(self) -> None:
-        """Close the pipes that the hosts hold on to."""
+        """Close the supervision pipes."""
         for child in self.children.values():
             assert child.stdin
             child.stdin.close()

@@ -8,7 +8,7 @@ from typing import Any
 from rich.console import Console
 from rich.segment import Segment
 
-from lfield.text.visible import visible
+from lfield.text.terminal_escape import escape
 
 
 class PlainConsole(Console):
@@ -17,5 +17,5 @@ class PlainConsole(Console):
     def render(self, *args: Any, **options: Any) -> Iterable[Segment]:
         """The segments of what is drawn, their texts as they are shown."""
         for segment in super().render(*args, **options):
-            text = segment.text if segment.control else visible(segment.text)
+            text = segment.text if segment.control else escape(segment.text)
             yield segment if text == segment.text else Segment(text, segment.style)

@@ -11,80 +11,82 @@ from typing import Any
 
 import msgspec
 
-from lfield.operator.sight.listening import Notice
-from lfield.operator.sight.picture.loglines import Pieces, left_out, lines_of
-from lfield.operator.sight.timeline.timeline import Dated
-from lfield.text.values import bytes_in_words, duration_in_words, share_in_words
-from lfield.text.visible import in_one_line
+from lfield.operator.dashboard.event_feed import FeedNotice
+from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
+from lfield.operator.team_model.log_buffer import LineAssembler, lines_of, lost_events_text
+from lfield.text.terminal_escape import escape_line
+from lfield.text.value_text import byte_count_text, duration_text, percentage_text
 from lfield.wire.events import (
-    Came,
-    Hopped,
-    Left,
-    Logged,
-    Measured,
-    Path,
+    DeviceTelemetry,
+    EventsDropped,
+    LineLogged,
+    LinkTelemetry,
+    MigrationArrived,
+    MigrationConfirmed,
+    MigrationFailed,
+    MigrationStarted,
     Printed,
-    Skipped,
-    Stayed,
     as_fields,
 )
 from lfield.wire.fields import Telemetry
 
 #: What a table can have of them: telemetry and figures of links, a row for each number, and hops.
-IN_TABLES = ("measured", "path", "left", "came", "hopped", "stayed")
+CSV_KINDS = ("measured", "path", "left", "came", "hopped", "stayed")
 COLUMNS = (
     *("time", "within", "host", "number", "kind", "of", "quantity", "value"),
     *("generation", "sequence", "from", "to", "seconds", "size"),
 )
 
 
-def as_line(dated: Dated) -> str:
+def event_line(dated: DatedEvent) -> str:
     """`12:34:56.789  alpha  #9  left  agent=boss ...`, in the local time of this computer."""
     told = as_fields(dated.event)
-    words = [f"{name}={_word(value)}" for name, value in told.items() if name not in _HEAD]
-    if isinstance(dated.event.what, Path):
+    words = [f"{name}={_value_text(value)}" for name, value in told.items() if name not in _HEAD]
+    if isinstance(dated.event.what, LinkTelemetry):
         words = list(_measured(dated.event.what))
     caused = f"by={dated.cause.host}:{dated.cause.number}" if dated.cause is not None else ""
     number = f"#{told['number']}"
     return "  ".join(
-        filter(None, (clock_time(dated), in_one_line(dated.host), number, told["kind"], *words, caused))
+        filter(None, (clock_time(dated), escape_line(dated.host), number, told["kind"], *words, caused))
     )
 
 
-def _measured(path: Path) -> Iterator[str]:
+def _measured(path: LinkTelemetry) -> Iterator[str]:
     """The figures of a link with their units; those that are not known are left out."""
-    yield f"peer={in_one_line(path.peer)}"
+    yield f"peer={escape_line(path.peer)}"
     if path.round_trip is not None:
-        yield f"round_trip={duration_in_words(path.round_trip)}"
+        yield f"round_trip={duration_text(path.round_trip)}"
     if path.loss is not None:
-        yield f"loss={share_in_words(path.loss)}"
+        yield f"loss={percentage_text(path.loss)}"
     if path.sent is not None:
-        yield f"sent={bytes_in_words(path.sent)}"
+        yield f"sent={byte_count_text(path.sent)}"
     if path.received is not None:
-        yield f"received={bytes_in_words(path.received)}"
+        yield f"received={byte_count_text(path.received)}"
 
 
 _HEAD = ("number", "at", "up", "cause", "kind")
 
 
-def _word(value: object) -> str:
+def _value_text(value: object) -> str:
     if isinstance(value, str):
-        text = in_one_line(value)
+        text = escape_line(value)
         return text if text and " " not in text else f'"{text}"'
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{in_one_line(name)}: {_word(each)}" for name, each in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{escape_line(name)}: {_value_text(each)}" for name, each in value.items()) + "}"
+        )
     if isinstance(value, list):
-        return "[" + ", ".join(map(_word, value)) + "]"
-    return _truth(value) if isinstance(value, bool) else str(value)
+        return "[" + ", ".join(map(_value_text, value)) + "]"
+    return _boolean_text(value) if isinstance(value, bool) else str(value)
 
 
-def _truth(value: bool) -> str:
+def _boolean_text(value: bool) -> str:
     return "true" if value else "false"
 
 
-def clock_time(dated: Dated) -> str:
+def clock_time(dated: DatedEvent) -> str:
     """The time of day, to the millisecond."""
     whole, part = divmod(round(dated.time * 1000), 1000)
     try:
@@ -93,21 +95,22 @@ def clock_time(dated: Dated) -> str:
         return f"{whole}.{part:03d}"
 
 
-def as_json(told: Dated | Notice) -> str:
+def event_json(item: DatedEvent | FeedNotice) -> str:
     """One object: what `events.md` says, with the host and the time on the one time line.
 
     What is no number in JSON (NaN) is null. Of a notice only what was lost is told, as of a kind 'lost'.
     """
-    if isinstance(told, Notice):
-        return _json({"host": told.host, "kind": "lost", "lost": told.lost})
-    cause = None if told.cause is None else told.cause._asdict()
+    if isinstance(item, FeedNotice):
+        return _json({"host": item.host, "kind": "lost", "lost": item.lost})
+    cause = None if item.cause is None else item.cause._asdict()
     whole: dict[str, Any] = {
-        "host": told.host,
-        "incarnation": told.incarnation,
-        "time": told.time,
-        "within": told.within,
+        "host": item.host,
+        "incarnation": item.incarnation,
+        "time": item.time,
+        "within": item.within,
+        "tick": item.event.tick,
         "caused_by": cause,
-        **as_fields(told.event),
+        **as_fields(item.event),
     }
     return _json(whole)
 
@@ -118,7 +121,7 @@ def _json(whole: dict[str, Any]) -> str:
     return text if text.isascii() else json.dumps(msgspec.json.decode(text), separators=(",", ":"))
 
 
-class Csv:
+class EventCsv:
     """Rows of one table; the first line names the columns."""
 
     def __init__(self) -> None:
@@ -129,7 +132,7 @@ class Csv:
         """The names of the columns."""
         return self._line(COLUMNS)
 
-    def rows(self, dated: Dated) -> Iterator[str]:
+    def rows(self, dated: DatedEvent) -> Iterator[str]:
         """The rows of an event, none for what is no matter for a table."""
         within = "" if dated.within is None else f"{dated.within:.6f}"
         head = (f"{dated.time:.6f}", within, dated.host, dated.event.number, dated.event.kind)
@@ -144,26 +147,26 @@ class Csv:
         return line
 
 
-def _rows(dated: Dated) -> Iterator[tuple[object, ...]]:
+def _rows(dated: DatedEvent) -> Iterator[tuple[object, ...]]:
     hop: tuple[object, ...]
     match dated.event.what:
-        case Measured(device, values):
+        case DeviceTelemetry(device, values):
             for name, value in values.items():
                 for quantity, each in _numbers(name, value):
                     yield (device, quantity, each, "", "", "", "", "", "")
             return
-        case Path(peer) as path:
+        case LinkTelemetry(peer) as path:
             for quantity in ("round_trip", "loss", "sent", "received"):
                 if (value := getattr(path, quantity)) is not None:
                     yield (peer, quantity, value, "", "", "", "", "", "")
             return
-        case Left(agent, generation, sequence, to, _, _, size):
+        case MigrationStarted(agent, generation, sequence, to, _, _, size):
             hop = (generation, sequence, dated.host, to, "", size)
-        case Came(agent, generation, sequence, of, size):
+        case MigrationArrived(agent, generation, sequence, of, size):
             hop = (generation, sequence, of, dated.host, "", size)
-        case Hopped(agent, generation, sequence, to, seconds):
+        case MigrationConfirmed(agent, generation, sequence, to, seconds):
             hop = (generation, sequence, dated.host, to, "" if seconds is None else seconds, "")
-        case Stayed(agent, generation, sequence, to):
+        case MigrationFailed(agent, generation, sequence, to):
             hop = (generation, sequence, dated.host, to, "", "")
         case _:
             return
@@ -175,28 +178,28 @@ def _numbers(name: str, value: Telemetry) -> Iterator[tuple[str, object]]:
     if isinstance(value, list):
         yield from ((f"{name}[{place}]", each) for place, each in enumerate(value))
     else:
-        yield name, _truth(value) if isinstance(value, bool) else value
+        yield name, _boolean_text(value) if isinstance(value, bool) else value
 
 
 def _cell(value: object) -> object:
-    return in_one_line(value) if isinstance(value, str) else value
+    return escape_line(value) if isinstance(value, str) else value
 
 
-class LogView:
+class LogLineView:
     """Lines of logs with the time of this computer, the host, and who said it."""
 
     def __init__(self) -> None:
-        self._pieces = Pieces()
+        self._assembler = LineAssembler()
 
-    def lines(self, dated: Dated) -> Iterator[str]:
+    def lines(self, dated: DatedEvent) -> Iterator[str]:
         """The lines that an event ends."""
-        head = f"{clock_time(dated)} {in_one_line(dated.host)} |"
+        head = f"{clock_time(dated)} {escape_line(dated.host)} |"
         match dated.event.what:
             case Printed(agent) as what:
-                for line in self._pieces.lines(dated.host, what):
-                    yield f"{head} {in_one_line(agent)}: {in_one_line(line)}"
-            case Logged(text):
+                for line in self._assembler.lines(dated.host, what):
+                    yield f"{head} {escape_line(agent)}: {escape_line(line)}"
+            case LineLogged(text):
                 for line in lines_of(text):
-                    yield f"{head} {in_one_line(line)}"
-            case Skipped("printed", count):
-                yield f"{head} {left_out('lines', count)}"
+                    yield f"{head} {escape_line(line)}"
+            case EventsDropped("printed", count):
+                yield f"{head} {lost_events_text('lines', count)}"

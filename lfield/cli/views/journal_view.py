@@ -5,24 +5,24 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING
 
-from lfield.journal.opening import lost, moment
-from lfield.journal.pages import (
-    BegunPage,
-    BundlePage,
-    CopyPage,
-    Fence,
-    Paused,
-    ProgramPage,
-    ReservationPage,
-    Run,
-    Starts,
-    Stopped,
+from lfield.journal.journal_loader import describe_loss, format_time
+from lfield.journal.records import (
+    BundleRecord,
+    CoordinatorRecord,
+    EmergencyStopFlag,
+    FenceRecord,
+    PauseFlag,
+    PendingCallRecord,
+    ProgramRecord,
+    ReservationRecord,
+    RunMarker,
+    StartCounter,
 )
 from lfield.wire.fields import short_digest
 
 if TYPE_CHECKING:
-    from lfield.journal.reading import Seen
-    from lfield.vm.inspect.decode import FrameView, ThreadView
+    from lfield.journal.readonly_view import ReadOnlyView
+    from lfield.vm.inspection.block_view import FrameView, ThreadView
 
 #: For people, by what is kept.
 _STATES = {
@@ -40,49 +40,51 @@ _OUTCOMES = {
 }
 
 
-def journal_lines(seen: Seen) -> Iterator[str]:
+def journal_lines(view: ReadOnlyView) -> Iterator[str]:
     """What `lfield inspect` prints of a journal."""
-    if seen.head is None:
+    if view.header is None:
         yield "journal   whose it is cannot be read"
     else:
-        yield f"journal   of {seen.head.host} in {seen.head.deployment}"
-        yield f"identity  {seen.head.identity:016x}"
-    programs = {page.digest: page for _, page in seen.pages if isinstance(page, ProgramPage)}
-    for _, page in seen.pages:
+        yield f"journal   of {view.header.host} in {view.header.deployment}"
+        yield f"identity  {view.header.identity:016x}"
+    programs = {page.digest: page for _, page in view.records if isinstance(page, ProgramRecord)}
+    for _, page in view.records:
         match page:
-            case Starts():
+            case StartCounter():
                 yield f"starts    {page.count}"
-            case Run():
+            case RunMarker():
                 yield f"run       {'goes on' if page.open else 'has ended'}"
-            case BundlePage() if page.digest:
+            case BundleRecord() if page.digest:
                 yield f"bundle    {short_digest(page.digest)}, signed"
-            case Paused() if page.on:
+            case PauseFlag() if page.on:
                 yield "paused    until 'lfield resume'"
-            case Stopped() if page.reason:
+            case EmergencyStopFlag() if page.reason:
                 yield f"stopped   until 'lfield estop --lift': {page.reason}"
-            case Fence():
+            case FenceRecord():
                 yield f"fence     {page.agent}: no start before {page.generation}"
-            case ReservationPage():
+            case ReservationRecord():
                 holder = f"{page.agent}, start {page.generation}" if page.agent else "nobody"
                 yield f"reserved  {page.resource}, number {page.number}: {holder}"
-            case ProgramPage():
+            case ProgramRecord():
                 yield f"program   {page.digest.hex()[:16]}, {len(page.code)} bytes"
-    for entry, page in sorted(seen.pages, key=lambda found: found[0].key):
-        if isinstance(page, CopyPage):
-            yield from _copy_lines(page, entry.kept, programs)
-        elif isinstance(page, BegunPage):
-            yield from _begun_lines(page, entry.kept)
-    for title, damaged in (("damaged", seen.damaged), ("moved aside", seen.aside)):
+    for entry, page in sorted(view.records, key=lambda found: found[0].key):
+        if isinstance(page, CoordinatorRecord):
+            yield from _coordinator_lines(page, entry.written_at, programs)
+        elif isinstance(page, PendingCallRecord):
+            yield from _pending_call_lines(page, entry.written_at)
+    for title, damaged in (("damaged", view.damaged), ("moved aside", view.moved_aside)):
         for one in damaged:
-            yield f"\n{title}: {lost(one.entry)}: {one.why}"
+            yield f"\n{title}: {describe_loss(one.entry)}: {one.why}"
 
 
-def _copy_lines(page: CopyPage, kept: float, programs: Mapping[bytes, ProgramPage]) -> Iterator[str]:
+def _coordinator_lines(
+    page: CoordinatorRecord, kept: float, programs: Mapping[bytes, ProgramRecord]
+) -> Iterator[str]:
     yield f"\n{page.agent}, start {page.generation}: {page.state}: {_STATES[page.state]}"
-    yield f"  as of     {moment(kept)}"
+    yield f"  as of     {format_time(kept)}"
     yield f"  transfer  {page.sequence}, after {page.hops} hop{'s' * (page.hops != 1)}"
     if page.target:
-        yield f"  sent to   {page.target}, memory {page.memory:016x}"
+        yield f"  sent to   {page.target}, memory {page.receiver_memory:016x}"
     if page.kind:
         yield f"  refused   {page.kind}: {page.reason}"
     if page.doubt:
@@ -94,24 +96,24 @@ def _copy_lines(page: CopyPage, kept: float, programs: Mapping[bytes, ProgramPag
         yield from (f"  {line}" for line in _stack(page, programs))
 
 
-def _begun_lines(page: BegunPage, kept: float) -> Iterator[str]:
+def _pending_call_lines(page: PendingCallRecord, kept: float) -> Iterator[str]:
     yield f"\n{page.agent}, start {page.generation}: call {page.number} begun: {page.resource}.{page.portal}"
-    yield f"  as of     {moment(kept)}"
-    size = f", {len(page.parcel)} bytes" if page.parcel else ""
+    yield f"  as of     {format_time(kept)}"
+    size = f", {len(page.result)} bytes" if page.result else ""
     yield f"  outcome   {_OUTCOMES[page.outcome]}{size}"
 
 
-def _stack(page: CopyPage, programs: Mapping[bytes, ProgramPage]) -> Iterator[str]:
+def _stack(page: CoordinatorRecord, programs: Mapping[bytes, ProgramRecord]) -> Iterator[str]:
     from lfield.errors import BlockError, ProgramFileError
-    from lfield.vm.inspect import dump
-    from lfield.vm.inspect.decode import view
+    from lfield.vm.inspection import dump_file
+    from lfield.vm.inspection.block_view import view
 
     explains = programs.get(page.program)
     if explains is None:
         yield "its program is not in this journal, so there is no stack to show"
         return
     try:
-        program, block = dump.explained(explains.code, explains.types, page.block)
+        program, block = dump_file.decode_program_and_block(explains.code, explains.types, page.block)
     except (BlockError, ProgramFileError) as error:
         yield str(error)
         return
@@ -129,11 +131,11 @@ def interval_line(seconds: float) -> str:
 
 def thread_lines(thread: ThreadView) -> Iterator[str]:
     """A thread and its stack, innermost first, with what its variables hold."""
-    from lfield.vm.inspect.traceback import ends
+    from lfield.vm.inspection.traceback import split_ends
 
     serves = f", serves portal call {thread.call}" if thread.call else ""
     yield f"thread {thread.id}: {thread.state}{serves}"
-    inner, between, outer = ends(thread.frames)
+    inner, between, outer = split_ends(thread.frames)
     for frame in inner:
         yield from _frame_lines(frame)
     if between:

@@ -8,16 +8,16 @@ from dataclasses import dataclass, field
 from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from lfield.capability.matching.explain import nobody_serves, render
-from lfield.capability.matching.search import named
+from lfield.capability.matching.explanation import no_provider_note, render_refusals
+from lfield.capability.matching.plan_search import attributes_of
 from lfield.capability.model import Primitive, Registry
-from lfield.capability.offer import Fact, Offer, Refusal, Team
+from lfield.capability.offer import AgentSource, Fact, Offer, Rejection
 from lfield.cli.views.score_view import score_lines, terms_json
 from lfield.cli.views.trees import plain_console, print_tree
 from lfield.errors import LfieldError
-from lfield.operator.question import Question
-from lfield.operator.registry.sheets import printable, worth
-from lfield.operator.registry.taxonomy import Branch
+from lfield.operator.query_parser import CapabilityQuery
+from lfield.operator.registry.sheets import printable, value_text
+from lfield.operator.registry.taxonomy import TreeBranch
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -28,28 +28,28 @@ SHOWN = 6
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownTeam:
     """The team as far as it is known, and how: the hosts that answered, and why the others did not."""
 
-    team: Team
+    team: AgentSource
     answered: tuple[str, ...] = ()
-    silent: Mapping[str, LfieldError] = field(default_factory=dict)
+    unanswered: Mapping[str, LfieldError] = field(default_factory=dict)
 
     @property
-    def running(self) -> bool:
+    def is_running(self) -> bool:
         """Whether any of it was heard."""
         return bool(self.answered)
 
     def __str__(self) -> str:
-        if not self.running:
-            why = "no host tells more" if self.silent else "nothing is running"
+        if not self.is_running:
+            why = "no host tells more" if self.unanswered else "nothing is running"
             return f"from the files: {why}, live attributes are not known"
-        hosts = len(self.answered) + len(self.silent)
+        hosts = len(self.answered) + len(self.unanswered)
         return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
 
 
 @dataclass(frozen=True, slots=True)
-class Answer:
+class PrimitiveAnswer:
     """Who serves a primitive: the best of them, best first, and how many there are; and who does not.
 
     `teams` are of these offers, where teams were asked for, and `agents` could be in one.
@@ -59,18 +59,23 @@ class Answer:
     primitive: Primitive
     offers: Sequence[Offer]
     count: int
-    refusals: Sequence[Refusal]
+    refusals: Sequence[Rejection]
     notes: Sequence[str] = ()
     teams: Sequence[Sequence[Offer]] | None = None
     agents: int = 0
-    is_cut: bool = False
+    is_truncated: bool = False
 
 
 # --- for people ---------------------------------------------------------------------------------------
 
 
 def show(
-    question: Question, known: Known, answers: Sequence[Answer], registry: Registry, *, explain: bool
+    question: CapabilityQuery,
+    known: KnownTeam,
+    answers: Sequence[PrimitiveAnswer],
+    registry: Registry,
+    *,
+    explain: bool,
 ) -> None:
     """Print the answers."""
     print(known)
@@ -79,7 +84,7 @@ def show(
         if answer.offers:
             _show_offers(answer.offers, _Attributes(registry, question))
         else:
-            print(_nobody(answer, explain))
+            print(_no_offers_text(answer, explain))
         if answer.teams is not None:
             _show_teams(answer)
         for note in answer.notes:
@@ -89,29 +94,32 @@ def show(
             print("\n".join(f"  {printable(line)}" for line in score_lines(answer.offers)))
         if explain and answer.refusals:
             print("\nnot offered:")
-            print("\n".join(map(printable, render(answer.refusals, "  ").splitlines())))
+            print("\n".join(map(printable, render_refusals(answer.refusals, "  ").splitlines())))
 
 
-def _nobody(answer: Answer, explain: bool) -> str:
+def _no_offers_text(answer: PrimitiveAnswer, explain: bool) -> str:
     """What is said instead of offers."""
-    if not answer.refusals and not answer.is_cut:
-        return nobody_serves(answer.primitive.name)
-    said = "nobody was found, and not all could be tried" if answer.is_cut else "nobody can"
+    if not answer.refusals and not answer.is_truncated:
+        return no_provider_note(answer.primitive.name)
+    said = "no agent was found, and not all could be tried" if answer.is_truncated else "no agent can"
     return said if explain else f"{said}; --explain says why"
 
 
 class _Attributes:
     """The facts of offers in words: first what the condition names, then what is ranked, then the rest."""
 
-    def __init__(self, registry: Registry, question: Question) -> None:
+    def __init__(self, registry: Registry, question: CapabilityQuery) -> None:
         self._registry = registry
-        self._named = named(question.constraint)
+        self._named = attributes_of(question.constraint)
 
-    def words(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
+    def describe(self, facts: Mapping[str, Fact], most: int = SHOWN) -> str:
         """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and how many more."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
         alike = groupby(first[:most], key=lambda name: facts[name].source)
-        words = [f"{source}: {', '.join(self._word(n, facts[n]) for n in names)}" for source, names in alike]
+        words = [
+            f"{source}: {', '.join(self._describe_fact(n, facts[n]) for n in names)}"
+            for source, names in alike
+        ]
         words += [f"and {len(first) - most} more"] if len(first) > most else []
         return "; ".join(words)
 
@@ -119,8 +127,8 @@ class _Attributes:
         attribute = self._registry.attributes.get(name)
         return attribute is not None and attribute.better != "none"
 
-    def _word(self, name: str, fact: Fact) -> str:
-        return f"{name} {worth(fact.value, unit_of(self._registry, name))}"
+    def _describe_fact(self, name: str, fact: Fact) -> str:
+        return f"{name} {value_text(fact.value, unit_of(self._registry, name))}"
 
 
 def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
@@ -131,7 +139,7 @@ def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
         print_tree(_tree(f"{rank}: {how(offer)}", offer, attributes) for rank, offer in composed)
 
 
-def _show_teams(answer: Answer) -> None:
+def _show_teams(answer: PrimitiveAnswer) -> None:
     """The teams by their members; who they are stands in the table above."""
     agents = f"{answer.agents} agent{'' if answer.agents == 1 else 's'}"
     print("\nteams:" if answer.teams else f"\nno team can: {agents} could be in one")
@@ -146,7 +154,7 @@ def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
     for column in ("RANK", "WHO", "HOST", "HOW", "SCORE", "ATTRIBUTES"):
         shown.add_column(column, justify="right" if column in ("RANK", "SCORE") else "left")
     for rank, offer in enumerate(offers, 1):
-        words = attributes.words(offer.facts)
+        words = attributes.describe(offer.facts)
         shown.add_row(str(rank), offer.agent, offer.host, how(offer), f"{offer.score:.3f}", words)
     return shown
 
@@ -165,30 +173,33 @@ def _is_composed(offer: Offer) -> bool:
     return offer.kind == "composed" or any(_is_composed(part) for part in offer.parts.values())
 
 
-def _tree(text: str, offer: Offer, attributes: _Attributes) -> Branch:
+def _tree(text: str, offer: Offer, attributes: _Attributes) -> TreeBranch:
     """The parts of an offer below it; one that stands in for another is passed over."""
     while offer.kind == "equivalent":
         (offer,) = offer.parts.values()
     children = []
     for need, part in parts_of(offer).items():
         words = f"{need}: {part.agent} at {part.host}, {how(part)} {part.primitive}"
-        stated = attributes.words(part.facts)
+        stated = attributes.describe(part.facts)
         children.append(_tree(f"{words}; {stated}" if stated else words, part, attributes))
-    return Branch(text, tuple(children))
+    return TreeBranch(text, tuple(children))
 
 
 # --- as JSON ------------------------------------------------------------------------------------------
 
 
-def as_json(question: Question, known: Known, answers: Sequence[Answer], registry: Registry) -> str:
+def as_json(
+    question: CapabilityQuery, known: KnownTeam, answers: Sequence[PrimitiveAnswer], registry: Registry
+) -> str:
     """The whole answer; lfield/docs/operations.md has its shape."""
     constraint = question.constraint
     whole = {
         "query": question.text,
         "constraint": constraint.text.strip() if constraint is not None else None,
-        "source": "team" if known.running else "files",
+        "source": "team" if known.is_running else "files",
         "answered": list(known.answered),
-        "silent": {host: str(why) for host, why in known.silent.items()},
+        "silent": {host: str(why) for host, why in known.unanswered.items()},
+        "codes": {host: why.code for host, why in known.unanswered.items()},
         "capabilities": [
             {
                 "primitive": answer.primitive.name,
@@ -235,7 +246,7 @@ def _fact(name: str, fact: Fact, registry: Registry) -> dict[str, Any]:
     return {"value": value, "unit": unit_of(registry, name), "age": round(fact.age, 3), "source": fact.of}
 
 
-def _refusal(refusal: Refusal) -> dict[str, Any]:
+def _refusal(refusal: Rejection) -> dict[str, Any]:
     inner = [_refusal(below) for below in refusal.inner]
     return {"subject": refusal.subject, "reasons": list(refusal.reasons), "inner": inner}
 

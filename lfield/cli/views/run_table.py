@@ -9,14 +9,13 @@ from typing import Any
 
 from rich.table import Table
 
-from lfield.cli.views import picture
+from lfield.cli.views import team_status_view
 from lfield.cli.views.trees import plain_console
-from lfield.errors import LfieldError
-from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import by_host
+from lfield.operator.client import by_host
 from lfield.operator.runs import Run
-from lfield.text.visible import clipped, in_one_line
-from lfield.wire.observing import Status
+from lfield.operator.targets import HostRef, TargetTeam
+from lfield.operator.team_model.team_state import HostState
+from lfield.text.terminal_escape import escape_line, truncate
 
 #: The longest text of a cell, in characters.
 _CELL, _CELL_OF_OTHERS = 4000, 200
@@ -28,10 +27,10 @@ def show(runs: Sequence[Run]) -> None:
     for column in ("RUN", "HOSTS", "USER", "UP SINCE", "MISSION"):
         shown.add_column(column, overflow="fold")
     for run in runs:
-        note = run.note
+        note = run.manifest
         cells = (run.id, " ".join(note.doors), run.owner, _time(note.started), note.mission)
         most = _CELL_OF_OTHERS if run.is_foreign else _CELL
-        shown.add_row(*(clipped(in_one_line(cell), most) for cell in cells))
+        shown.add_row(*(truncate(escape_line(cell), most) for cell in cells))
     plain_console().print(shown)
 
 
@@ -39,20 +38,20 @@ def _time(seconds: float) -> str:
     return datetime.fromtimestamp(seconds).astimezone().isoformat(" ", "seconds")
 
 
-def as_json(parties: Sequence[Party], answers: Mapping[Place, Status | LfieldError]) -> str:
-    """The runs, and what every host says of itself, or why it says nothing."""
-    return json.dumps({party.id: _party(party, answers) for party in parties}, indent=2)
+def as_json(parties: Sequence[TargetTeam], hosts: Mapping[HostRef, HostState]) -> str:
+    """The runs, and the state of every host, or the error where it did not answer."""
+    return json.dumps({party.id: _party(party, hosts) for party in parties}, indent=2)
 
 
-def _party(party: Party, answers: Mapping[Place, Status | LfieldError]) -> dict[str, Any]:
+def _party(party: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, Any]:
     runs = [
         {
             "id": run.id,
-            "mission": run.note.mission,
+            "mission": run.manifest.mission,
             "user": run.owner,
-            "since": _time(run.note.started),
-            "hosts": list(run.note.doors),
+            "since": _time(run.manifest.started),
+            "hosts": list(run.manifest.doors),
         }
         for run in party.runs
     ]
-    return {"runs": runs, "hosts": picture.as_data(by_host(answers, party))}
+    return {"runs": runs, "hosts": team_status_view.as_data(by_host(hosts, party))}

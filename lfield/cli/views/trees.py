@@ -6,8 +6,8 @@ import sys
 from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
-from lfield.operator.registry.taxonomy import Branch
-from lfield.text.visible import unguarded
+from lfield.operator.registry.taxonomy import TreeBranch
+from lfield.text.terminal_escape import unescaped_stream
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -25,13 +25,13 @@ def plain_console() -> Console:
     """
     from lfield.cli.views.console import PlainConsole
 
-    console = PlainConsole(file=unguarded(sys.stdout), markup=False, highlight=False, emoji=False)
+    console = PlainConsole(file=unescaped_stream(sys.stdout), markup=False, highlight=False, emoji=False)
     if not console.is_terminal:
         console.width = UNFOLDED
     return console
 
 
-def print_tree(branches: Iterable[Branch]) -> None:
+def print_tree(branches: Iterable[TreeBranch]) -> None:
     """Print trees, one below the other."""
     console = plain_console()
     for branch in branches:
@@ -41,14 +41,14 @@ def print_tree(branches: Iterable[Branch]) -> None:
             print("\n".join(_indented(branch, "")))
 
 
-def _indented(branch: Branch, indent: str) -> Iterator[str]:
+def _indented(branch: TreeBranch, indent: str) -> Iterator[str]:
     mark = f" [{branch.mark}]" if branch.mark else ""
     yield f"{indent}{branch.text}{mark}"
     for child in branch.children:
         yield from _indented(child, f"{indent}  ")
 
 
-def _drawn(branch: Branch) -> Tree:
+def _drawn(branch: TreeBranch) -> Tree:
     from rich.tree import Tree
 
     tree = Tree(_label(branch))
@@ -57,7 +57,7 @@ def _drawn(branch: Branch) -> Tree:
     return tree
 
 
-def _label(branch: Branch) -> Text:
+def _label(branch: TreeBranch) -> Text:
     from rich.text import Text
 
     name, colon, rest = branch.text.partition(": ")

@@ -1,10 +1,10 @@
-"""Links over a network for authors of drivers: names resolved anew, and what the log says meanwhile.
+"""Network links for driver authors.
 
-`Lookup` resolves the name of an endpoint at each attempt, `Attempts` turns failures and successes into lines
-for the log, and `connected` connects to the first of several addresses that answers.
+`Lookup` resolves the host name of an endpoint at each attempt, `Attempts` turns failures and successes into
+log lines, and `connected` connects to the first of several addresses that answers.
 """
 
 from lfield.driver.network.attempts import Attempts
-from lfield.driver.network.lookup import Address, Lookup, connected, unbracketed
+from lfield.driver.network.lookup import Address, Lookup, connected, is_host, unbracketed
 
-__all__ = ["Address", "Attempts", "Lookup", "connected", "unbracketed"]
+__all__ = ["Address", "Attempts", "Lookup", "connected", "is_host", "unbracketed"]

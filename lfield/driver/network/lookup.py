@@ -1,24 +1,28 @@
-"""The addresses of a host: literals as they are, names resolved anew each time they are asked for."""
+"""Addresses of a host: literals unchanged, names resolved at each call."""
 
 from __future__ import annotations
 
 import asyncio
 import ipaddress
+import re
 import socket
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from lfield.connecting import first_connected
-from lfield.loop import Simulated
+from lfield.address_race import first_connected
+from lfield.event_loop import SimulatedLoop
 
-#: An address as sockets have it: host and port, and with IPv6 a flow and a scope.
+#: A socket address: host and port, and with IPv6 flow and scope.
 Address = tuple[Any, ...]
 
 P = TypeVar("P", bound=asyncio.BaseProtocol)
 
-#: Seconds of silence after which the kernel probes the other end, between two probes, and how many of them;
-#: and milliseconds for which sent bytes may stay unacknowledged.
+#: TCP keep-alive: seconds of silence before the first probe, seconds between probes, number of probes;
+#: milliseconds that sent bytes may stay unacknowledged.
 _IDLE, _INTERVAL, _COUNT, _UNACKNOWLEDGED = 2, 1, 3, 5000
+
+
+_LABEL = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_-]{0,61}[A-Za-z0-9_])?")
 
 
 def unbracketed(host: str) -> str:
@@ -26,46 +30,59 @@ def unbracketed(host: str) -> str:
     return host[1:-1] if host.startswith("[") and host.endswith("]") else host
 
 
+def is_host(host: str) -> bool:
+    """Whether a text without brackets can be a host name or an address: `192.168.1..5` cannot."""
+    if _is_address(host):
+        return True
+    labels = host.removesuffix(".").split(".")
+    is_name = len(host) <= 253 and all(_LABEL.fullmatch(label) for label in labels)
+    return is_name and not labels[-1].isdecimal()
+
+
+def _is_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host.partition("%")[0])
+    except ValueError:
+        return False
+    return True
+
+
 class Lookup:
-    """One host's addresses. One question at a time: a resolver that hangs takes no second thread."""
+    """The addresses of one host. One resolution at a time, so that a resolver that hangs uses one thread."""
 
     def __init__(self, host: str, port: int, kind: socket.SocketKind) -> None:
         self.host, self.port, self._kind = unbracketed(host), port, kind
-        self._asking: asyncio.Future[Any] | None = None
+        self._pending: asyncio.Future[Any] | None = None
 
     @property
     def is_literal(self) -> bool:
-        """Whether it is an address already."""
-        try:
-            ipaddress.ip_address(self.host.partition("%")[0])
-        except ValueError:
-            return False
-        return True
+        """Whether the host is an address already."""
+        return _is_address(self.host)
 
     async def addresses(self, within: float) -> list[tuple[int, Address]]:
-        """Families and addresses, the preferred first. Raises OSError, a TimeoutError after `within` s."""
+        """Families and addresses, in order of preference. Raises OSError, a TimeoutError after `within` s."""
         loop = asyncio.get_running_loop()
-        if isinstance(loop, Simulated):
+        if isinstance(loop, SimulatedLoop):
             return [(socket.AF_INET, (self.host, self.port))]
-        if self._asking is None or self._asking.done():
-            self._asking = asyncio.ensure_future(loop.getaddrinfo(self.host, self.port, type=self._kind))
-        asking = self._asking
-        await asyncio.wait([asking], timeout=within)
-        if not asking.done():
+        if self._pending is None or self._pending.done():
+            self._pending = asyncio.ensure_future(loop.getaddrinfo(self.host, self.port, type=self._kind))
+        pending = self._pending
+        await asyncio.wait([pending], timeout=within)
+        if not pending.done():
             raise TimeoutError(f"its name was not resolved within {within:g} s")
-        self._asking = None
-        return list(dict.fromkeys((family, tuple(address)) for family, _, _, _, address in asking.result()))
+        self._pending = None
+        return list(dict.fromkeys((family, tuple(address)) for family, _, _, _, address in pending.result()))
 
 
 async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tuple[P, str]:
-    """A TCP connection to the first address that answers, and that address. `make` makes the protocol.
+    """Connects by TCP to the first address that answers; returns the protocol from `make` and that address.
 
-    The next address is tried STAGGER s after the last. The name may take `within` seconds, and all of its
-    addresses together as long again. The kernel ends a connection whose path is dead within 5 s. Raises
-    OSError.
+    The next address is tried STAGGER s after the last (happy eyeballs). Name resolution may take `within`
+    seconds, and all connection attempts together as long again. The kernel ends a connection whose path is
+    dead within 5 s. Raises OSError.
     """
     loop = asyncio.get_running_loop()
-    if isinstance(loop, Simulated):
+    if isinstance(loop, SimulatedLoop):
         async with asyncio.timeout(within):
             _, protocol = await loop.create_connection(make, lookup.host, lookup.port)
         return protocol, lookup.host
@@ -84,13 +101,13 @@ async def connected(lookup: Lookup, within: float, make: Callable[[], P]) -> tup
 
 
 def _why(found: Sequence[tuple[int, Address]], failures: Mapping[Any, Exception], silent: str) -> str:
-    """What came of each address."""
+    """The result of each address."""
     reasons = {at: getattr(error, "strerror", None) or str(error) for at, error in failures.items()}
     return "; ".join(f"{_numeric(at[1])}: {reasons.get(at, silent)}" for at in found)
 
 
 def _numeric(address: Address) -> str:
-    """`fe80::1%eth0`: an address with its zone."""
+    """An address with its zone, such as `fe80::1%eth0`."""
     return socket.getnameinfo(address, socket.NI_NUMERICHOST | socket.NI_NUMERICSERV)[0]
 
 

@@ -1,14 +1,13 @@
-"""Serial ports for authors of drivers: one owner, no blocking, frames, answers in time, back after an unplug.
+"""Serial ports for driver authors: exclusive, non-blocking, framed, with time-outs and reconnection.
 
-`SerialLine` is what most drivers want: frames in, requests and their answers. `SerialPort` is the port alone,
-bytes in and out. `Lines` and `Packets` cut bytes into frames; any other class with `feed` and `reset` does
-too.
-They need pyserial, which the extra `serial` brings; importing this needs nothing.
+`SerialLine` suits most drivers: frames, requests and responses. `SerialPort` is the port alone: bytes in and
+out. `Lines` and `Packets` cut bytes into frames, as does any class with `feed` and `reset`. Requires pyserial
+(extra `serial`), except for importing this package.
 """
 
-from lfield.driver.serial.framing import Framer, Lines, Packets
-from lfield.driver.serial.line import SerialLine
-from lfield.driver.serial.port import PortEvents, SerialPort, parse_serial_endpoint
+from lfield.driver.serial.serial_framing import Framer, Lines, Packets
+from lfield.driver.serial.serial_line import SerialLine
+from lfield.driver.serial.serial_port import PortEvents, SerialPort, parse_serial_endpoint
 
 __all__ = [
     "Framer",

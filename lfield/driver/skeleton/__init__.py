@@ -8,7 +8,7 @@ from string import Template
 
 from lfield.errors import OutputFileError
 
-#: Where each template goes, below the folder of the new distribution. A sensor has some of its own.
+#: Path of each template's file in the new distribution. Variants replace some templates, see VARIANTS.
 PLACES = {
     "pyproject.toml": "pyproject.toml",
     "README.md": "README.md",
@@ -16,28 +16,49 @@ PLACES = {
     "manifest.yaml": "lfield_$name/manifest.yaml",
     "driver.py": "lfield_$name/driver.py",
     "device.py": "lfield_$name/device.py",
+    "model.py": "lfield_$name/model.py",
     "fake.py": "lfield_$name/fake.py",
     "kit.py": "lfield_$name/kit.py",
+    "memory_wire.py": "tests/memory_wire.py",
     "test.py": "tests/test_$name.py",
-    "mover.L": "lfield_$name/L/mover.L",
 }
-SENSOR = {"README.md", "manifest.yaml", "device.py", "fake.py", "kit.py", "test.py", "meter.L"}
+#: Templates of each variant: the folder of that name has them.
+VARIANTS = {
+    "sensor": frozenset({"README.md", "manifest.yaml", "device.py", "model.py", "kit.py", "test.py"}),
+    "serial": frozenset({"driver.py", "fake.py", "memory_wire.py"}),
+}
+#: What the templates name of the link: of TCP, and of a serial port.
+TCP = {
+    "vendor": "requires=(),",
+    "extra": "",
+    "endpoint": "lfield_$name.driver:parse_endpoint",
+    "listen": "tcp:127.0.0.1:5599",
+    "address": "tcp:127.0.0.1:5599",
+}
+SERIAL = {
+    "vendor": 'extra="serial",\n    requires=("serial",),',
+    "extra": "[serial]",
+    "endpoint": "lfield.driver.serial:parse_serial_endpoint",
+    "listen": "/tmp/lfield-$name",
+    "address": "serial:/tmp/lfield-$name:115200",
+}
 
 
-def write(name: str, folder: Path, *, sensor: bool = False) -> list[Path]:
+def write(name: str, folder: Path, *, sensor: bool = False, serial: bool = False) -> list[Path]:
     """Write the driver `name` (letters and digits) below a folder; the files. Raises OutputFileError."""
-    words = {"name": name, "Type": name.capitalize()}
-    places = {template: place for template, place in PLACES.items() if not (sensor and template == "mover.L")}
-    if sensor:
-        places["meter.L"] = "lfield_$name/L/meter.L"
+    names = {"name": name, "Type": name.capitalize()}
+    link = {key: Template(text).substitute(names) for key, text in (SERIAL if serial else TCP).items()}
+    chosen = [variant for variant, is_chosen in (("sensor", sensor), ("serial", serial)) if is_chosen]
+    source = "sensor/meter.L" if sensor else "mover.L"
+    places = PLACES | {source: f"lfield_$name/L/{source.rpartition('/')[2]}"}
     written = []
     for template, place in places.items():
-        room = "sensor/" if sensor and template in SENSOR else ""
-        text = (files(__package__) / f"{room}{template}.in").read_text(encoding="utf-8")
-        path = folder / Template(place).substitute(words)
+        variant = next((f"{each}/" for each in chosen if template in VARIANTS[each]), "")
+        text = (files(__package__) / f"{variant}{template}.in").read_text(encoding="utf-8")
+        path = folder / Template(place).substitute(names)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(Template(text).substitute(words), encoding="utf-8")
+            path.write_text(Template(text).substitute(names | link), encoding="utf-8")
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
         written.append(path)

@@ -1,1 +1,1 @@
-"""One host as a process: how it is run, what ends it, and when its mission is done."""
+"""One host as a process: options, shutdown, end of the mission."""

@@ -1,1 +1,1 @@
-"""The coordinators on one host: how they come, are kept and go on, and what happens when none is left."""
+"""The coordinators of one host: arrival, departure, recovery, leases, reservations, orphaned devices."""

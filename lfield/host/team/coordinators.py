@@ -1,387 +1,384 @@
-"""The coordinators of one host: what mobility decides about them is carried out in the machine.
+"""The coordinators of one host: executes the effects of the transfer protocol in the machine. Sans-IO.
 
-What has to be on disk first waits for it: `keeping` holds back what comes after. On a host without a journal
-nothing waits. Pure, as the core that it is a part of.
+Effects that need a record on disk first wait in the write-ahead queue. On a host without a journal nothing
+waits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from functools import partial
+from typing import get_args
 
-from lfield.clock import Clock
 from lfield.errors import BlockError
-from lfield.host.effects import CHANGED, Complain, Effect, Keep, Say
-from lfield.host.sight.hops import Hops
-from lfield.host.team.absent import Absent
-from lfield.host.team.keeping import Keeping, Recovery, asleep, explanation
-from lfield.host.telling.answers import Answers
-from lfield.journal.pages import BundlePage, Key, Page, Run, Starts
-from lfield.mission.mission import Mission
-from lfield.mobility import effects as mobile
-from lfield.mobility.copies import Copy
-from lfield.mobility.core import Mobility
-from lfield.mobility.departures import LIMIT, PAUSED, PERHAPS, RESTARTED, UNREACHABLE
-from lfield.vm.agent import Agent, Member
+from lfield.host.context import HostContext, LinkClosed, LinkOpened, Part, RecordsDurable, WriteFailed
+from lfield.host.effects import WAKE_WAITERS, PersistRecords, WriteLog, WriteLogOnce
+from lfield.host.events.migration_events import HopStep, MigrationEvents
+from lfield.host.migration.effect_executor import Acknowledgements, EffectExecutor
+from lfield.host.migration.write_ahead import JournalContents, WriteAheadQueue, downtime, program_record
+from lfield.host.team.part_interfaces import MessageRelay
+from lfield.journal.records import BundleRecord, Record, RunMarker, StartCounter
+from lfield.replication.lease.quorum_members import FencingTokens
+from lfield.replication.transfer import effects as mobile
+from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
+from lfield.replication.transfer.core import Mobility, MobilityMessage
+from lfield.replication.transfer.transfer_sender import LIMIT, MAYBE_STARTED, PAUSED, RESTARTED, UNREACHABLE
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
-from lfield.wire.coordinators import Accepted, Known, Outcome, Transfer
-from lfield.wire.fields import clip
+from lfield.wire.coordinator_messages import (
+    CoordinatorState,
+    Outcome,
+    Terminated,
+    TerminatedAck,
+    Transfer,
+)
+from lfield.wire.fields import truncate
 from lfield.wire.framing import Buffer
-from lfield.wire.messages import Hello, Room
+from lfield.wire.messages import Backpressure, Pong, RelayedMessage
 
 
-class Coordinators:
-    """Those that are on a host, come or leave. `own` is its greeting, `pages` what its journal has kept.
-
-    `times` says when each was, in Unix time. What is to be done outside is added to `effects`;
-    `unreachable_after` is in seconds.
-    """
+class Coordinators(Part):
+    """The coordinators that are on a host, arrive or leave. `fences` reject starts that may not run any
+    more."""
 
     def __init__(
         self,
-        mission: Mission,
-        own: Hello,
+        context: HostContext,
         machine: Machine,
-        clock: Clock,
-        effects: Callable[[Effect], None],
-        unreachable_after: float,
-        pages: Iterable[Page],
-        times: Mapping[Key, float],
-        hops: Hops,
+        mobility: Mobility,
+        relay: MessageRelay,
+        acks: Acknowledgements,
+        fences: FencingTokens,
+        migrations: MigrationEvents,
     ) -> None:
-        self._mission, self._own, self._machine, self._clock, self._hops = mission, own, machine, clock, hops
-        self._out, self._since = effects, partial(asleep, times, clock)
-        self._members = {member.id: member for member in mission.team.coordinators}
-        hosts, agents = mission.team.hosts, list(self._members)
-        self.mobility = Mobility(
-            own, peers=hosts, agents=agents, inject=self._inject, unreachable_after=unreachable_after
+        self._machine, self._fences, self._hybrid_clock = machine, fences, context.recorder.hybrid_clock
+        self._mission, self._hello, self._clock = context.mission, context.greeting, context.clock
+        self._hops, self._now, self._effects = migrations.hops, context.clock.monotonic, context.effects
+        self._migrations, self._downtime = migrations, partial(downtime, context.times, context.clock)
+        mission, hello = context.mission, context.greeting
+        self._leased = context.leased_agents
+        #: The limits of each coordinator.
+        self._limits = {
+            member.id: context.mission.bindings.limits(member.id) for member in context.team.coordinators
+        }
+        self._members = {member.id: member for member in context.team.coordinators}
+        self.mobility, self._relay, self._out, self._acks = mobility, relay, relay.send, acks
+        self._executor = EffectExecutor(context, machine, migrations, acks, relay.send, self._start)
+        self.recovery = JournalContents(context.records, hello.mission_hash, mission.release.digest)
+        self.write_ahead = WriteAheadQueue(
+            [] if self.recovery.has_program_record else [program_record(mission, hello.mission_hash)]
         )
-        self.recovery = Recovery(pages, own.mission, mission.release.digest)
-        self.keeping = Keeping([] if self.recovery.explained else [explanation(mission, own.mission)])
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
-        #: Somebody has paused the mission: time stands still for what waits here.
+        #: The mission is paused: the time-outs of waiting coordinators are suspended.
         self.paused = self.recovery.paused
-        #: Why an emergency stop bars the devices here, '' when none does.
+        #: Why an emergency stop locks the devices here, '' for none.
         self.stopped = self.recovery.stopped
-        #: Why the disk should take nothing more in, '' when it may.
-        self.full = ""
-        #: Whether the number of a start is on record here.
-        self._counted = self.recovery.starts is not None
-        #: Why nothing can be kept now, '' while all is well.
-        self.trouble = ""
-        #: Those that wait at a portal call here until they are kept.
-        self._saving: set[str] = set()
-        #: Whether a start of a coordinator must not run any more.
-        self.barred: Callable[[str, int], bool] = lambda agent, generation: False
-        #: The starts that were told that what they stood at may have begun in an earlier life of this host.
-        self.told: set[tuple[str, int]] = set()
-        #: No coordinator is taken in any more.
-        self.halted = False
-        self._answers = Answers(effects, clock.monotonic)
-        #: Coordinators that came before the resources here were started; None once they are.
-        self._early: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
-        #: For how many seconds the one that is taken in now was on its way, or waited here for that.
-        self._transit = 0.0
-        #: The block that was packed just now, to leave at once if there is a link.
+        #: Why the disk should admit nothing more, '' if it may.
+        self.space_trouble = ""
+        #: Whether the number of a start is recorded here.
+        self._has_record = self.recovery.last_start is not None
+        #: Why records cannot be written now, '' if they can.
+        self.write_trouble = ""
+        #: The starts whose pending call may have started before the restart of this host, and were informed.
+        self.restart_notified: set[tuple[str, int]] = set()
+        #: No coordinator is admitted any more.
+        self.is_halted = False
+        #: Coordinators that arrived before the resources here were started; None after that.
+        self._queued_arrivals: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
+        #: The block that was just packed, to be sent at once if there is a link.
         self._packed: memoryview | None = None
-        #: When mobility may have something to give up. New deadlines are later, so one that is set stays.
-        self._due: float | None = None
+        #: When mobility may have a time-out. New deadlines are later, so one that is set stays.
+        self._deadline: float | None = None
+        self.handles = {
+            **dict.fromkeys(get_args(MobilityMessage), self._on_message),
+            Pong: lambda host, _: self.apply_effects(self.mobility.on_probe_answer(host)),
+            Backpressure: self._on_backpressure,
+            RelayedMessage: lambda host, relayed: self.apply_effects(relay.on_relayed(host, relayed)),
+        }
+        self.observes = {
+            LinkOpened: self._on_link_opened,
+            LinkClosed: self._on_link_closed,
+            RecordsDurable: self._on_durable,
+            WriteFailed: self._on_write_failed,
+        }
 
     # --- time -----------------------------------------------------------------------------------------
 
+    def on_tick(self, now: float) -> None:
+        """A deadline of mobility has passed."""
+        self.apply_effects(self.mobility.tick(now))
+        self._set_deadline()
+
+    def _set_deadline(self) -> None:
+        self._deadline = self.mobility.next_deadline()
+        self.due = None if self.paused else self._deadline
+
+    def set_paused(self, *, on: bool) -> None:
+        """The mission is paused on this host, or resumed: restart the time-outs of coordinators that wait for
+        another host."""
+        self.paused = on
+        if not on:
+            self.mobility.postpone(self._clock.monotonic())
+        self.due = None if on else self._deadline
+
+    def set_stopped(self, reason: str) -> None:
+        """An emergency stop locks the devices of this host, for that reason; '' for none."""
+        self.stopped = reason
+
+    def set_space_trouble(self, trouble: str) -> None:
+        """Why the journal should admit nothing more, '' if it may."""
+        self.space_trouble = trouble
+
     @property
-    def due(self) -> float | None:
-        """When `tick` or `batch` has something to do next, None for never."""
-        due = None if self.paused else self._due
-        for other in (self._answers.due, self.keeping.due):
-            due = other if due is None or (other is not None and other < due) else due
-        return due
+    def backpressure(self) -> Backpressure:
+        """Whether a coordinator may come here, as announced to other hosts."""
+        return Backpressure(truncate(PAUSED if self.paused else self.space_trouble))
 
-    def tick(self, now: float) -> None:
-        """Time has passed."""
-        self._answers.tick(now)
-        if self._due is not None and now >= self._due and not self.paused:
-            self.carry_out(self.mobility.tick(now))
-            self._due = self.mobility.next_deadline()
+    def next_batches(self) -> list[PersistRecords]:
+        """The batches to write now."""
+        found = self.write_ahead.next_batch(self._clock.monotonic()) if self._hello.journal_id else None
+        return [PersistRecords(*found)] if found else []
 
-    @property
-    def room(self) -> Room:
-        """Whether a coordinator may come here, as other hosts are told."""
-        return Room(clip(PAUSED if self.paused else self.full))
+    def _on_write_failed(self, event: WriteFailed) -> None:
+        """Coordinators stay where they are, and start no call with side effects."""
+        why = event.reason
+        if not self.write_trouble:
+            self.log(log_messages.JOURNAL_BLOCKED.line(reason=why))
+        self.write_trouble = why
+        for identity in sorted(self._executor.saving & self._machine.agents.keys()):
+            self._refuse_if_not_durable(self._machine.agents[identity])
+        self._executor.saving.clear()
 
-    def batch(self) -> list[Keep]:
-        """What is to be kept now."""
-        found = self.keeping.take(self._clock.monotonic()) if self._own.memory else None
-        return [Keep(*found)] if found else []
+    def _on_durable(self, event: RecordsDurable) -> None:
+        if self.write_trouble:
+            self.log(log_messages.JOURNAL_WRITABLE.line())
+        for effect in self.write_ahead.on_durable(event.number):
+            self._executor.execute(effect)
+        # Only now: what has waited until now must not be taken for what is on disk.
+        self.write_trouble = ""
 
-    def not_kept(self, why: str) -> None:
-        """The disk takes nothing now: coordinators stay where they are, and begin no call that acts."""
-        if not self.trouble:
-            self.say(f"coordinators wait, since nothing can be kept: {why}")
-        self.trouble = why
-        for identity in sorted(self._saving & self._machine.agents.keys()):
-            self._stays(self._machine.agents[identity])
-        self._saving.clear()
+    # --- arrival and departure ------------------------------------------------------------------------
 
-    def kept(self, number: int) -> None:
-        """All pages up to those of that batch are on the disk."""
-        if self.trouble:
-            self.say("what happens can be kept again")
-        for effect in self.keeping.kept(number):
-            self._effect(effect)
-        # Only now: what has waited since must not be taken for what is on the disk.
-        self.trouble = ""
-
-    # --- coming and going -----------------------------------------------------------------------------
-
-    def open(self) -> None:
-        """The resources here are started: take in the coordinators that came meanwhile."""
+    def on_resources_started(self) -> None:
+        """The resources here are started: admit the coordinators that arrived meanwhile."""
         if self._mission.release.by:
-            self.keep(BundlePage(self._mission.release.digest))
-        early, self._early = self._early or {}, None
+            self.persist(BundleRecord(self._mission.release.digest))
+        early, self._queued_arrivals = self._queued_arrivals or {}, None
         for host, header, block, left in early.values():
-            self.arrived(host, header, block, self._clock.monotonic() - left)
+            self.on_transfer(host, header, block, self._clock.monotonic() - left)
 
-    def wake(self) -> None:
-        """Go on with the coordinators that the journal has."""
+    def resume_from_journal(self) -> None:
+        """Resume the coordinators in the journal."""
         if self.paused:
-            self.say("the mission is still paused: no agent runs here until 'lfield resume'")
+            self.log(log_messages.MISSION_STILL_PAUSED.line())
         now = self._clock.monotonic()
-        self.carry_out(self.mobility.wake(self._put, now))
-        self._due = self.mobility.next_deadline()
+        self.apply_effects(self.mobility.resume_restored(self._restore_into_vm, now))
+        self._set_deadline()
+        self._relay.arm()
 
-    def count(self, generation: int) -> int:
-        """Keep that a start has this number, in a run that goes on from here; the number of the batch."""
+    # --- links ----------------------------------------------------------------------------------------
+
+    def _on_link_opened(self, event: LinkOpened) -> None:
+        if self.backpressure.reason:
+            self._out(mobile.Send(event.hello.host, self.backpressure))
+        self.apply_effects(self.mobility.on_linked(event.hello))
+        self._relay.arm()
+
+    def _on_link_closed(self, event: LinkClosed) -> None:
+        self.mobility.on_unlinked(event.host)
+        self._relay.arm()
+
+    def _on_message(self, host: str, message: MobilityMessage) -> None:
+        self.apply_effects(self.mobility.on_message(host, message, self._clock.monotonic()))
+        if isinstance(message, Terminated | TerminatedAck):
+            self._out(WAKE_WAITERS)
+
+    def _on_backpressure(self, host: str, message: Backpressure) -> None:
+        self.apply_effects(self.mobility.on_backpressure(host, message.reason))
+
+    # --- the journal ----------------------------------------------------------------------------------
+
+    def record_start(self, generation: int) -> int:
+        """Record the number of a start, in a run that may be resumed; returns the number of the batch."""
         now = self._clock.monotonic()
-        self.keeping.page(Run(open=True), now)
-        self._counted = True
-        return self.keeping.page(Starts(generation), now)
+        self.write_ahead.add_record(RunMarker(open=True), now)
+        self._has_record = True
+        return self.write_ahead.add_record(StartCounter(generation), now)
 
-    def remember(self) -> None:
-        """Keep that there is a record here now, though no start may have been made."""
-        if not self._counted:
-            self.keep(Starts(0))
+    def record_existence(self) -> None:
+        """Record that this host has a journal, though no start may have been made."""
+        if not self._has_record:
+            self.persist(StartCounter(0))
 
-    def keep(self, page: Page) -> None:
-        """Have a page on the disk as soon as can be; a host without a journal keeps none."""
-        if self._own.memory:
-            self.keeping.page(page, self._clock.monotonic())
+    def persist(self, record: Record) -> None:
+        """Write a record as soon as possible; ignored without a journal."""
+        if self._hello.journal_id:
+            self.write_ahead.add_record(record, self._clock.monotonic())
 
-    def park(self) -> None:
-        """The host stops in order. Unless a coordinator of its own may go on, the next start is a new run.
+    def suspend_all(self) -> None:
+        """The host stops in order. Unless a coordinator of its own may continue, the next start is a new run.
 
-        Not when it has opened no device: what tries again by itself must not begin a mission anew.
+        Not if it has opened no device: an automatic retry must not start a mission again.
         """
-        self.halted = True
-        self._answers.flush()
-        if not self._own.memory or self._early is not None:
+        self.is_halted = True
+        self._acks.flush()
+        if not self._hello.journal_id or self._queued_arrivals is not None:
             return
-        here, known = self._mission.team.number(self._own.host), self.mobility.knowledge()
+        here, known = self._mission.team.number(self._hello.host), self.mobility.known_states()
         own = {member.id for member in self._members.values() if member.host == here}
         going = any(row.agent in own and row.state != "EXITED" for row in known)
-        self.keeping.page(Run(open=going), self._clock.monotonic())
-        if self._mission.release.by and self.recovery.over(self._members, known):
-            self.keep(BundlePage(b""))
+        self.write_ahead.add_record(RunMarker(open=going), self._clock.monotonic())
+        if self._mission.release.by and self.recovery.is_mission_over(self._members, known):
+            self.persist(BundleRecord(b""))
 
-    def arrived(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
-        """A coordinator came, after so many seconds: it runs before its sender gets an answer."""
-        if self._early is not None:
+    def on_transfer(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
+        """A coordinator arrived after so many seconds in transit: it runs before its sender gets an
+        answer."""
+        if self._queued_arrivals is not None:
             if header.agent in self._members:
                 left = self._clock.monotonic() - transit
-                self._early[header.agent, header.generation] = host, header, block, left
+                self._queued_arrivals[header.agent, header.generation] = host, header, block, left
             return
-        self._transit = transit
-        self.carry_out(self.mobility.arrive(host, header, block))
+        now = self._now()
+        self._hybrid_clock.merge(host, header.stamp, now)
+        self._hops.append((HopStep.CAME, now, host, header))
+        inject = partial(self._inject, transit)
+        self.apply_effects(self.mobility.on_transfer(host, header, block, inject))
 
-    def greeting(self) -> list[Known]:
-        """What others are told of all coordinators when they are greeted."""
-        waiting = (header for _, header, *_ in (self._early or {}).values())
-        return self.keeping.on_record(self.mobility.greeting(waiting), self._own.host)
+    def handshake_states(self) -> list[CoordinatorState]:
+        """The states of all coordinators for a Hello."""
+        waiting = (header for _, header, *_ in (self._queued_arrivals or {}).values())
+        return self.write_ahead.durable_states(self.mobility.handshake_states(waiting), self._hello.host)
 
     def recover(self, agent: str, generation: int) -> bool:
-        """The holder of a coordinator is gone for good: it goes on here, as start `generation`, once that is
-        on the disk. False: what is left of it here cannot be read, and nothing was done.
+        """Resume a coordinator whose holder is lost as start `generation`, once that is on disk.
+
+        False: its block here is unreadable, and nothing was done.
         """
-        effects = self.mobility.recover(agent, generation, partial(self._put, runs=False))
+        effects = self.mobility.recover(agent, generation, partial(self._restore_into_vm, runs=False))
         if effects:
-            self.say(f"{agent} is recovered here, as start {generation}")
-        self.carry_out(effects)
+            self.log(log_messages.AGENT_RECOVERED.line(agent=agent, generation=generation))
+        self.apply_effects(effects)
         return bool(effects)
 
-    def depart(self, agent: Agent, resource: Member, absent: Absent | None) -> None:
-        """A frozen coordinator wants to the host of a resource: linked, unless it may be `absent`. It waits
-        for nobody who is lost, but for what it has begun there as long as ever: that may be there yet.
+    def depart(self, agent: Agent, resource: TeamMember, lost_reason: str, down_for: float) -> None:
+        """Send a frozen coordinator to the host of a resource.
+
+        `down_for`: seconds without a link to that host. With a `lost_reason` the call fails, unless the
+        coordinator fetches a result: that may still be there.
         """
-        if self.trouble and self._stays(agent):
+        if self.write_trouble and self._refuse_if_not_durable(agent):
             return
         target, since = self._mission.team.hosts[resource.host], self._clock.monotonic()
-        if absent is not None and not self._machine.fetches(agent):
-            if why := absent.lost(target):
-                self._resume(agent, UNREACHABLE, why)
+        if (lost_reason or down_for) and not self._machine.itinerary.is_fetching(agent):
+            if lost_reason:
+                self._executor.resume(agent, UNREACHABLE, lost_reason)
                 return
-            since -= absent.away(target)
-        self.carry_out(self.mobility.depart(agent.id, target, self._sealer(agent), since))
+            since -= down_for
+        self.apply_effects(self.mobility.depart(agent.id, target, self._block_maker(agent), since))
         self._packed = None
-        if self._due is None:
-            self._due = self.mobility.next_deadline()
+        if self._deadline is None:
+            self._set_deadline()
 
     def save(self, agent: Agent) -> bool:
-        """A coordinator calls a further portal here: whether it may go on at once, else when it is kept."""
-        if not self._own.memory:
+        """A coordinator calls another portal here: whether it may continue now, or only after a write."""
+        if not self._hello.journal_id:
             return True
-        if self._stays(agent):
+        if self._refuse_if_not_durable(agent):
             return False
-        self._saving.add(agent.id)
-        self.carry_out(self.mobility.save(agent.id, self._machine.pack(agent)))
+        self._executor.saving.add(agent.id)
+        self.apply_effects(self.mobility.save(agent.id, self._machine.pack(agent)))
         return False
 
-    def is_leaving(self, agent: Agent) -> bool:
-        """Whether a frozen coordinator wants to another host, or may be there."""
-        return self.mobility.leaves(agent.id, agent.generation)
+    def is_departing(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator waits to move to another host, or may have arrived there."""
+        return self.mobility.is_departing(agent.id, agent.generation)
 
-    def _stays(self, agent: Agent) -> bool:
-        """Whether a call must not begin, since where it stands cannot be kept; its caller is told."""
-        if self.trouble:
-            self._resume(agent, LIMIT, f"{self._own.host} can keep nothing: {self.trouble}")
-        return bool(self.trouble)
+    def _refuse_if_not_durable(self, agent: Agent) -> bool:
+        """Refuse a call because its caller's state cannot be written; the caller gets an exception."""
+        if self.write_trouble:
+            self._executor.resume(
+                agent, LIMIT, f"{self._hello.host} cannot write its journal: {self.write_trouble}"
+            )
+        return bool(self.write_trouble)
 
-    def ended(self, agent: Agent) -> None:
-        """A coordinator is done, or died."""
+    def on_agent_ended(self, agent: Agent) -> None:
+        """A coordinator has finished or died."""
         outcome: Outcome = "done" if agent.ended == "done" else "died"
-        self.carry_out(self.mobility.ended(agent.id, agent.generation, outcome, agent.report))
+        self.apply_effects(self.mobility.on_ended(agent.id, agent.generation, outcome, agent.report))
 
-    def _sealer(self, agent: Agent) -> Callable[[int], Buffer]:
+    def _block_maker(self, agent: Agent) -> Callable[[int], Buffer]:
         image = self._packed = self._machine.pack(agent)
 
         def seal(sequence: int) -> Buffer:
             agent.block.w[layout.W_SEQUENCE] = sequence
-            if self._packed is not image:  # It has waited since then, and its time limits go on.
-                self._machine.note_clock(agent)
+            if self._packed is not image:  # It has waited meanwhile, and its time limits have decreased.
+                self._machine.store_clock(agent)
             return image
 
         return seal
 
-    def _inject(self, header: Transfer, block: Buffer) -> mobile.Refusal | None:
-        if self.halted:
-            return mobile.Refusal(UNREACHABLE, f"{self._own.host} is stopping")
-        if self.barred(header.agent, header.generation):
-            why = f"on {self._own.host} no start of {header.agent} as early as this one may run any more"
-            return mobile.Refusal(UNREACHABLE, why)
+    def _inject(self, transit: float, header: Transfer, block: Buffer) -> mobile.TransferRefusal | None:
+        if self.is_halted:
+            return mobile.TransferRefusal(UNREACHABLE, f"{self._hello.host} is stopping")
+        if header.agent in self._leased and self._fences.rejects(header.agent, header.generation):
+            why = f"on {self._hello.host} this start of {header.agent} is fenced"
+            return mobile.TransferRefusal(UNREACHABLE, why)
         member = self._members.get(header.agent)
         if member is None:
-            return mobile.Refusal(UNREACHABLE, f"{self._own.host} knows no coordinator {header.agent}")
+            return mobile.TransferRefusal(
+                UNREACHABLE, f"{self._hello.host} knows no coordinator {header.agent}"
+            )
         try:
-            limits = self._mission.bindings.limits(member.id)
-            self._machine.admit(member, memoryview(block), limits, self._transit)
+            self._machine.inject(member, memoryview(block), self._limits[member.id], transit)
         except BlockError as error:
-            self._out(Complain(f"refused {header.agent}: {error}"))
-            return mobile.Refusal(UNREACHABLE, f"{self._own.host} refused the coordinator: {error}")
+            self._out(WriteLogOnce(log_messages.MIGRATION_REFUSED.line(agent=header.agent, reason=error)))
+            return mobile.TransferRefusal(UNREACHABLE, f"{self._hello.host} refused the coordinator: {error}")
         return None
 
-    def _put(self, copy: Copy, *, runs: bool) -> Callable[[int], Buffer] | None:
-        """Have a coordinator that was kept in the machine again."""
+    def _restore_into_vm(self, copy: CoordinatorCopy, *, runs: bool) -> Callable[[int], Buffer] | None:
+        """Load a stored coordinator into the machine again."""
         if copy.block is None:
-            # It never came to a portal call that acts: nothing that it did was seen from outside.
+            # It never reached a portal call with side effects: nothing that it did was visible outside.
             self._start(copy.agent, copy.generation)
-            self.say(f"{copy.agent} begins again: {self._own.host} stopped before its first call that acts")
-            # It is not asked for its block before it has come to a portal call.
+            self.log(log_messages.AGENT_RESTARTED.line(agent=copy.agent, host=self._hello.host))
+            # Its block is not needed before it reaches a portal call.
             return lambda _: b""
         member = self._members[copy.agent]
         try:
-            limits = self._mission.bindings.limits(member.id)
-            agent = self._machine.restore(member, memoryview(copy.block), limits, self._since(copy))
+            limits = self._limits[member.id]
+            agent = self._machine.restore(member, memoryview(copy.block), limits, self._downtime(copy))
         except BlockError as error:
-            self.say(f"{copy.agent} cannot go on: what was kept of it cannot be read: {error}")
+            self.log(log_messages.AGENT_UNREADABLE.line(agent=copy.agent, reason=error))
             return None
-        # It may have been kept as it came, before its arrival was counted; or as it was recovered.
+        # It may have been stored on arrival, before the arrival was counted; or when it was recovered.
         recovered = agent.block.w[layout.W_GENERATION] != copy.generation
         agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
-        seal = self._sealer(agent)
+        seal = self._block_maker(agent)
         self._packed = None
         if runs:
-            self.say(f"{copy.agent} goes on where it was kept")
-        if runs and not recovered and self._machine.goes_on(agent):
-            self._machine.go(agent)
+            self.log(log_messages.AGENT_RESUMED.line(agent=copy.agent))
+        if runs and not recovered and self._machine.itinerary.may_continue(agent):
+            self._machine.unfreeze(agent)
         elif runs:
-            self.told.add((agent.id, agent.generation))
-            reason = f"{self._own.host} was started again; {PERHAPS}"
-            self._resume(agent, RESTARTED, reason, recovered=recovered)
+            self.restart_notified.add((agent.id, agent.generation))
+            reason = f"{self._hello.host} restarted; {MAYBE_STARTED}"
+            self._executor.resume(agent, RESTARTED, reason, recovered=recovered)
         return seal
 
     def _start(self, agent: str, generation: int) -> None:
-        self._machine.start(self._members[agent], self._mission.bindings.limits(agent), generation)
+        self._machine.start(self._members[agent], self._limits[agent], generation)
 
-    def carry_out(self, effects: Iterable[mobile.Effect]) -> None:
-        """Do what need not wait, and keep the rest."""
-        for effect in self.keeping.put(effects, self._clock.monotonic()) if self._own.memory else effects:
-            self._effect(effect)
+    def apply_effects(self, effects: Iterable[mobile.Effect]) -> None:
+        """Execute effects that need not wait, and queue the rest."""
+        for effect in (
+            self.write_ahead.put(effects, self._clock.monotonic()) if self._hello.journal_id else effects
+        ):
+            self._executor.execute(effect)
 
-    def _effect(self, effect: mobile.Effect) -> None:
-        match effect:
-            # Those of every hop come first.
-            case mobile.SendTransfer():
-                self._answers.leaves(effect.host, effect.header)
-                self._hops.left(effect.host, effect.header)
-                self._out(effect)
-            case mobile.Go():
-                self._hops.goes(effect.agent, effect.generation)
-                self._saving.discard(effect.agent)
-                if agent := self._held(effect.agent, effect.generation):
-                    agent.kept = True
-                    self._machine.go(agent)
-            case mobile.Send():
-                if isinstance(effect.message, Accepted):
-                    self._answers.put(effect, effect.message)
-                else:
-                    self._answers.flush(effect.host)
-                    self._out(effect)
-            case mobile.Departed():
-                self._hops.departed(effect)
-                if agent := self._held(effect.agent, effect.generation):
-                    self._machine.release(agent)
-            case mobile.Began():
-                self._hops.tell(effect)
-                self._start(effect.agent, effect.generation)
-            case mobile.Resume():
-                if agent := self._held(effect.agent, effect.generation):
-                    agent.block.w[layout.W_SEQUENCE] = effect.sequence
-                    self._resume(agent, effect.kind, effect.reason, recovered=effect.recovered)
-            case mobile.InDoubt():
-                self._hops.tell(effect)
-                self.say(f"{effect.agent} is in doubt: {effect.reason}")
-                self._out(CHANGED)
-            case mobile.Supersede():
-                self.say(f"{effect.agent} stopped: {effect.reason}")
-                self._drop(effect)
-            case mobile.Finished():
-                self._drop(effect)
-            case mobile.Note():
-                self._out(Complain(effect.reason))
-
-    def _resume(self, agent: Agent, kind: str, reason: str, *, recovered: bool = False) -> None:
-        """Let a frozen coordinator go on with an exception, which names the resource that it has called."""
-        self._hops.stays(agent, kind, reason, recovered=recovered)
-        called = self._machine.calling(agent)
-        if called and kind == RESTARTED:
-            # Who has forgotten what it was about needs the portal too; there is none where it reserves.
-            reason = f"{reason} ({'.'.join(filter(None, (called[0].id, called[1])))})"
-        self._machine.resume(agent, kind, reason, called[0].id if called else "", recovered=recovered)
-
-    def _held(self, identity: str, generation: int) -> Agent | None:
-        """The frozen copy of a coordinator that is here, if it is of that start."""
-        agent = self._machine.agents.get(identity)
-        return agent if agent and agent.frozen and agent.generation == generation else None
-
-    def _drop(self, effect: mobile.Supersede | mobile.Finished) -> None:
-        self._hops.tell(effect)
-        self._saving.discard(effect.agent)
-        agent = self._machine.agents.get(effect.agent)
-        if agent and agent.generation == effect.generation:
-            agent.ended = agent.ended or "dropped"
-            self._machine.release(agent)
-        self._out(CHANGED)
-
-    def say(self, text: str) -> None:
-        """A line for the log."""
-        self._out(Say(text))
+    def log(self, line: LogLine) -> None:
+        """Write a log line."""
+        self._out(WriteLog(line))

@@ -1,9 +1,9 @@
-"""Who has which resource of one host for itself (`reserve`, decision 53). Pure: a clock is given as numbers.
+"""Exclusive reservations of one host's resources (`reserve`, decision 53). Sans-IO: the time is passed in.
 
-A reservation has a number, a holder (one start of a coordinator) and a lease. Its page is on the disk before
-the number is told, and numbers of a resource rise for ever, so a call with an old one is known for what it
-is. Who would have to wait stands in one queue for each resource, those who reserve and those who only call:
-first come, first served. All times are in seconds of the host's clock.
+A reservation has a number, a holder (one start of a coordinator) and a lease. Its record is on disk before
+the number is given out, and the numbers of a resource only rise, so a call with an outdated one is detected.
+Waiting coordinators form one FIFO queue for each resource, those that reserve and those that only call. All
+times are in seconds of the host's clock.
 """
 
 from __future__ import annotations
@@ -14,61 +14,61 @@ from dataclasses import dataclass, field, replace
 from itertools import takewhile
 from typing import Literal
 
-from lfield.capability.directory.news import Reserved
+from lfield.capability.directory.directory_delta import ReservedBy
 
 #: One start of a coordinator.
-Start = tuple[str, int]
-#: So long a call that may begin keeps its place before those who want to reserve, in seconds.
-MAKES_WAY = 1.0
+StartKey = tuple[str, int]
+#: Seconds for which a call that may start keeps its place before coordinators that want to reserve.
+PREEMPT_AFTER = 1.0
 
 RESERVED, LOST = "ReservedException", "ReservationLostException"
 
 
 @dataclass(frozen=True, slots=True)
-class Held:
-    """A reservation that somebody has: since when, and until when if nothing more is heard of its holder."""
+class HeldReservation:
+    """A reservation: since when it is held, and when it expires unless it is renewed."""
 
     resource: str
     number: int
-    holder: Start
-    since: float
-    until: float
+    holder: StartKey
+    held_since: float
+    expires_at: float
 
 
 @dataclass(frozen=True, slots=True)
-class Write:
-    """Have on the disk who has a resource (`holder` None: nobody), then call `Reservations.written`.
+class PersistHolder:
+    """Record the holder of a resource (`holder` None: free), then call `Reservations.on_durable`.
 
-    With `soon` it may wait for company: nothing depends on it.
+    With `is_lazy` it may be written together with other records: nothing depends on it.
     """
 
     resource: str
     number: int
-    holder: Start | None
-    soon: bool
+    holder: StartKey | None
+    is_lazy: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Let:
-    """Somebody who waits may ask again."""
+class RetryWaiter:
+    """A waiting coordinator may repeat its request."""
 
-    start: Start
+    start: StartKey
 
 
 @dataclass(frozen=True, slots=True)
-class Refuse:
-    """Somebody who wanted to reserve has waited long enough: a ReservedException with this message."""
+class DenyWaiter:
+    """A coordinator has waited too long to reserve: a ReservedException with this message."""
 
-    start: Start
+    start: StartKey
     resource: str
     message: str
 
 
-Effect = Write | Let | Refuse
+Effect = PersistHolder | RetryWaiter | DenyWaiter
 
 
-class Refused(Exception):
-    """What was asked for is not given: the exception of L that says so, and its message."""
+class ReservationDenied(Exception):
+    """A denied request: the exception of L, and its message."""
 
     def __init__(self, kind: str, message: str) -> None:
         super().__init__(message)
@@ -77,51 +77,51 @@ class Refused(Exception):
 
 @dataclass(frozen=True, slots=True)
 class _Waiting:
-    """Somebody in a queue. A call that `may` begin is there until it does, or until its deadline."""
+    """An entry in a queue. A call that `may_proceed` stays there until it starts, or until its deadline."""
 
-    start: Start
-    wants: Literal["take", "call"]
+    start: StartKey
+    purpose: Literal["take", "call"]
     deadline: float
-    may: bool = False
+    may_proceed: bool = False
 
 
 @dataclass(slots=True)
 class _Resource:
-    """One resource: the last number that was given, who has it, and who waits for it."""
+    """One resource: the last number given out, its holder, and its queue."""
 
     number: int
-    holder: Start | None = None
+    holder: StartKey | None = None
     since: float = 0.0
     until: float = 0.0
-    #: Whether the page of the holder is on the disk, and whether it has its number.
-    written: bool = False
-    told: bool = False
-    #: How the last one ended: its holder, the reason, and when.
-    ended: tuple[Start, str, float] | None = None
+    #: Whether the record of the holder is on disk, and whether it has received its number.
+    is_durable: bool = False
+    is_granted: bool = False
+    #: How the last reservation ended: its holder, the reason, and when.
+    ended: tuple[StartKey, str, float] | None = None
     queue: deque[_Waiting] = field(default_factory=deque)
-    #: Calls that have waited as long as they may, until they are made again.
-    late: set[Start] = field(default_factory=set)
+    #: Calls that have waited for the maximum time, until they are repeated.
+    late_starts: set[StartKey] = field(default_factory=set)
 
-    def place(self, start: Start) -> _Waiting | None:
-        """Where somebody stands in the queue."""
+    def queue_entry(self, start: StartKey) -> _Waiting | None:
+        """The entry of a coordinator in the queue."""
         return next((waiting for waiting in self.queue if waiting.start == start), None)
 
-    def gives_way(self, start: Start) -> bool:
-        """Whether an earlier start of a coordinator has what a later one wants, or the same one had it."""
+    def can_be_replaced_by(self, start: StartKey) -> bool:
+        """Whether an earlier start of the same coordinator holds it, or this one held it."""
         return self.holder is not None and self.holder[0] == start[0] and self.holder[1] <= start[1]
 
-    def makes_way(self, start: Start) -> bool:
-        """Whether somebody waits for the resource to be free who has come before this one."""
+    def is_claimed_earlier(self, start: StartKey) -> bool:
+        """Whether an earlier request waits for the resource to be free."""
         ahead = takewhile(lambda waiting: waiting.start != start, self.queue)
-        return any(waiting.wants == "take" for waiting in ahead)
+        return any(waiting.purpose == "take" for waiting in ahead)
 
 
 class Reservations:
     """The reservations of one host's resources.
 
-    `first` is a number that no earlier life of this host can have given, for a resource of which nothing is
-    on record. `wait` says for how long others wait for a resource; `busy(resource, agent)` whether a portal
-    call of anybody but that coordinator is under way in it.
+    `first` is a number that no earlier incarnation of this host can have given out, for a resource without a
+    record. `wait` returns for how long others wait for a resource; `busy(resource, agent)` whether a portal
+    call of another coordinator than that is under way in it.
     """
 
     def __init__(
@@ -135,114 +135,118 @@ class Reservations:
         self._resources: dict[str, _Resource] = {}
         self._effects: list[Effect] = []
 
-    def restore(self, resource: str, number: int, holder: Start | None, now: float) -> None:
-        """What the disk has from an earlier life: whoever has it by that goes on for one lease."""
+    def restore(self, resource: str, number: int, holder: StartKey | None, now: float) -> None:
+        """Restore a record from before a restart: its holder keeps the reservation for one lease."""
         found = self._resources[resource] = _Resource(number, holder, now, now + self._lease)
-        found.written = found.told = holder is not None
+        found.is_durable = found.is_granted = holder is not None
 
-    # --- out ------------------------------------------------------------------------------------------
+    # --- effects --------------------------------------------------------------------------------------
 
-    def take_effects(self) -> list[Effect]:
-        """What is to be done, in this order; each is given once."""
+    def drain_effects(self) -> list[Effect]:
+        """The pending effects, in order; each is returned once."""
         effects, self._effects = self._effects, []
         return effects
 
     @property
     def due(self) -> float | None:
-        """When `tick` has something to do next, None for never."""
+        """When `tick` is due next, None for never."""
         return min(self._dues(), default=None)
 
     def _dues(self) -> Iterator[float]:
         for found in self._resources.values():
-            if found.holder is not None and found.written:
+            if found.holder is not None and found.is_durable:
                 yield found.until
             yield from (waiting.deadline for waiting in found.queue)
 
     @property
-    def held(self) -> Mapping[str, Held]:
-        """The reservations that somebody has, by resource."""
-        return {name: held for name in self._resources if (held := self.of(name)) is not None}
+    def held(self) -> Mapping[str, HeldReservation]:
+        """The present reservations, by resource."""
+        return {name: held for name in self._resources if (held := self.holder_of(name)) is not None}
 
     @property
     def known(self) -> Collection[str]:
-        """The resources that were ever reserved, or asked about."""
+        """The resources that were ever reserved, or requested."""
         return self._resources
 
-    def concerns(self, resource: str) -> bool:
-        """Whether calls of a resource have to ask: somebody has it, or waits for it."""
+    def is_contended(self, resource: str) -> bool:
+        """Whether calls of a resource need permission: it is reserved, or requested."""
         found = self._resources.get(resource)
-        return found is not None and (found.holder is not None or bool(found.queue) or bool(found.late))
+        return found is not None and (
+            found.holder is not None or bool(found.queue) or bool(found.late_starts)
+        )
 
-    def of(self, resource: str) -> Held | None:
-        """Who has a resource; None for nobody."""
+    def holder_of(self, resource: str) -> HeldReservation | None:
+        """The reservation of a resource; None if it is free."""
         found = self._resources.get(resource)
         if found is None or found.holder is None:
             return None
-        return Held(resource, found.number, found.holder, found.since, found.until)
+        return HeldReservation(resource, found.number, found.holder, found.since, found.until)
 
-    def waits_for(self, start: Start) -> str:
-        """The resource that somebody waits for, '' for none."""
-        return next((name for name, found in self._resources.items() if found.place(start)), "")
+    def waits_for(self, start: StartKey) -> str:
+        """The resource that a coordinator waits for, '' for none."""
+        return next((name for name, found in self._resources.items() if found.queue_entry(start)), "")
 
-    # --- coordinators ask -----------------------------------------------------------------------------
+    # --- requests of coordinators ---------------------------------------------------------------------
 
-    def take(self, start: Start, resource: str, now: float, *, nested: bool) -> int:
-        """The number of a reservation for somebody, 0 when it has to wait. Raises Refused.
+    def acquire(self, start: StartKey, resource: str, now: float, *, nested: bool) -> int:
+        """Reserve a resource: the number, 0 if the coordinator has to wait. Raises ReservationDenied.
 
-        A later start of a coordinator takes over what an earlier one has. Who asks again for what it was told
-        it has gets a new number: what was said of the old one may still be on its way.
+        A later start of a coordinator takes over the reservation of an earlier one. A holder that requests
+        again gets a new number: messages about the old one may be in transit.
         """
         found = self._find(resource, now)
-        if found.holder == start and not found.told:
-            found.told, found.until = found.written, now + self._lease
-            return found.number if found.written else 0
+        if found.holder == start and not found.is_granted:
+            found.is_granted, found.until = found.is_durable, now + self._lease
+            return found.number if found.is_durable else 0
         free = found.holder is None and not found.queue and not self._busy(resource, start[0])
-        if free or found.gives_way(start):
+        if free or found.can_be_replaced_by(start):
             self._grant(resource, found, start, now)
         elif nested or self._wait(resource) <= 0:
-            raise Refused(RESERVED, self._words(resource, found, now, start))
+            raise ReservationDenied(RESERVED, self._denial_text(resource, found, now, start))
         else:
             self._queue_up(found, _Waiting(start, "take", now + self._wait(resource)))
         return 0
 
-    def serves(self, start: Start, resource: str, number: int, now: float, *, nested: bool = False) -> bool:
-        """Whether a portal may begin for somebody who has it by this number (0: not at all); else it waits.
+    def may_serve(
+        self, start: StartKey, resource: str, number: int, now: float, *, nested: bool = False
+    ) -> bool:
+        """Whether a portal call may start for the coordinator with this number (0: none); else it waits.
 
-        Raises Refused, at once for who has something else (`nested`) and would have to wait. A call of the
-        holder without the number is made outside of its block: so it has left that, and what says so was
-        lost, or is on its way.
+        Raises ReservationDenied, immediately for a coordinator with another reservation (`nested`) that would
+        have to wait. A call of the holder without the number is made outside of its block: it has left the
+        block, and the release message was lost or is in transit.
         """
         found = self._find(resource, now)
         if number:
             if found.holder != start or found.number != number:
-                raise Refused(LOST, self._lost(resource, found, start, number, now))
+                raise ReservationDenied(LOST, self._loss_reason(resource, found, start, number, now))
             found.until = now + self._lease
             return True
-        if found.holder == start and found.told:
+        if found.holder == start and found.is_granted:
             self._end(resource, found, "it has left the block", now)
-        if found.holder is None and not found.makes_way(start):
+        if found.holder is None and not found.is_claimed_earlier(start):
             self._leave_queue(found, start)
             return True
-        if start in found.late or nested or self._wait(resource) <= 0:
+        if start in found.late_starts or nested or self._wait(resource) <= 0:
             self._leave_queue(found, start)
-            raise Refused(RESERVED, self._words(resource, found, now, start))
+            raise ReservationDenied(RESERVED, self._denial_text(resource, found, now, start))
         self._queue_up(found, _Waiting(start, "call", now + self._wait(resource)))
         return False
 
-    def give_up(self, start: Start, now: float) -> bool:
-        """Somebody waits no longer for anything; false when it did not."""
+    def abandon_wait(self, start: StartKey, now: float) -> bool:
+        """Cancel a coordinator's wait; False if it did not wait."""
         waited = False
         for resource, found in self._resources.items():
             waited = self._leave_queue(found, start) or waited
-            if found.holder == start and not found.told:
+            if found.holder == start and not found.is_granted:
                 waited = True
-                self._end(resource, found, "it has not waited for it", now)
+                self._end(resource, found, "its wait was cancelled", now)
         return waited
 
-    # --- what holders do ------------------------------------------------------------------------------
+    # --- reports of holders ---------------------------------------------------------------------------
 
-    def renew(self, start: Start, resource: str, number: int, now: float) -> None:
-        """The holder lives, and is in its block."""
+    def renew(self, start: StartKey, resource: str, number: int, now: float) -> None:
+        """The holder is alive, and in its block."""
         found = self._find(resource, now)
         if found.holder == start and found.number == number:
             found.until = max(found.until, now + self._lease)
@@ -250,58 +254,58 @@ class Reservations:
     def release(self, resource: str, number: int, now: float) -> None:
         """The holder has left its block."""
         found = self._find(resource, now)
-        if found.holder is not None and found.number == number and found.told:
+        if found.holder is not None and found.number == number and found.is_granted:
             self._end(resource, found, "it has left the block", now)
 
-    def over(self, start: Start, why: str, now: float) -> None:
-        """A start acts no more: it has ended, or is barred."""
+    def on_start_ended(self, start: StartKey, why: str, now: float) -> None:
+        """A start acts no more: it has terminated, or is fenced."""
         for resource, found in self._resources.items():
             self._leave_queue(found, start)
             if found.holder == start:
                 self._end(resource, found, why, now)
 
     @property
-    def concerned(self) -> set[Start]:
-        """All that have something, or wait for it."""
+    def concerned(self) -> set[StartKey]:
+        """All coordinators that hold or await a resource."""
         holders = {found.holder for found in self._resources.values() if found.holder is not None}
         return holders | {waiting.start for found in self._resources.values() for waiting in found.queue}
 
     @property
-    def unwritten(self) -> list[tuple[str, Start]]:
-        """The resources that are given to somebody as soon as that is on the disk."""
-        return [(n, f.holder) for n, f in self._resources.items() if f.holder and not f.written]
+    def unwritten(self) -> list[tuple[str, StartKey]]:
+        """The reservations that wait for their record to be on disk."""
+        return [(n, f.holder) for n, f in self._resources.items() if f.holder and not f.is_durable]
 
     # --- disk and time --------------------------------------------------------------------------------
 
-    def written(self, resource: str, number: int, now: float) -> None:
-        """The page of a holder is on the disk: it may have its number."""
+    def on_durable(self, resource: str, number: int, now: float) -> None:
+        """The record of a holder is on disk: it may receive its number."""
         found = self._resources[resource]
-        if found.holder is not None and found.number == number and not found.written:
-            found.written, found.until = True, now + self._lease
-            self._effects.append(Let(found.holder))
+        if found.holder is not None and found.number == number and not found.is_durable:
+            found.is_durable, found.until = True, now + self._lease
+            self._effects.append(RetryWaiter(found.holder))
 
     def tick(self, now: float) -> None:
-        """Time has passed, or a portal call has ended: go on with whom that lets."""
+        """Time has passed, or a portal call has ended: serve the queues."""
         for resource, found in self._resources.items():
             self._expire(resource, found, now)
             for waiting in [waiting for waiting in found.queue if waiting.deadline <= now]:
-                message = self._words(resource, found, now, waiting.start)
+                message = self._denial_text(resource, found, now, waiting.start)
                 self._leave_queue(found, waiting.start)
-                if waiting.wants == "take":
-                    self._effects.append(Refuse(waiting.start, resource, message))
-                elif not waiting.may:
-                    found.late.add(waiting.start)
-                    self._effects.append(Let(waiting.start))
-            self._serve_queue(resource, found, now)
+                if waiting.purpose == "take":
+                    self._effects.append(DenyWaiter(waiting.start, resource, message))
+                elif not waiting.may_proceed:
+                    found.late_starts.add(waiting.start)
+                    self._effects.append(RetryWaiter(waiting.start))
+            self._advance_queue(resource, found, now)
 
     def postpone(self, now: float) -> None:
-        """Time stood still for who waits and for who has something: they have all their time again."""
+        """The host was stalled: restart all time-outs of holders and waiting coordinators."""
         for resource, found in self._resources.items():
             deadline = now + self._wait(resource)
             found.until = max(found.until, now + self._lease)
             found.queue = deque(replace(each, deadline=deadline) for each in found.queue)
 
-    # --- inside ---------------------------------------------------------------------------------------
+    # --- state changes --------------------------------------------------------------------------------
 
     def _find(self, resource: str, now: float) -> _Resource:
         if resource not in self._resources:
@@ -311,73 +315,75 @@ class Reservations:
         return found
 
     def _expire(self, resource: str, found: _Resource, now: float) -> None:
-        if found.holder is not None and found.written and found.until <= now:
-            self._end(resource, found, "its lease was over", now)
+        if found.holder is not None and found.is_durable and found.until <= now:
+            self._end(resource, found, "its lease has expired", now)
 
-    def _grant(self, resource: str, found: _Resource, start: Start, now: float) -> None:
+    def _grant(self, resource: str, found: _Resource, start: StartKey, now: float) -> None:
         if found.holder is not None:
-            found.ended = found.holder, "a later one was begun", now
-            if not found.told:
+            found.ended = found.holder, "a later start reserved it", now
+            if not found.is_granted:
                 message = f"{resource} is reserved by a later start of {start[0]}"
-                self._effects.append(Refuse(found.holder, resource, message))
+                self._effects.append(DenyWaiter(found.holder, resource, message))
         self._leave_queue(found, start)
         found.number, found.holder = found.number + 1, start
-        found.since, found.until, found.written, found.told = now, now + self._lease, False, False
-        self._effects.append(Write(resource, found.number, start, soon=False))
+        found.since, found.until, found.is_durable, found.is_granted = now, now + self._lease, False, False
+        self._effects.append(PersistHolder(resource, found.number, start, is_lazy=False))
 
     def _end(self, resource: str, found: _Resource, why: str, now: float) -> None:
         assert found.holder is not None
         found.ended, found.holder = (found.holder, why, now), None
-        self._effects.append(Write(resource, found.number, None, soon=True))
-        self._serve_queue(resource, found, now)
+        self._effects.append(PersistHolder(resource, found.number, None, is_lazy=True))
+        self._advance_queue(resource, found, now)
 
-    def _serve_queue(self, resource: str, found: _Resource, now: float) -> None:
-        """Whoever is first may go on: calls at once, one that reserves when no other is at work there."""
+    def _advance_queue(self, resource: str, found: _Resource, now: float) -> None:
+        """Resume the first in the queue: calls at once, a reservation when no other call is under way."""
         for place, waiting in enumerate(found.queue):
             if found.holder is not None:
                 return
-            if waiting.wants == "take":
+            if waiting.purpose == "take":
                 if place == 0 and not self._busy(resource, waiting.start[0]):
                     self._grant(resource, found, waiting.start, now)
                 return
-            if not waiting.may:
-                found.queue[place] = replace(waiting, deadline=now + MAKES_WAY, may=True)
-                self._effects.append(Let(waiting.start))
+            if not waiting.may_proceed:
+                found.queue[place] = replace(waiting, deadline=now + PREEMPT_AFTER, may_proceed=True)
+                self._effects.append(RetryWaiter(waiting.start))
 
     def _queue_up(self, found: _Resource, waiting: _Waiting) -> None:
-        before = found.place(waiting.start)
-        if before is not None and (before.wants != waiting.wants or before.may):
+        before = found.queue_entry(waiting.start)
+        if before is not None and (before.purpose != waiting.purpose or before.may_proceed):
             found.queue.remove(before)
             before = None
         if before is None:
             found.queue.append(waiting)
 
-    def _leave_queue(self, found: _Resource, start: Start) -> bool:
-        found.late.discard(start)
-        place = found.place(start)
+    def _leave_queue(self, found: _Resource, start: StartKey) -> bool:
+        found.late_starts.discard(start)
+        place = found.queue_entry(start)
         if place is not None:
             found.queue.remove(place)
         return place is not None
 
-    # --- words ----------------------------------------------------------------------------------------
+    # --- messages -------------------------------------------------------------------------------------
 
-    def _words(self, resource: str, found: _Resource, now: float, start: Start) -> str:
-        """What keeps somebody from a resource."""
+    def _denial_text(self, resource: str, found: _Resource, now: float, start: StartKey) -> str:
+        """Why a coordinator cannot have a resource."""
         if found.holder is not None:
-            return f"{resource} is {Reserved(found.holder[0], found.since).sentence(now)}"
-        ahead = next((each for each in found.queue if each.wants == "take" and each.start != start), None)
+            return f"{resource} is {ReservedBy(found.holder[0], found.since).sentence(now)}"
+        ahead = next((each for each in found.queue if each.purpose == "take" and each.start != start), None)
         if ahead is not None:
             return f"{resource} is about to be reserved by {ahead.start[0]}"
-        return f"{resource} is at work for others, and cannot be reserved before that is done"
+        return f"{resource} is executing calls of others, and can be reserved only after these"
 
-    def _lost(self, resource: str, found: _Resource, start: Start, number: int, now: float) -> str:
-        """Why a number holds no more."""
+    def _loss_reason(self, resource: str, found: _Resource, start: StartKey, number: int, now: float) -> str:
+        """Why a number is not valid any more."""
         if found.holder is not None and found.holder != start:
-            return f"{resource} was reserved by {found.holder[0]} since, {now - found.since:.1f} s ago"
+            return f"{resource} was reserved by {found.holder[0]} {now - found.since:.1f} s ago"
         if found.ended is not None and found.ended[0] == start:
             _, why, when = found.ended
-            return f"the reservation of {resource} has ended {now - when:.1f} s ago: {why}"
+            return f"the reservation of {resource} ended {now - when:.1f} s ago: {why}"
         if found.holder is None and found.ended is not None and found.number > number:
             (other, _), _, when = found.ended
-            return f"{resource} was reserved by {other} since, and that has ended {now - when:.1f} s ago"
-        return f"{resource} is reserved for {start[0]} no more: nothing is on record of it there"
+            return (
+                f"{resource} was reserved by {other} since, and that reservation ended {now - when:.1f} s ago"
+            )
+        return f"{resource} is no longer reserved for {start[0]}: its host has no record of the reservation"

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.chains import chain, first_written
-from lfield.lang.checker import calls, names, operators
-from lfield.lang.checker.declarations import first_instruction
-from lfield.lang.checker.fitting import expect, shown, unknown
-from lfield.lang.checker.scope import Body
+from lfield.lang.checker import call_resolution, name_resolution, operators
+from lfield.lang.checker.conversions import require_type, unknown, with_article
+from lfield.lang.checker.declaration_pass import first_instruction
+from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.visibility import visible_type
+from lfield.lang.tree_traversal import left_spine, leftmost_operand
 from lfield.lang.types import (
     BOOLEAN,
     INT,
@@ -25,7 +25,7 @@ from lfield.lang.types import (
 _LITERALS: dict[type, Type] = {bool: BOOLEAN, int: INT, float: REAL, str: STRING}
 
 
-def value(body: Body, raw: syntax.Expr) -> tree.Expr:
+def value(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     """An expression that must have a value."""
     found = evaluated(body, raw)
     if found.type == VOID:
@@ -40,19 +40,19 @@ def value(body: Body, raw: syntax.Expr) -> tree.Expr:
     return unknown(found.span)
 
 
-def evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
+def evaluated(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     """Any expression: a call without a value, a device, and the `this` of a resource are allowed too."""
     if raw in body.checked:
         return body.checked.pop(raw)
-    for one in chain(raw, first_written):
+    for one in left_spine(raw, leftmost_operand):
         body.checked[one] = _evaluated(body, one)
     return _evaluated(body, raw)
 
 
-def _evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
+def _evaluated(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     match raw:
         case syntax.Name():
-            return names.variable(body, raw)
+            return name_resolution.check_variable(body, raw)
         case syntax.Literal_():
             return tree.Literal_(raw.span, _LITERALS.get(type(raw.value), NULL), raw.value)
         case syntax.Binary():
@@ -62,13 +62,15 @@ def _evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
         case syntax.Call():
             return _call(body, raw)
         case syntax.Member():
-            return names.member(body, raw, evaluated(body, raw.object))
+            return name_resolution.check_member(body, raw, evaluated(body, raw.object))
         case syntax.Index():
             return _index(body, raw)
         case syntax.This():
             return body.this(raw.span)
         case syntax.New():
-            return calls.new(body, raw, [_given(body, argument) for argument in raw.arguments])
+            return call_resolution.check_new(
+                body, raw, [_constructor_argument(body, argument) for argument in raw.arguments]
+            )
         case syntax.NewArray():
             return _new_array(body, raw)
         case syntax.Elements():
@@ -81,7 +83,7 @@ def _evaluated(body: Body, raw: syntax.Expr) -> tree.Expr:
     return unknown(raw.span)
 
 
-def _given(body: Body, raw: syntax.Expr) -> tree.Expr:
+def _constructor_argument(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     """What a new object is given: a value, or a device."""
     found = evaluated(body, raw)
     if isinstance(found.type, DeviceType):
@@ -90,49 +92,49 @@ def _given(body: Body, raw: syntax.Expr) -> tree.Expr:
     return value(body, raw)
 
 
-def condition(body: Body, raw: syntax.Expr) -> tree.Expr:
+def condition(body: BodyContext, raw: syntax.Expr) -> tree.Expr:
     """The boolean in the head of an if or a loop."""
-    return expect(body.symbols, value(body, raw), BOOLEAN, messages.CONDITION)
+    return require_type(body.symbols, value(body, raw), BOOLEAN, messages.CONDITION)
 
 
-def assignment(body: Body, raw: syntax.Assign) -> tree.Expr:
+def assignment(body: BodyContext, raw: syntax.Assign) -> tree.Expr:
     """`target = value`, where a statement or another assignment allows it."""
     place = target(body, raw.target)
     given = assigned(body, raw.value, UNKNOWN if place is None else place.type)
     return unknown(raw.span) if place is None else tree.Assign(raw.span, place.type, place, given)
 
 
-def assigned(body: Body, raw: syntax.Expr, wanted: Type) -> tree.Expr:
+def assigned(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
     """The right side of an assignment as the type of the left."""
     if isinstance(raw, syntax.Elements) and raw.type is None:
-        return elements(body, raw, wanted)
+        return elements(body, raw, expected)
     plain = isinstance(raw, syntax.Assign) and raw.operator == "="
     if isinstance(raw, syntax.Assign) and plain:
-        return expect(body.symbols, assignment(body, raw), wanted)
-    given = _given(body, raw) if isinstance(wanted, DeviceType) else value(body, raw)
-    return expect(body.symbols, given, wanted)
+        return require_type(body.symbols, assignment(body, raw), expected)
+    given = _constructor_argument(body, raw) if isinstance(expected, DeviceType) else value(body, raw)
+    return require_type(body.symbols, given, expected)
 
 
-def elements(body: Body, raw: syntax.Elements, wanted: Type) -> tree.Expr:
+def elements(body: BodyContext, raw: syntax.Elements, expected: Type) -> tree.Expr:
     """An array of the elements written, of the type written with them or else of the one wanted."""
-    kind = wanted if raw.type is None else visible_type(body.symbols, body.unit, raw.type)
+    kind = expected if raw.type is None else visible_type(body.symbols, body.unit, raw.type)
     if not isinstance(kind, ArrayType) and kind is not UNKNOWN:
-        body.report(messages.ELEMENTS, raw.span, wanted=shown(kind))
+        body.report(messages.ELEMENTS, raw.span, wanted=with_article(kind))
         return unknown(raw.span)
     of = kind.element if isinstance(kind, ArrayType) else UNKNOWN
     return tree.Elements(raw.span, kind, [_element(body, one, of) for one in raw.elements])
 
 
-def _element(body: Body, raw: syntax.Expr, wanted: Type) -> tree.Expr:
+def _element(body: BodyContext, raw: syntax.Expr, expected: Type) -> tree.Expr:
     if isinstance(raw, syntax.Elements) and raw.type is None:
-        return elements(body, raw, wanted)
-    return expect(body.symbols, value(body, raw), wanted)
+        return elements(body, raw, expected)
+    return require_type(body.symbols, value(body, raw), expected)
 
 
-def target(body: Body, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree.Element | None:
+def target(body: BodyContext, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree.Element | None:
     """The left side of an assignment; None after a report."""
     found = evaluated(body, raw)
-    if _takes_device(body, found):
+    if _may_hold_device(body, found):
         assert isinstance(found, tree.FieldGet)
         return found
     body.checked[raw] = found
@@ -144,7 +146,7 @@ def target(body: Body, raw: syntax.Expr) -> tree.LocalGet | tree.FieldGet | tree
     return None
 
 
-def _takes_device(body: Body, found: tree.Expr) -> bool:
+def _may_hold_device(body: BodyContext, found: tree.Expr) -> bool:
     """Whether it is an own field for a device, in the constructor that is given the device."""
     own = isinstance(found, tree.FieldGet) and isinstance(found.object, tree.This)
     return own and isinstance(found.type, DeviceType) and body.method.kind == "constructor"
@@ -156,25 +158,27 @@ def _called(raw: syntax.Expr) -> str:
     return f"{function.name}()" if function is not None else "this"
 
 
-def _call(body: Body, raw: syntax.Call) -> tree.Expr:
+def _call(body: BodyContext, raw: syntax.Call) -> tree.Expr:
     given = [value(body, argument) for argument in raw.arguments]
     if isinstance(raw.function, syntax.Name):
-        return calls.bare(body, raw, raw.function, given)
-    return calls.member(body, raw, raw.function, evaluated(body, raw.function.object), given)
+        return call_resolution.check_bare_call(body, raw, raw.function, given)
+    return call_resolution.check_member_call(
+        body, raw, raw.function, evaluated(body, raw.function.object), given
+    )
 
 
-def _index(body: Body, raw: syntax.Index) -> tree.Expr:
+def _index(body: BodyContext, raw: syntax.Index) -> tree.Expr:
     array = value(body, raw.array)
-    index = expect(body.symbols, value(body, raw.index), INT)
+    index = require_type(body.symbols, value(body, raw.index), INT)
     if isinstance(array.type, ArrayType):
         return tree.Element(raw.span, array.type.element, array, index)
     if array.type is not UNKNOWN:
         hint = "write s.substring(i, i + 1)" if array.type == STRING else None
-        body.report(messages.NOT_AN_ARRAY, raw.array.span, hint=hint, given=shown(array.type))
+        body.report(messages.NOT_AN_ARRAY, raw.array.span, hint=hint, given=with_article(array.type))
     return unknown(raw.span)
 
 
-def _new_array(body: Body, raw: syntax.NewArray) -> tree.Expr:
-    lengths = [expect(body.symbols, value(body, length), INT) for length in raw.lengths]
+def _new_array(body: BodyContext, raw: syntax.NewArray) -> tree.Expr:
+    lengths = [require_type(body.symbols, value(body, length), INT) for length in raw.lengths]
     kind = visible_type(body.symbols, body.unit, raw.type)
     return tree.NewArray(raw.span, kind, lengths)

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Literal, cast
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.checker.fitting import converted, cost, unknown
-from lfield.lang.checker.scope import Body
+from lfield.lang.checker.conversions import conversion_cost, unknown, widened
+from lfield.lang.checker.scope import BodyContext
 from lfield.lang.types import (
     BOOLEAN,
     INT,
@@ -14,6 +14,7 @@ from lfield.lang.types import (
     REAL,
     STRING,
     UNKNOWN,
+    ArrayType,
     Type,
     distance,
     is_numeric,
@@ -22,10 +23,15 @@ from lfield.lang.types import (
 
 _ORDER = ("<", "<=", ">", ">=")
 _EQUALITY = ("==", "!=")
+#: What to write instead of an operator that does not work on text.
+_NOT_JOINING = {
+    "*": "repeat text in a loop: for (int i = 0; i < n; i += 1) s = s + t;",
+    "%": 'join text with +, as in "n is " + i2s(n)',
+}
 _TO_STRING = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s"}
 
 
-def unary(body: Body, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr:
+def unary(body: BodyContext, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr:
     """`!operand` or `-operand`."""
     kind = operand.type
     if kind is UNKNOWN:
@@ -41,26 +47,26 @@ def unary(body: Body, raw: syntax.Unary, operand: tree.Expr) -> tree.Expr:
     return unknown(raw.span)
 
 
-def binary(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+def binary(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
     """Any operator with two sides."""
     if UNKNOWN in (left.type, right.type):
         return unknown(raw.span)
     if raw.operator in ("&&", "||"):
         if left.type == right.type == BOOLEAN:
             return tree.Logical(raw.span, BOOLEAN, cast(Literal["&&", "||"], raw.operator), left, right)
-        return _misfit(body, raw, left, right)
+        return _report_operands(body, raw, left, right)
     if raw.operator in _EQUALITY:
         return _equality(body, raw, left, right)
     left, right = _widened(left, right)
     kind = left.type
     works = is_numeric(kind) or (kind == STRING and raw.operator in ("+", *_ORDER))
     if kind != right.type or not works:
-        return _misfit(body, raw, left, right)
+        return _report_operands(body, raw, left, right)
     return _made(raw, BOOLEAN if raw.operator in _ORDER else kind, left, right)
 
 
-def _equality(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
-    """`==` and `!=`. A null stands on the right, so that the left side says what is compared."""
+def _equality(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+    """`==` and `!=`. A null is moved to the right, so that the left side has the type."""
     left, right = _widened(left, right)
     if left.type == NULL:
         left, right = right, left
@@ -83,10 +89,10 @@ def _comparable(left: Type, right: Type) -> bool:
 
 def _widened(left: tree.Expr, right: tree.Expr) -> tuple[tree.Expr, tree.Expr]:
     """Both sides as real when one is real and the other int."""
-    if cost(left.type, right.type) == 1:
-        return converted(left, right.type), right
-    if cost(right.type, left.type) == 1:
-        return left, converted(right, left.type)
+    if conversion_cost(left.type, right.type) == 1:
+        return widened(left, right.type), right
+    if conversion_cost(right.type, left.type) == 1:
+        return left, widened(right, left.type)
     return left, right
 
 
@@ -94,13 +100,17 @@ def _made(raw: syntax.Binary, kind: Type, left: tree.Expr, right: tree.Expr) -> 
     return tree.Binary(raw.span, kind, cast(tree.BinaryOp, raw.operator), left, right)
 
 
-def _misfit(body: Body, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
+def _report_operands(body: BodyContext, raw: syntax.Binary, left: tree.Expr, right: tree.Expr) -> tree.Expr:
     operator = raw.operator
     hint = None
     if operator in ("&&", "||"):
         hint = "both sides must be boolean: compare them with something"
+    elif STRING in (left.type, right.type) and operator != "+":
+        hint = _NOT_JOINING.get(operator, "of operators only + and comparisons work on text")
     elif STRING in (left.type, right.type) and left.type != right.type:
         hint = _string_hint(left.type, right.type)
+    elif isinstance(left.type, ArrayType) or isinstance(right.type, ArrayType):
+        hint = "operators work on single elements: write a loop over the array"
     body.report(messages.OPERANDS, raw.sign, hint=hint, operator=operator, left=left.type, right=right.type)
     return unknown(raw.span)
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 from lfield.lang import messages, syntax
 from lfield.lang.checker.symbols import Symbols
 from lfield.lang.tree import Expr, Field, Local, Method, This, Unit
 from lfield.lang.types import UNKNOWN, ClassType, Type
-from lfield.text.findings import Message
-from lfield.text.source import Span
+from lfield.text.message_tables import FindingKind
+from lfield.text.source_text import Span
 
 
 @dataclass(slots=True)
@@ -32,6 +33,10 @@ class Scope:
             yield scope
             scope = scope.outer
 
+    def mark_uncertain(self) -> None:
+        """A statement of this block could not be read."""
+        self.uncertain = True
+
     def find(self, name: str) -> Local | None:
         """The local of that name, the innermost first."""
         return next((scope.locals[name] for scope in self.chain() if name in scope.locals), None)
@@ -46,21 +51,21 @@ class Scope:
 
 
 @dataclass(slots=True)
-class Body:
-    """Where an expression or statement stands: the program, the unit, the method, the locals, the loops."""
+class BodyContext:
+    """The context of an expression or statement: program, unit, method, locals, loops."""
 
     symbols: Symbols
     unit: Unit
     method: Method
     scope: Scope
     loops: int = 0
-    #: How many of the loops stand around the innermost `finally` (None: there is no `finally` around).
+    #: How many of the loops enclose the innermost `finally`; None without a `finally`.
     last: int | None = None
-    #: Expressions that are checked already, before those which begin with them (chains.py).
+    #: Expressions that are checked already, before those which begin with them (tree_traversal.py).
     checked: dict[syntax.Expr, Expr] = field(default_factory=dict)
 
-    def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
-        """Keep a finding."""
+    def report(self, message: FindingKind, span: Span, *, hint: str | None = None, **values: object) -> None:
+        """Add a finding."""
         self.symbols.report(message, span, hint=hint, **values)
 
     def this(self, span: Span) -> This:
@@ -85,9 +90,27 @@ class Body:
         local = Local(name, kind, span)
         earlier = self.scope.find(name)
         if earlier is not None and kind is not UNKNOWN:
-            self.report(messages.LOCAL_TWICE, span, name=name, line=earlier.span.line)
+            self.report(messages.DUPLICATE_LOCAL, span, name=name, line=earlier.span.line)
         self.scope.locals[name] = local
         return local
+
+    def enter_method(self, parameters: dict[str, Local]) -> None:
+        """Begin the written body of a method, behind the field initialisers."""
+        self.scope = Scope(None, parameters)
+
+    @contextmanager
+    def loop(self) -> Iterator[None]:
+        """Enter the body of a loop for the time of the context."""
+        self.loops += 1
+        yield
+        self.loops -= 1
+
+    @contextmanager
+    def finally_clause(self) -> Iterator[None]:
+        """Enter the code of a `finally` for the time of the context."""
+        around, self.last = self.last, self.loops
+        yield
+        self.last = around
 
     def enter(self) -> None:
         """Open a block."""

@@ -6,16 +6,16 @@ from collections.abc import Iterable
 from copy import copy
 
 from lfield.lang import messages, syntax, tree
-from lfield.lang.chains import chain
+from lfield.lang.checker.conversions import conversion_cost, require_type, unknown, widened, with_article
 from lfield.lang.checker.expressions import assigned, assignment, condition, evaluated, target, value
-from lfield.lang.checker.fitting import converted, cost, expect, shown, unknown
 from lfield.lang.checker.operators import binary
-from lfield.lang.checker.scope import Body
-from lfield.lang.checker.together import limit, may_stand, reserved
+from lfield.lang.checker.scope import BodyContext
+from lfield.lang.checker.together import check_coordinator_block, check_reserve_operand, check_within_seconds
 from lfield.lang.checker.visibility import visible_type
-from lfield.lang.library import ARRAY_LENGTH
+from lfield.lang.language_library import ARRAY_LENGTH
+from lfield.lang.tree_traversal import left_spine
 from lfield.lang.types import BOOLEAN, EXCEPTION, INT, NULL, UNKNOWN, VOID, ArrayType, ClassType
-from lfield.text.source import Span
+from lfield.text.source_text import Span
 
 _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
     "portal": "write emit T after its parameters",
@@ -24,13 +24,13 @@ _NO_RESULT_HINTS: dict[tree.MethodKind, str] = {
 }
 
 
-def statements(body: Body, raw: Iterable[syntax.Stmt]) -> list[tree.Stmt]:
+def statements(body: BodyContext, raw: Iterable[syntax.Stmt]) -> list[tree.Stmt]:
     """Statements as the compiler sees them; nothing for `;`."""
     made = [_statement(body, one) for one in raw]
     return [one for one in made if one is not None]
 
 
-def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
+def _statement(body: BodyContext, raw: syntax.Stmt) -> tree.Stmt | None:
     match raw:
         case syntax.Evaluate():
             return _evaluate(body, raw)
@@ -38,8 +38,8 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
             return _declare(body, raw)
         case syntax.If():
             return _if(body, raw)
-        case syntax.Block():
-            return tree.Block(raw.span, _branch(body, raw))
+        case syntax.BlockStmt():
+            return tree.BlockStmt(raw.span, _branch(body, raw))
         case syntax.Return():
             return _return(body, raw)
         case syntax.While():
@@ -59,22 +59,25 @@ def _statement(body: Body, raw: syntax.Stmt) -> tree.Stmt | None:
         case syntax.Try():
             return _try(body, raw)
         case syntax.Together():
-            may_stand(body, raw.span)
+            check_coordinator_block(body, raw.span)
             return tree.Together(raw.span, _branch(body, raw.body))
         case syntax.Within():
-            may_stand(body, raw.span)
-            return tree.Within(raw.span, limit(body, raw.seconds), _branch(body, raw.body))
+            check_coordinator_block(body, raw.span)
+            return tree.Within(raw.span, check_within_seconds(body, raw.seconds), _branch(body, raw.body))
         case syntax.Reserve():
-            may_stand(body, raw.span)
-            return tree.Reserve(raw.span, reserved(body, raw.who), _branch(body, raw.body))
+            check_coordinator_block(body, raw.span)
+            return tree.Reserve(raw.span, check_reserve_operand(body, raw.target), _branch(body, raw.body))
         case syntax.BadStmt():
-            body.scope.uncertain = True
+            body.scope.mark_uncertain()
     return None
 
 
-def _if(body: Body, raw: syntax.If) -> tree.If:
+def _if(body: BodyContext, raw: syntax.If) -> tree.If:
     """An `if` whose `otherwise` is the next one, as often as `else if` follows."""
-    ladder = [*chain(raw, lambda one: one.otherwise if isinstance(one.otherwise, syntax.If) else None), raw]
+    ladder = [
+        *left_spine(raw, lambda one: one.otherwise if isinstance(one.otherwise, syntax.If) else None),
+        raw,
+    ]
     made: list[tree.Stmt] = _branch(body, ladder[0].otherwise)
     for one in ladder:
         made = [tree.If(one.span, condition(body, one.condition), _branch(body, one.then), made)]
@@ -83,24 +86,22 @@ def _if(body: Body, raw: syntax.If) -> tree.If:
     return first
 
 
-def _branch(body: Body, raw: syntax.Stmt | None) -> list[tree.Stmt]:
+def _branch(body: BodyContext, raw: syntax.Stmt | None) -> list[tree.Stmt]:
     """A statement in a scope of its own; a block gives its statements."""
     if raw is None:
         return []
     body.enter()
-    found = statements(body, raw.body if isinstance(raw, syntax.Block) else [raw])
+    found = statements(body, raw.body if isinstance(raw, syntax.BlockStmt) else [raw])
     body.leave()
     return found
 
 
-def _loop_body(body: Body, raw: syntax.Stmt) -> list[tree.Stmt]:
-    body.loops += 1
-    found = _branch(body, raw)
-    body.loops -= 1
-    return found
+def _loop_body(body: BodyContext, raw: syntax.Stmt) -> list[tree.Stmt]:
+    with body.loop():
+        return _branch(body, raw)
 
 
-def _declare(body: Body, raw: syntax.Declare) -> tree.Stmt:
+def _declare(body: BodyContext, raw: syntax.Declare) -> tree.Stmt:
     """A local comes into scope after its value."""
     kind = visible_type(body.symbols, body.unit, raw.type)
     given = None if raw.value is None else assigned(body, raw.value, kind)
@@ -108,7 +109,7 @@ def _declare(body: Body, raw: syntax.Declare) -> tree.Stmt:
     return tree.Declare(raw.span, local, given)
 
 
-def _evaluate(body: Body, raw: syntax.Evaluate) -> tree.Stmt:
+def _evaluate(body: BodyContext, raw: syntax.Evaluate) -> tree.Stmt:
     """A call, an assignment or `new`; anything else does nothing."""
     if isinstance(raw.value, syntax.Assign) and raw.value.operator != "=":
         return _update(body, raw.value)
@@ -121,8 +122,8 @@ def _evaluate(body: Body, raw: syntax.Evaluate) -> tree.Stmt:
     return tree.Evaluate(raw.span, found)
 
 
-def _update(body: Body, raw: syntax.Assign) -> tree.Stmt:
-    """`target += value`: `target = target + value`, with all that stands in the target evaluated once."""
+def _update(body: BodyContext, raw: syntax.Assign) -> tree.Stmt:
+    """`target += value`: `target = target + value`, with the expressions in the target evaluated once."""
     place = target(body, raw.target)
     given = value(body, raw.value)
     if place is None:
@@ -130,54 +131,58 @@ def _update(body: Body, raw: syntax.Assign) -> tree.Stmt:
     held: list[tree.Stmt] = []
     match place:
         case tree.FieldGet():
-            place.object = _held(held, place.object)
+            place.object = _reusable(held, place.object)
         case tree.Element():
-            place.array, place.index = _held(held, place.array), _held(held, place.index)
+            place.array, place.index = _reusable(held, place.array), _reusable(held, place.index)
     written = syntax.Binary(raw.span, raw.height, raw.operator[0], raw.sign, raw.target, raw.value)
-    result = expect(body.symbols, binary(body, written, copy(place), given), place.type)
+    result = require_type(body.symbols, binary(body, written, copy(place), given), place.type)
     held.append(tree.Evaluate(raw.span, tree.Assign(raw.span, place.type, place, result)))
-    return tree.Block(raw.span, held)
+    return tree.BlockStmt(raw.span, held)
 
 
-def _held(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
+def _reusable(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
     """The value of an expression for several uses in one statement, which changes no local meanwhile."""
-    return expr if isinstance(expr, tree.This | tree.LocalGet | tree.Literal_) else _kept(before, expr)
+    return (
+        expr
+        if isinstance(expr, tree.This | tree.LocalGet | tree.Literal_)
+        else _in_hidden_local(before, expr)
+    )
 
 
-def _kept(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
+def _in_hidden_local(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
     """The value of an expression in a local of its own, which no name of the program leads to."""
     local = tree.Local("", expr.type, expr.span)
     before.append(tree.Declare(expr.span, local, expr))
     return tree.LocalGet(expr.span, expr.type, local)
 
 
-def _each(body: Body, raw: syntax.Each) -> tree.Stmt:
+def _each(body: BodyContext, raw: syntax.Each) -> tree.Stmt:
     """`for (T x : array)`: the array and its length are asked once, then a loop counts through it."""
     span = raw.array.span
     array = value(body, raw.array)
     kind = visible_type(body.symbols, body.unit, raw.type)
     of = array.type.element if isinstance(array.type, ArrayType) else UNKNOWN
     if of is UNKNOWN and array.type is not UNKNOWN:
-        body.report(messages.EACH_ARRAY, span, given=shown(array.type))
-    elif cost(of, kind) is None:
-        body.report(messages.EACH_ELEMENT, raw.type.span, given=of, wanted=shown(kind))
+        body.report(messages.EACH_ARRAY, span, given=with_article(array.type))
+    elif conversion_cost(of, kind) is None:
+        body.report(messages.EACH_ELEMENT, raw.type.span, given=of, wanted=with_article(kind))
     made: list[tree.Stmt] = []
-    items = _kept(made, array)
-    count = _kept(made, tree.Library(span, INT, ARRAY_LENGTH, [items]))
+    items = _in_hidden_local(made, array)
+    count = _in_hidden_local(made, tree.LibraryCall(span, INT, ARRAY_LENGTH, [items]))
     index = tree.LocalGet(span, INT, tree.Local("", INT, span))
     made.append(tree.Declare(span, index.local, tree.Literal_(span, INT, 0)))
     following = tree.Binary(span, INT, "+", index, tree.Literal_(span, INT, 1))
     body.enter()
     local = body.declare(raw.name, kind, raw.place)
-    element = converted(tree.Element(span, of, items, index), kind)
+    element = widened(tree.Element(span, of, items, index), kind)
     inner = [tree.Declare(raw.place, local, element), *_loop_body(body, raw.body)]
     body.leave()
     step: list[tree.Stmt] = [tree.Evaluate(span, tree.Assign(span, INT, index, following))]
     made.append(tree.Loop(raw.span, tree.Binary(span, BOOLEAN, "<", index, count), inner, step))
-    return tree.Block(raw.span, made)
+    return tree.BlockStmt(raw.span, made)
 
 
-def _for(body: Body, raw: syntax.For) -> tree.Stmt:
+def _for(body: BodyContext, raw: syntax.For) -> tree.Stmt:
     """A block with the start and a loop; without a condition it is true."""
     body.enter()
     start = statements(body, [] if raw.start is None else [raw.start])
@@ -187,57 +192,55 @@ def _for(body: Body, raw: syntax.For) -> tree.Stmt:
     step = statements(body, [] if raw.step is None else [raw.step])
     inner = _loop_body(body, raw.body)
     body.leave()
-    return tree.Block(raw.span, [*start, tree.Loop(raw.span, test, inner, step)])
+    return tree.BlockStmt(raw.span, [*start, tree.Loop(raw.span, test, inner, step)])
 
 
-def _in_loop(body: Body, span: Span, word: str) -> None:
+def _in_loop(body: BodyContext, span: Span, keyword: str) -> None:
     if body.loops == 0:
-        body.report(messages.LOOP_ONLY, span, word=word)
+        body.report(messages.LOOP_ONLY, span, word=keyword)
     elif body.loops == body.last:
-        body.report(messages.LEAVES_FINALLY, span, word=word)
+        body.report(messages.LEAVES_FINALLY, span, word=keyword)
 
 
-def _return(body: Body, raw: syntax.Return) -> tree.Stmt:
+def _return(body: BodyContext, raw: syntax.Return) -> tree.Stmt:
     if body.last is not None:
         body.report(messages.LEAVES_FINALLY, raw.span, word="return")
     method = body.method
     name, wanted = f"{method.kind} {method.name}" if method.kind != "init" else "init", method.result
     if raw.value is None:
         if wanted not in (VOID, UNKNOWN):
-            body.report(messages.RETURN_SOMETHING, raw.span, method=name, wanted=shown(wanted))
+            body.report(messages.RETURN_SOMETHING, raw.span, method=name, wanted=with_article(wanted))
         return tree.Return(raw.span, None)
     if wanted == VOID:
         evaluated(body, raw.value)
         hint = _NO_RESULT_HINTS.get(method.kind)
         body.report(messages.RETURN_NOTHING, raw.value.span, hint=hint, method=name)
         return tree.Return(raw.span, None)
-    given = expect(body.symbols, value(body, raw.value), wanted, messages.RETURN_MISMATCH, method=name)
+    given = require_type(body.symbols, value(body, raw.value), wanted, messages.RETURN_MISMATCH, method=name)
     return tree.Return(raw.span, given)
 
 
-def _throw(body: Body, raw: syntax.Throw) -> tree.Stmt:
+def _throw(body: BodyContext, raw: syntax.Throw) -> tree.Stmt:
     thrown = value(body, raw.value)
     if not isinstance(thrown.type, ClassType) and thrown.type not in (NULL, UNKNOWN):
-        body.report(messages.THROW_TYPE, raw.value.span, given=shown(thrown.type))
+        body.report(messages.THROW_TYPE, raw.value.span, given=with_article(thrown.type))
         thrown = unknown(raw.span)
-    return tree.Throw(raw.span, expect(body.symbols, thrown, EXCEPTION))
+    return tree.Throw(raw.span, require_type(body.symbols, thrown, EXCEPTION))
 
 
-def _try(body: Body, raw: syntax.Try) -> tree.Try:
+def _try(body: BodyContext, raw: syntax.Try) -> tree.Try:
     tried = _branch(body, raw.body)
     catches = [_catch(body, clause) for clause in raw.catches]
-    return tree.Try(raw.span, tried, catches, None if raw.last is None else _last(body, raw.last))
+    return tree.Try(raw.span, tried, catches, None if raw.last is None else _finally(body, raw.last))
 
 
-def _last(body: Body, raw: syntax.Stmt) -> list[tree.Stmt]:
+def _finally(body: BodyContext, raw: syntax.Stmt) -> list[tree.Stmt]:
     """The code of a `finally`; no jump in it leaves it."""
-    around, body.last = body.last, body.loops
-    found = _branch(body, raw)
-    body.last = around
-    return found
+    with body.finally_clause():
+        return _branch(body, raw)
 
 
-def _catch(body: Body, raw: syntax.Catch) -> tree.Catch:
+def _catch(body: BodyContext, raw: syntax.Catch) -> tree.Catch:
     kind = visible_type(body.symbols, body.unit, raw.type)
     if not isinstance(kind, ClassType) and kind is not UNKNOWN:
         body.report(messages.CATCH_TYPE, raw.type.span, given=kind)

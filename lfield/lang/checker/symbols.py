@@ -6,8 +6,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 from lfield.lang import messages, tree
-from lfield.lang.capabilities import Capabilities
-from lfield.lang.library import FUNCTIONS
+from lfield.lang.capability_port import CapabilityTypes
+from lfield.lang.language_library import FUNCTIONS
+from lfield.lang.parser.foreign_words import type_hint
 from lfield.lang.syntax import BAD_TYPE, TypeName
 from lfield.lang.types import (
     BOOLEAN,
@@ -26,9 +27,9 @@ from lfield.lang.types import (
     array_of,
 )
 from lfield.manifest import DeviceManifest
-from lfield.text.findings import Message
-from lfield.text.source import Diagnostics, Span
-from lfield.text.suggest import FOREIGN_TYPES, closest
+from lfield.text.message_tables import FindingKind
+from lfield.text.source_text import Diagnostics, Span
+from lfield.text.suggestions import closest
 
 #: Names of types that every program has.
 BUILTIN_TYPES: dict[str, Type] = {
@@ -55,18 +56,18 @@ class Symbols:
     units: dict[str, tree.Unit] = field(default_factory=dict)
     broken_units: set[str] = field(default_factory=set)
     incomplete: bool = False
-    capabilities: Capabilities | None = None
+    capabilities: CapabilityTypes | None = None
     generated: frozenset[str] = frozenset()
-    _told: set[tuple[str, str, int, str]] = field(default_factory=set)
+    _reported: set[tuple[str, str, int, str]] = field(default_factory=set)
 
-    def report(self, message: Message, span: Span, *, hint: str | None = None, **values: object) -> None:
-        """Keep a finding; the same about the same words is told once in a line."""
+    def report(self, message: FindingKind, span: Span, *, hint: str | None = None, **values: object) -> None:
+        """Add a finding, once per line for the same text."""
         key = (message.code, span.source.name, span.line, span.text)
-        if key not in self._told:
-            self._told.add(key)
+        if key not in self._reported:
+            self._reported.add(key)
             self.found.add(message.at(span, hint=hint, **values))
 
-    def named(self, kind: Type) -> tree.Unit | None:
+    def unit_of(self, kind: Type) -> tree.Unit | None:
         """The class or resource a type is about; None for any other type."""
         return self.units.get(kind.name) if isinstance(kind, ClassType | ResourceType) else None
 
@@ -104,13 +105,13 @@ class Symbols:
             return ResourceType(name) if unit.kind == "resource" else ClassType(name)
         if name in self.devices:
             return DeviceType(name)
-        if name in FOREIGN_TYPES or (name != BAD_TYPE and not self.incomplete):
+        if type_hint(name) or (name != BAD_TYPE and not self.incomplete):
             self.report(messages.UNKNOWN_TYPE, written.span, hint=self._type_hint(name), name=name)
         return UNKNOWN
 
     def _type_hint(self, name: str) -> str | None:
-        if name in FOREIGN_TYPES:
-            return f"in L it is called {FOREIGN_TYPES[name]}"
+        if foreign := type_hint(name):
+            return foreign
         known = [*BUILTIN_TYPES, *self.units, *self.devices, *self.capability_names(), *_RETURN_LIKE]
         close = closest(name, known)
         return f"did you mean '{close}'?" if close else None
@@ -124,7 +125,7 @@ def device_in(symbols: Symbols, kind: Type) -> str:
         held, path = waiting.pop()
         if isinstance(held, DeviceType):
             return path[1:]
-        unit = symbols.named(held)
+        unit = symbols.unit_of(held)
         if unit is not None and unit.kind == "class" and unit.name not in seen:
             seen.add(unit.name)
             waiting.extend((innermost(field.type), f"{path}.{field.name}") for field in unit.fields)

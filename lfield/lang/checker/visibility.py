@@ -12,20 +12,20 @@ from lfield.lang import messages, tree
 from lfield.lang.checker.symbols import Symbols, describe, innermost
 from lfield.lang.syntax import TypeName
 from lfield.lang.types import EXCEPTION, UNKNOWN, DeviceType, Type
-from lfield.text.findings import Message
-from lfield.text.source import Span
+from lfield.text.message_tables import FindingKind
+from lfield.text.source_text import Span
 
 #: Where a type is written. A device type fits a field, and the constructor of a resource specific class; a
 #: portal is stricter than anything else.
 Place = Literal["field", "constructor", "portal", "elsewhere"]
 
 
-_COORDINATOR_RULES: dict[tree.Usage, Message] = {
+_COORDINATOR_RULES: dict[tree.Usage, FindingKind] = {
     "resource": messages.RESOURCE_NAMES_COORDINATOR,
     "coordinator": messages.COORDINATOR_NAMES_COORDINATOR,
     "global": messages.GLOBAL_NAMES_COORDINATOR,
 }
-_RESOURCE_RULES: dict[tree.Usage, Message | None] = {
+_RESOURCE_RULES: dict[tree.Usage, FindingKind | None] = {
     "resource": messages.RESOURCE_NAMES_RESOURCE,
     "coordinator": None,
     "global": messages.GLOBAL_NAMES_RESOURCE,
@@ -42,12 +42,12 @@ def visible_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
     if place == "portal":
         if not _may_pass(symbols, viewer, kind, written.span):
             return UNKNOWN
-    elif unit is not None and not may_name(symbols, viewer, unit, written.span):
+    elif unit is not None and not check_visibility(symbols, viewer, unit, written.span):
         return UNKNOWN
     return kind
 
 
-def may_name(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, span: Span) -> bool:
+def check_visibility(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, span: Span) -> bool:
     """Whether `viewer` may name `target`; the broken rule is reported."""
     rule = _rule(viewer, target)
     if rule is not None:
@@ -57,7 +57,7 @@ def may_name(symbols: Symbols, viewer: tree.Unit, target: tree.Unit, span: Span)
     return rule is None
 
 
-def _rule(viewer: tree.Unit, target: tree.Unit) -> Message | None:
+def _rule(viewer: tree.Unit, target: tree.Unit) -> FindingKind | None:
     """The rule that forbids `viewer` to name `target`, or None."""
     side = viewer.usage
     if target.kind == "coordinator":
@@ -74,7 +74,7 @@ def _rule(viewer: tree.Unit, target: tree.Unit) -> Message | None:
 
 
 def _device_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: Place) -> Type:
-    """A device type stands only at a plain field of a resource, and where its own classes are given it."""
+    """A device type is allowed only for a plain field of a resource and in resource specific classes."""
     if viewer.usage == "coordinator":
         symbols.report(
             messages.COORDINATOR_NAMES_DEVICE, written.span, viewer=describe(viewer), name=written.name
@@ -90,18 +90,18 @@ def _device_type(symbols: Symbols, viewer: tree.Unit, written: TypeName, place: 
 def _may_pass(symbols: Symbols, viewer: tree.Unit, kind: Type, span: Span) -> bool:
     """Whether values of the type may pass through a portal, copied as deep as they go."""
     element = innermost(kind)
-    unit = symbols.named(element)
+    unit = symbols.unit_of(element)
     if unit is None:
         return True
     if unit.capability:
-        return may_name(symbols, viewer, unit, span)
+        return check_visibility(symbols, viewer, unit, span)
     if unit.kind == "resource" or (unit.kind == "class" and unit.usage == "coordinator"):
         symbols.report(messages.PORTAL_PROXY, span, type=kind)
         return False
     if unit.kind == "class" and unit.usage == "resource":
         symbols.report(messages.PORTAL_RESOURCE_CLASS, span, type=kind)
         return False
-    return may_name(symbols, viewer, unit, span)
+    return check_visibility(symbols, viewer, unit, span)
 
 
 def check_portal_contents(symbols: Symbols, kind: Type, span: Span) -> None:
@@ -119,7 +119,7 @@ def check_portal_contents(symbols: Symbols, kind: Type, span: Span) -> None:
             )
             symbols.report(messages.PORTAL_EXCEPTION, span, type=kind, why=why)
             return
-        unit = symbols.named(element)
+        unit = symbols.unit_of(element)
         if unit is not None and unit.name not in seen:
             seen.add(unit.name)
             waiting.extend((field.type, f"{path}.{field.name}") for field in unit.fields)

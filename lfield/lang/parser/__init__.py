@@ -1,5 +1,5 @@
-"""Text to raw syntax tree: a recursive descent parser that goes on after mistakes."""
+"""Text to raw syntax tree: a recursive descent parser with error recovery."""
 
-from lfield.lang.parser.file import parse
+from lfield.lang.parser.file_parser import parse_file
 
-__all__ = ["parse"]
+__all__ = ["parse_file"]

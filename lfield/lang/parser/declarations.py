@@ -4,16 +4,25 @@ from __future__ import annotations
 
 from lfield.lang import messages
 from lfield.lang.parser.expressions import expression
+from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS, FOREIGN_STATEMENTS, METHOD_ENDS, METHOD_WORDS
 from lfield.lang.parser.statements import block
-from lfield.lang.parser.stream import UNIT_KEYWORDS, TokenStream, UnclosedBrace
-from lfield.lang.parser.types import misplaced_brackets, result_type, type_name
-from lfield.lang.scanner import Token
-from lfield.lang.syntax import BAD_TYPE, Field, Method, Parameter, TypeName, Unit
+from lfield.lang.parser.token_stream import (
+    PRIMITIVES,
+    UNIT_KEYWORDS,
+    SyntaxRecovery,
+    TokenStream,
+    UnclosedBrace,
+)
+from lfield.lang.parser.type_names import misplaced_brackets, parameter_modifier, result_type, type_name
+from lfield.lang.scanner import Token, TokenKind
+from lfield.lang.syntax import BAD_TYPE, Field, Method, ParameterDecl, TypeName, Unit
 from lfield.lang.tree import MethodKind, UnitKind, Usage
-from lfield.text.source import Span
-from lfield.text.suggest import FOREIGN_MODIFIERS, closest
+from lfield.text.source_text import Span
+from lfield.text.suggestions import closest
 
 _USAGES: dict[str, Usage] = {"resource": "resource", "coordinator": "coordinator"}
+_AFTER_TYPE = ("[", "<", "::", "*", "&", "?")
+_NESTED_UNITS = ("struct", "enum", "interface", "template", "typedef", "import", "from", "using", "namespace")
 _MODIFIERS = ("public", "private", "synchronized")
 
 
@@ -22,25 +31,37 @@ def unit(s: TokenStream, kind: UnitKind) -> Unit:
     name = s.expect_name(f"the name of the {kind}")
     usage: Usage = _usage(s, kind) if kind == "class" else _USAGES[kind]
     made = Unit(kind, usage, name.text, name.span)
-    if s.at_name() and s.at("extends", "implements"):
-        word = s.current.text
-        instead = "there is no inheritance; keep an object of the other class in a field"
-        s.report(messages.FOREIGN_WORD, s.current.span, word=word, instead=instead)
-        while not s.at_end() and not s.at("{", "}", ";"):
-            s.advance()
+    if s.at("(", ":", "<") or (s.at_name() and s.at("extends", "implements")):
+        _inheritance(s, kind, name.text)
     s.expect("{")
     members(s, made, name.span)
     return made
 
 
+def _inheritance(s: TokenStream, kind: UnitKind, name: str) -> None:
+    """Report `extends B`, `(B)`, `: public B` or `<T>` behind the name of a unit; skip it."""
+    sign = s.current
+    word = sign.text if sign.kind is TokenKind.NAME else f"{kind} {name}{sign.text}"
+    instead = "L has no inheritance: put an object of the other class into a field"
+    if s.at("<"):
+        instead = "there are no generic types: write a class for each element type"
+    elif s.at(":") and (s.ahead(1).span.line > sign.span.line or s.ahead(1).kind is TokenKind.END):
+        instead = f"the members of a unit are in braces: {kind} {name} {{ ... }}"
+    s.report(messages.FOREIGN_KEYWORD, sign.span, word=word, instead=instead)
+    while not s.at_end() and not s.at("{", "}", ";", *UNIT_KEYWORDS):
+        s.advance()
+    if not s.at("{"):
+        raise SyntaxRecovery
+
+
 def members(s: TokenStream, made: Unit, opening: Span) -> None:
-    """The members of a unit up to its `}`, added to it; `opening` is told when that is missing."""
+    """The members of a unit up to its `}`, added to it; `opening` is reported when that is missing."""
     while not s.accept("}"):
         if s.at_end() or (s.at(*UNIT_KEYWORDS) and s.first_on_line()):
             s.report(messages.UNCLOSED_BRACE, s.suspect or opening)
             made.broken = True
             return
-        s.suspect = None
+        s.set_suspect(None)
 
         def parse() -> None:
             _member(s, made)
@@ -82,7 +103,7 @@ class _Modifiers:
 
     @property
     def missing(self) -> bool:
-        """Whether public or private is missing, and no word of another language stands in its place."""
+        """Whether public or private is missing and no word of another language is used."""
         return self.access is None and not self.foreign
 
     @property
@@ -93,15 +114,20 @@ class _Modifiers:
 def _modifiers(s: TokenStream) -> _Modifiers:
     found = _Modifiers()
     while not found.portal:
-        # Behind public or private the word may be any type: `private Report observe()` is no portal.
+        # After public or private the word may be any type: `private Report observe()` is no portal.
         word = (_respelt(s) if found.access is None else None) or s.current.text
-        if word in _MODIFIERS:
+        if s.at("public", "private", "protected") and s.ahead(1).text == ":":
+            instead = f"write {word} before each method, and before each field of a class"
+            s.report(messages.FOREIGN_KEYWORD, s.advance().span, word=f"{word}:", instead=instead)
+            s.advance()
+            found.foreign = True
+        elif word in _MODIFIERS:
             found.given[word] = s.advance()
         elif word == "portal":
             s.advance()
             found.portal = True
         elif s.at_name() and s.at(*FOREIGN_MODIFIERS) and s.ahead(1).text not in ("(", "=", ";"):
-            s.report(messages.FOREIGN_WORD, s.advance().span, word=word, instead=FOREIGN_MODIFIERS[word])
+            s.report(messages.FOREIGN_KEYWORD, s.advance().span, word=word, instead=FOREIGN_MODIFIERS[word])
             found.foreign = True
         else:
             break
@@ -109,7 +135,7 @@ def _modifiers(s: TokenStream) -> _Modifiers:
 
 
 def _respelt(s: TokenStream) -> str | None:
-    """The word that `pubic` in `pubic int x;` was meant to be, reported; None where no member follows it."""
+    """Report `pubic` in `pubic int x;` and return the keyword meant; None where no member follows."""
     following = s.ahead(2).text
     if not (
         s.at_name() and s.ahead(1).text.isidentifier() and (following.isidentifier() or following == "(")
@@ -130,11 +156,12 @@ def _member(s: TokenStream, made: Unit) -> None:
         return _portal(s, made, modifiers)
     if s.at("init"):
         return _init(s, made, modifiers)
+    _foreign_member(s)
     if s.at_name() and s.ahead(1).text == "(":
         return _without_result(s, made, modifiers)
     if not (s.at_name() or s.at("boolean", "int", "real", "string", "void")):
         raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
-    if s.at_name() and not (s.ahead(1).text.isidentifier() or s.ahead(1).text == "["):
+    if s.at_name() and not (s.ahead(1).text.isidentifier() or s.ahead(1).text in _AFTER_TYPE):
         raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
     declared = result_type(s)
     name = s.expect_name("a name")
@@ -146,6 +173,24 @@ def _member(s: TokenStream, made: Unit) -> None:
         _body(s, made, method)
     else:
         _field(s, made, modifiers, declared, name)
+
+
+def _foreign_member(s: TokenStream) -> None:
+    """Fail at a member in the syntax of another language."""
+    word, following = s.current.text, s.ahead(1)
+    if s.at("~"):
+        raise s.fail(
+            messages.EXPECTED_MEMBER, hint="objects are freed by themselves; leave it out", found=s.current
+        )
+    if not s.at_name():
+        return
+    if following.text == ":" and s.ahead(2).text.isidentifier():
+        hint = f"the type comes first: {s.ahead(2).text} {word};"
+        raise s.fail(messages.EXPECTED_MEMBER, hint=hint, found=s.current)
+    is_method = word in METHOD_WORDS and following.kind is TokenKind.NAME and s.ahead(2).text == "("
+    if is_method or (word in _NESTED_UNITS and (following.kind is TokenKind.NAME or following.text == "<")):
+        instead = FOREIGN_STATEMENTS.get(word, "write class Name { ... } at the top level")
+        raise s.fail(messages.FOREIGN_KEYWORD, word=word, instead=instead)
 
 
 def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName, name: Token) -> None:
@@ -176,12 +221,52 @@ def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
         place = ", or write portal synchronized" if word == "synchronized" else ": every portal is public"
         _unwanted(s, token, "a portal", place)
     synchronized = s.accept("synchronized")
+    result = _misplaced_result(s)
     name = s.expect_name("the name of the portal")
-    method = _method(s, "portal", name, modifiers, None)
+    method = _method(s, "portal", name, modifiers, result)
     method.synchronized = synchronized
     if s.accept("emit"):
         method.result = type_name(s, "an emit")
     _body(s, made, method)
+
+
+def _misplaced_result(s: TokenStream) -> TypeName | None:
+    """Report the type before the name of a portal, as in `portal real p()`; the type, or None without one."""
+    first = s.current
+    is_type = s.at_name() and (s.ahead(1).kind is TokenKind.NAME or s.ahead(1).text in _AFTER_TYPE)
+    if not is_type and not s.at("emit", "void", *PRIMITIVES):
+        return None
+    if s.accept("emit") and s.at_name() and s.ahead(1).text == "(":
+        written, result = "...", None
+    else:
+        result = result_type(s)
+        written = str(result)
+    name = s.current.text if s.at_name() else "name"
+    hint = f"the type follows the parameters: portal {name}(...) emit {written}"
+    if written == "void":
+        hint, result = f"a portal without emit returns nothing: portal {name}(...)", None
+    span = first.span.to(s.previous.span)
+    s.report(messages.EXPECTED_NAME, span, hint=hint, what="the name of the portal", found=first)
+    return result
+
+
+def _foreign_ending(s: TokenStream, method: Method) -> None:
+    """`-> real`, `: real`, `throws X`, `const` behind the parameters: reported, and skipped."""
+    word = s.current
+    if s.at("->", ":") or (s.at_name() and s.at("returns")):
+        s.advance()
+        result = result_type(s) if s.at_name() or s.at("void", *PRIMITIVES) else None
+        hint = f"the type precedes the name: private {result or 'int'} {method.name}(...)"
+        if method.kind == "portal":
+            hint = f"write portal {method.name}(...) emit {result or 'int'}"
+            method.result = result if result is not None and result.name != "void" else None
+        s.report(messages.EXPECTED_SYMBOL, word.span, hint=hint, what="'{'", found=word)
+        return
+    while s.at_name() and s.at(*METHOD_ENDS):
+        word = s.advance()
+        s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=METHOD_ENDS[word.text])
+        while not (s.at_end() or s.at("{", "}", ";", *METHOD_ENDS)):
+            s.advance()
 
 
 def _init(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
@@ -196,6 +281,8 @@ def _without_result(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
     if made.kind != "class" or name.text != made.name:
         close = closest(name.text, ("init",)) if made.kind != "class" else None
         hint = f"did you mean '{close}'?" if close else None
+        if made.kind != "class" and name.text in (made.name, "__init__"):
+            hint = f"a {made.kind} starts in init: init(string[] arg) {{ ... }}"
         s.report(messages.CONSTRUCTOR_NAME, name.span, hint=hint, name=name.text)
         method = _method(s, "method", name, modifiers, TypeName(name.span, BAD_TYPE))
         _body(s, made, method)
@@ -203,7 +290,7 @@ def _without_result(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
     if modifiers.missing:
         s.report(messages.MISSING_MODIFIER, name.span, what="a constructor", text=f"{name.text}(...)")
     if modifiers.synchronized:
-        _unwanted(s, modifiers.given["synchronized"], "a constructor", ": nobody else has the object yet")
+        _unwanted(s, modifiers.given["synchronized"], "a constructor", ": no other thread has the object yet")
     _body(s, made, _method(s, "constructor", name, modifiers, None))
 
 
@@ -220,9 +307,9 @@ def _method(
     return Method(kind, name.text, given, result, public, modifiers.synchronized, name.span)
 
 
-def _parameters(s: TokenStream) -> list[Parameter]:
+def _parameters(s: TokenStream) -> list[ParameterDecl]:
     opening = s.expect("(")
-    found: list[Parameter] = []
+    found: list[ParameterDecl] = []
     if not s.at(")"):
         found.append(_parameter(s))
         while s.accept(","):
@@ -231,18 +318,29 @@ def _parameters(s: TokenStream) -> list[Parameter]:
     return found
 
 
-def _parameter(s: TokenStream) -> Parameter:
+def _parameter(s: TokenStream) -> ParameterDecl:
+    parameter_modifier(s)
+    if s.at_name() and s.ahead(1).text == ":":
+        order = f"the type comes first: {s.ahead(2).text} {s.current.text}"
+        raise s.fail(messages.EXPECTED_NAME, hint=order, what="a type", found=s.current)
     declared = type_name(s, "a parameter")
-    name = s.expect_name("the name of a parameter")
+    hint = "write the type and the name: int x" if s.at(")", ",") else None
+    name = s.expect_name("the name of a parameter", hint)
     misplaced_brackets(s, declared, name.text)
-    return Parameter(declared, name.text, name.span)
+    if s.at("="):
+        instead = "parameters have no default values: write a second method with fewer parameters"
+        s.report(messages.FOREIGN_OPERATOR, s.current.span, operator="= ...", instead=instead)
+        s.advance()
+        expression(s)
+    return ParameterDecl(declared, name.text, name.span)
 
 
 def _body(s: TokenStream, made: Unit, method: Method) -> None:
-    """The body of a method, which is then added to the unit, whatever its body is like."""
+    """Parse the body of a method and add the method to the unit, even if the body is wrong."""
     made.methods.append(method)
-    before, s.broken = s.broken, False
+    before = s.reset_broken()
     try:
+        _foreign_ending(s, method)
         if s.at(";"):
             s.report(messages.NEEDS_BODY, method.span, what=f"{method.kind} {method.name}".strip())
             s.advance()
@@ -250,4 +348,5 @@ def _body(s: TokenStream, made: Unit, method: Method) -> None:
             method.body = block(s)
     finally:
         method.end = s.previous.span
-        method.broken, s.broken = s.broken, s.broken or before
+        method.broken = s.broken
+        s.restore_broken(before)

@@ -5,9 +5,20 @@ from __future__ import annotations
 import math
 
 from lfield.lang import messages
-from lfield.lang.parser.stream import PRIMITIVES, TokenStream
-from lfield.lang.parser.types import brackets, element_name
-from lfield.lang.scanner import FOREIGN_OPERATORS, Kind, Token
+from lfield.lang.parser.foreign_syntax import (
+    at_cast,
+    at_word_operator,
+    at_word_prefix,
+    cast,
+    std_member,
+    touches,
+    word_operator,
+    word_prefix,
+)
+from lfield.lang.parser.foreign_words import FOREIGN_SYMBOLS, WORD_OPERATORS
+from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
+from lfield.lang.parser.type_names import brackets, element_name
+from lfield.lang.scanner import FOREIGN_OPERATORS, Token, TokenKind
 from lfield.lang.syntax import (
     Assign,
     Bad,
@@ -25,7 +36,7 @@ from lfield.lang.syntax import (
     TypeName,
     Unary,
 )
-from lfield.text.source import Span
+from lfield.text.source_text import Span
 
 #: Binary operators from the weakest to the strongest; all of them group to the left.
 PRECEDENCE = {
@@ -61,7 +72,7 @@ ASSIGNMENTS = ("=", "+=", "-=", "*=", "/=", "%=")
 
 
 def expression(s: TokenStream) -> Expr:
-    """Any expression, assignments included; the checker says where those may stand."""
+    """Any expression, assignments included; the checker decides where those are allowed."""
     with s.nested():
         left = _binary(s, 1)
         if s.at(*ASSIGNMENTS):
@@ -69,8 +80,13 @@ def expression(s: TokenStream) -> Expr:
             value = expression(s)
             height = 1 + max(left.height, value.height)
             return s.bounded(Assign(left.span.to(value.span), height, sign.text, sign.span, left, value))
-        if s.at("?"):
+        if s.at("?") or (s.at("if") and not s.first_on_line()):
             return _ternary(s, left)
+        if s.at("::"):
+            raise std_member(s)
+        if s.at(":") and s.ahead(1).text == "=" and touches(s, 1):
+            s.report(messages.FOREIGN_OPERATOR, s.current.span, operator=":=", instead="write =")
+            raise SyntaxRecovery
         if s.at(*FOREIGN_OPERATORS):
             return _foreign(s, left)
         return left
@@ -83,12 +99,19 @@ def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
     with s.nested():
         while not s.at("}") and (not found or s.accept(",")):
             found.append(expression(s))
+            if s.at(":"):
+                instead = "L has no maps: store keys and values in two arrays"
+                s.report(messages.FOREIGN_OPERATOR, s.current.span, operator=":", instead=instead)
+                while not (s.at_end() or s.at("}", ";")):
+                    s.advance()
+                s.accept("}")
+                raise SyntaxRecovery
     s.close("}", opening)
     height = 1 + max((one.height for one in found), default=0)
     return s.bounded(Elements(start.to(s.previous.span), height, made, found))
 
 
-def parenthesised(s: TokenStream, hint: str = "a condition stands in parentheses") -> Expr:
+def parenthesised(s: TokenStream, hint: str = "a condition is in parentheses") -> Expr:
     """`(condition)`. A mistake inside is skipped, so that the statement after it is still read."""
     opening = s.current
     found: list[Expr] = []
@@ -119,7 +142,10 @@ def arguments(s: TokenStream) -> list[Expr]:
 def _binary(s: TokenStream, weakest: int) -> Expr:
     """Operators of at least this precedence."""
     left = _unary(s)
-    while (strength := PRECEDENCE.get(s.current.text, 0)) >= weakest:
+    while (strength := _strength(s)) >= weakest:
+        if at_word_operator(s):
+            left = _word_binary(s, left, strength)
+            continue
         sign = s.advance()
         with s.nested():
             right = _binary(s, strength + 1)
@@ -129,8 +155,27 @@ def _binary(s: TokenStream, weakest: int) -> Expr:
     return left
 
 
+def _strength(s: TokenStream) -> int:
+    """The precedence of the operator here; 0 where none is."""
+    if (strength := PRECEDENCE.get(s.current.text, 0)) or not s.at_name() or not at_word_operator(s):
+        return strength
+    return PRECEDENCE.get(WORD_OPERATORS[s.current.text][0], PRECEDENCE["=="])
+
+
+def _word_binary(s: TokenStream, left: Expr, strength: int) -> Expr:
+    """`a and b`: reported, and read as `a && b`."""
+    place, operator = word_operator(s)
+    with s.nested():
+        right = _binary(s, strength + 1)
+    height = max(left.height, 1 + right.height)
+    span = left.span.to(right.span)
+    if not operator:
+        return s.bounded(Bad(span, height))
+    return s.bounded(Binary(span, height, operator, place, left, right))
+
+
 def _unary(s: TokenStream) -> Expr:
-    if s.at("-") and s.ahead(1).kind in (Kind.INT, Kind.REAL):
+    if s.at("-") and s.ahead(1).kind in (TokenKind.INT, TokenKind.REAL):
         sign = s.advance()
         return _number(s.advance(), s, sign)
     if s.at("-", "!"):
@@ -140,6 +185,14 @@ def _unary(s: TokenStream) -> Expr:
         return s.bounded(Unary(sign.span.to(operand.span), operand.height + 1, sign.text, operand))
     if s.at("++", "--", "~"):
         return _foreign(s, Bad(s.current.span, 1))
+    if at_word_prefix(s):
+        word = word_prefix(s)
+        with s.nested():
+            operand = _unary(s)
+        is_not = word.text == "not"
+        return s.bounded(Unary(operand.span, operand.height + 1, "!", operand)) if is_not else operand
+    if s.at_name() and at_cast(s):
+        raise cast(s)
     return _postfix(s)
 
 
@@ -156,6 +209,9 @@ def _postfix(s: TokenStream) -> Expr:
         elif s.at("["):
             opening = s.advance()
             index = expression(s)
+            if s.at(":"):
+                instead = "copy the elements in a loop; for text write s.substring(from, to)"
+                raise s.fail(messages.FOREIGN_OPERATOR, operator=":", instead=instead)
             s.close("]", opening)
             height = max(found.height, 1 + index.height)
             found = Index(found.span.to(s.previous.span), height, found, index)
@@ -177,11 +233,11 @@ def _call(s: TokenStream, function: Expr) -> Expr:
 def _primary(s: TokenStream) -> Expr:
     token = s.current
     match token.kind, token.text:
-        case ((Kind.INT | Kind.REAL), _):
+        case ((TokenKind.INT | TokenKind.REAL), _):
             return _number(s.advance(), s, None)
-        case Kind.STRING, _:
+        case TokenKind.STRING, _:
             return Literal_(s.advance().span, 1, token.value)
-        case Kind.NAME, _:
+        case TokenKind.NAME, _:
             return Name(s.advance().span, 1, token.text)
         case _, "true" | "false":
             return Literal_(s.advance().span, 1, token.text == "true")
@@ -199,7 +255,7 @@ def _primary(s: TokenStream) -> Expr:
             raise s.fail(messages.INIT_CALLED)
     if s.at(*PRIMITIVES, "void"):
         raise s.fail(messages.CAST)
-    raise s.fail(messages.EXPECTED_EXPRESSION, found=token)
+    raise s.fail(messages.EXPECTED_EXPRESSION, hint=FOREIGN_SYMBOLS.get(token.text), found=token)
 
 
 def _group(s: TokenStream) -> Expr:
@@ -261,10 +317,10 @@ def _new_array(s: TokenStream, start: Span, made: TypeName) -> Expr:
 
 
 def _ternary(s: TokenStream, condition: Expr) -> Expr:
-    """`a ? b : c`: reported, and skipped as a whole."""
+    """`a ? b : c`, or `b if a else c`: reported, and skipped as a whole."""
     s.report(messages.NO_TERNARY, s.advance().span)
     expression(s)
-    if s.accept(":"):
+    if s.accept(":") or s.accept("else"):
         expression(s)
     return Bad(condition.span.to(s.previous.span), condition.height)
 
@@ -276,6 +332,9 @@ def _foreign(s: TokenStream, left: Expr) -> Expr:
     instead = INSTEAD.get(sign.text, "L has no bit operators")
     if sign.text in ("++", "--"):
         instead = f"write {target} {sign.text[0]}= 1;"
+    if sign.text == "<<" and target in ("cout", "cerr"):
+        s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead="write print(text)")
+        raise SyntaxRecovery
     s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead=instead)
     if sign.text not in ("++", "--") or isinstance(left, Bad):
         expression(s)

@@ -1,6 +1,6 @@
 """Statements (appendix A; `for`, `break`, `continue`, `together`, `within`, `reserve` and `finally` added).
 
-The last four are words only where their block follows; everywhere else they are names like any other.
+The last four are keywords only where their block follows; elsewhere they are ordinary names.
 """
 
 from __future__ import annotations
@@ -9,12 +9,24 @@ from collections.abc import Callable
 
 from lfield.lang import messages
 from lfield.lang.parser.expressions import expression, parenthesised
-from lfield.lang.parser.stream import MEMBER_KEYWORDS, TokenStream, UnclosedBrace
-from lfield.lang.parser.types import at_declaration, misplaced_brackets, type_name
-from lfield.lang.scanner import Kind, Token
+from lfield.lang.parser.foreign_syntax import (
+    at_except,
+    at_foreign_each,
+    at_foreign_statement,
+    block_ahead,
+    foreign_each,
+    foreign_statement,
+    local_method,
+    semicolon_hint,
+    skip_except,
+)
+from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, FOREIGN_SYMBOLS
+from lfield.lang.parser.token_stream import MEMBER_KEYWORDS, TokenStream, UnclosedBrace
+from lfield.lang.parser.type_names import at_declaration, misplaced_brackets, parameter_modifier, type_name
+from lfield.lang.scanner import Token, TokenKind
 from lfield.lang.syntax import (
     BadStmt,
-    Block,
+    BlockStmt,
     Break,
     Catch,
     Continue,
@@ -33,9 +45,10 @@ from lfield.lang.syntax import (
     While,
     Within,
 )
-from lfield.text.source import Span
-from lfield.text.suggest import FOREIGN_STATEMENTS, closest
+from lfield.text.source_text import Span
+from lfield.text.suggestions import closest
 
+_CATCH = "write catch (Exception e) { ... }"
 _EACH = "write for (T x : array) { ... }"
 #: Words before `{` or `(...) {` that a typing mistake may hide.
 _HEADS = ("if", "else", "while", "for", "try", "catch", "together", "within", "reserve", "finally")
@@ -85,13 +98,13 @@ def _note_indentation(s: TokenStream, opening: Token) -> None:
     if s.suspect is None and s.first_on_line() and s.current.span.line > opening.span.line:
         line = opening.span.source.line_text(opening.span.line)
         if len(line) - len(line.lstrip()) != s.current.span.column - 1:
-            s.suspect = opening.span
+            s.set_suspect(opening.span)
 
 
 def _block(s: TokenStream) -> Stmt:
     start = s.current.span
     body = block(s)
-    return Block(start.to(s.previous.span), body)
+    return BlockStmt(start.to(s.previous.span), body)
 
 
 def _empty(s: TokenStream) -> Stmt:
@@ -116,8 +129,8 @@ def _if(s: TokenStream) -> Stmt:
 def _at_further(s: TokenStream) -> bool:
     """Whether an `else if` follows; the stream is then at its `if`. That of another language is reported."""
     word = s.current.text
-    if s.at_name() and word in ("elif", "elsif"):
-        s.report(messages.FOREIGN_WORD, s.current.span, word=word, instead=FOREIGN_STATEMENTS[word])
+    if s.at_name() and word in ("elif", "elsif", "elseif", "elseIf"):
+        s.report(messages.FOREIGN_KEYWORD, s.current.span, word=word, instead=FOREIGN_STATEMENTS[word])
         return True
     if s.at("else") and s.ahead(1).text == "if":
         s.advance()
@@ -142,13 +155,16 @@ def _while(s: TokenStream) -> Stmt:
 def _for(s: TokenStream) -> Stmt:
     """Both forms of `for`; a mistake in the head is skipped with the head."""
     where = s.advance().span
+    if at_foreign_each(s):
+        foreign_each(s)
+        return BlockStmt(where, [BadStmt(where), statement(s)])
     loop: For | Each = For(where, None, None, None, Empty(where))
 
     def head() -> None:
         nonlocal loop
         opening = s.expect("(")
         start = _for_start(s)
-        loop = _each(s, where, start) if s.at(":", "in", "of") else _rounds(s, where, start)
+        loop = _each(s, where, start) if s.at(":", "in", "of") else _counting_for(s, where, start)
         s.close(")", opening)
 
     def skip() -> None:
@@ -161,7 +177,7 @@ def _for(s: TokenStream) -> Stmt:
     return loop if well else BadStmt(where)
 
 
-def _rounds(s: TokenStream, where: Span, start: Stmt | None) -> For:
+def _counting_for(s: TokenStream, where: Span, start: Stmt | None) -> For:
     """`start; condition; step`, behind the start."""
     s.expect(";")
     condition = None if s.at(";") else expression(s)
@@ -172,7 +188,7 @@ def _rounds(s: TokenStream, where: Span, start: Stmt | None) -> For:
 def _each(s: TokenStream, where: Span, start: Stmt | None) -> Each:
     """`T name : array`, behind the name."""
     if not s.at(":"):
-        raise s.fail(messages.FOREIGN_WORD, word=s.current.text, instead=_EACH)
+        raise s.fail(messages.FOREIGN_KEYWORD, word=s.current.text, instead=_EACH)
     if not isinstance(start, Declare) or start.value is not None:
         raise s.fail(messages.EXPECTED_SYMBOL, hint=_EACH, what="';'", found=s.current)
     s.advance()
@@ -217,6 +233,11 @@ def _throw(s: TokenStream) -> Stmt:
 def _try(s: TokenStream) -> Stmt:
     span = s.advance().span
     body = statement(s)
+    if at_except(s):
+        while at_except(s):
+            skip_except(s)
+            statement(s)
+        return BlockStmt(span, [BadStmt(span), body])
     if not s.at("catch") and not isinstance(body, BadStmt) and not _at_finally(s):
         s.report(messages.TRY_WITHOUT_CATCH, span)
     catches: list[Catch] = []
@@ -233,9 +254,16 @@ def _catch_clause(s: TokenStream) -> list[Catch]:
     found: list[Catch] = []
 
     def head() -> None:
-        s.expect("(")
+        if not s.at("("):
+            raise s.fail(messages.EXPECTED_SYMBOL, hint=_CATCH, what="'('", found=s.current)
+        s.advance()
+        if s.at("."):
+            raise s.fail(messages.EXPECTED_NAME, hint=_CATCH, what="a type", found=s.current)
+        parameter_modifier(s)
         caught = type_name(s, "a catch")
-        name = s.expect_name("a name for the exception")
+        if s.at("as") and s.ahead(1).kind is s.current.kind:
+            raise s.fail(messages.EXPECTED_SYMBOL, hint=_CATCH, what="')'", found=s.current)
+        name = s.expect_name("a name for the exception", _CATCH)
         found.append(Catch(caught, name.text, name.span, Empty(opening.span)))
         s.close(")", opening)
 
@@ -253,13 +281,13 @@ def _together(s: TokenStream) -> Stmt:
 
 def _within(s: TokenStream) -> Stmt:
     word = s.advance()
-    seconds = parenthesised(s, "its seconds stand in parentheses: within (30) { ... }")
+    seconds = parenthesised(s, "write the seconds in parentheses: within (30) { ... }")
     return Within(word.span, seconds, _braced(s, word))
 
 
 def _reserve(s: TokenStream) -> Stmt:
     word = s.advance()
-    who = parenthesised(s, "what it keeps stands in parentheses: reserve (arm) { ... }")
+    who = parenthesised(s, "write the resource in parentheses: reserve (arm) { ... }")
     return Reserve(word.span, who, _braced(s, word))
 
 
@@ -268,84 +296,51 @@ def _finally(s: TokenStream) -> Stmt:
 
 
 def _at_finally(s: TokenStream) -> bool:
-    return s.at("finally") and _is_word(s)
+    return s.at("finally") and _is_soft_keyword(s)
 
 
-def _braced(s: TokenStream, word: Token) -> Stmt:
+def _braced(s: TokenStream, keyword: Token) -> Stmt:
     """The block behind a word; a statement without braces is reported."""
-    if s.at("("):
-        raise s.fail(messages.EXPECTED_SYMBOL, what="'{'", found=s.current)
+    if s.at("(", ":"):
+        hint = FOREIGN_SYMBOLS.get(s.current.text)
+        raise s.fail(messages.EXPECTED_SYMBOL, hint=hint, what="'{'", found=s.current)
     if not s.at("{"):
-        s.report(messages.NEEDS_BODY, word.span, what=word.text)
+        s.report(messages.NEEDS_BODY, keyword.span, what=keyword.text)
     return statement(s)
 
 
-def _is_word(s: TokenStream) -> bool:
+def _is_soft_keyword(s: TokenStream) -> bool:
     """Whether the word here begins its block, or what no name can begin."""
     following = s.ahead(1)
-    if following.kind is Kind.NAME:
+    if following.kind is TokenKind.NAME:
         return s.ahead(2).text in ("(", ".")
-    return following.kind is Kind.KEYWORD or _block_ahead(s) > 0 or s.lacks_parenthesis()
+    if following.text == ":":
+        return True
+    return following.kind is TokenKind.KEYWORD or block_ahead(s) > 0 or s.lacks_parenthesis()
 
 
 def _simple(s: TokenStream) -> Stmt:
     """A declaration or an expression with its `;`."""
     if s.at_name():
         word = s.current.text
-        if word in _WORDS and _is_word(s):
-            return _WORDS[word](s)
-        if word in FOREIGN_STATEMENTS and _is_foreign(s):
-            return _foreign(s, word)
-        if _block_ahead(s) and (close := closest(word, _HEADS)):
+        if word in _SOFT_KEYWORDS and _is_soft_keyword(s):
+            return _SOFT_KEYWORDS[word](s)
+        if word in FOREIGN_STATEMENTS and at_foreign_statement(s):
+            return foreign_statement(s, word)
+        if block_ahead(s) and (close := closest(word, _HEADS)):
             return _misspelt(s, word, close)
     found = _declaration(s) if at_declaration(s) else _evaluate(s)
-    s.semicolon()
+    s.semicolon(semicolon_hint(s))
     return found
 
 
-def _is_foreign(s: TokenStream) -> bool:
-    """Whether the word here is used as in its own language, and not as a name of this program."""
-    following = s.ahead(1).text
-    return _block_ahead(s) > 0 if following == "(" else following not in ("=", ".", "[", ";", ",")
-
-
-def _block_ahead(s: TokenStream) -> int:
-    """How far ahead the `{` of `word {` or `word (...) {` is; 0 where neither stands here."""
-    ahead, depth, braces, semicolons = 1, 0, 0, 0
-    while depth > 0 or s.ahead(ahead).text == "(":
-        token = s.ahead(ahead)
-        depth += {"(": 1, ")": -1}.get(token.text, 0)
-        braces += {"{": 1, "}": -1}.get(token.text, 0)
-        semicolons += token.text == ";"
-        # Between braces stand the elements of an array; the head of a `for` has two semicolons.
-        if token.kind is Kind.END or braces < 0 or semicolons > (2 if braces == 0 else 0):
-            return 0
-        ahead += 1
-    return ahead if s.ahead(ahead).text == "{" else 0
-
-
-def _misspelt(s: TokenStream, word: str, close: str) -> Stmt:
+def _misspelt(s: TokenStream, keyword: str, close: str) -> Stmt:
     """`whlie (...) {` or `esle {`: reported; only its block is read."""
     span = s.current.span
-    s.report(messages.MISSPELT_KEYWORD, span, word=word, close=close)
-    for _ in range(_block_ahead(s)):
+    s.report(messages.MISSPELT_KEYWORD, span, word=keyword, close=close)
+    for _ in range(block_ahead(s)):
         s.advance()
-    return Block(span, [BadStmt(span), statement(s)])
-
-
-def _foreign(s: TokenStream, word: str) -> Stmt:
-    """A statement of another language: reported; its block, if it has one, is skipped."""
-    span = s.current.span
-    s.report(messages.FOREIGN_WORD, span, word=word, instead=FOREIGN_STATEMENTS[word])
-    while not s.at_end() and not s.at(";", "{", "}"):
-        s.advance()
-    if s.at("{"):
-        s.skip_braces()
-        if word == "do" and s.at("while"):
-            s.skip_statement()
-    else:
-        s.accept(";")
-    return BadStmt(span)
+    return BlockStmt(span, [BadStmt(span), statement(s)])
 
 
 def _declaration(s: TokenStream) -> Stmt:
@@ -356,6 +351,8 @@ def _declaration(s: TokenStream) -> Stmt:
     value = expression(s) if s.accept("=") else None
     if s.at(",") and s.ahead(1).kind is name.kind:
         raise s.fail(messages.ONE_VARIABLE)
+    if s.at("("):
+        raise local_method(s, declared, name.text)
     return Declare(declared.span.to(s.previous.span), declared, name.text, name.span, value)
 
 
@@ -378,7 +375,7 @@ _STATEMENTS: dict[str, Callable[[TokenStream], Stmt]] = {
     "throw": _throw,
     "try": _try,
 }
-_WORDS: dict[str, Callable[[TokenStream], Stmt]] = {
+_SOFT_KEYWORDS: dict[str, Callable[[TokenStream], Stmt]] = {
     "together": _together,
     "within": _within,
     "reserve": _reserve,

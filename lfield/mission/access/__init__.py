@@ -1,1 +1,1 @@
-"""Who may do what in a mission: its access file, and what the rules of it say."""
+"""Access rules of a mission: the reader of its access file, and decisions by its rules."""

@@ -1,22 +1,22 @@
-"""Reads `mission.access.yaml`: who may do what in a mission, held against its program, team and registry.
+"""Reads the access file `mission.access.yaml` and checks it against program, team and registry.
 
 ```yaml
-people:                            # less than their certificates say, never more
+people:                            # restricts the rights in their certificates
   anna: [observe, stop, operate]
-  others: [observe, stop]          # everybody else of the team's authority
+  others: [observe, stop]          # every other person of the team's authority
 coordinators:
-  survey:                          # this coordinator calls what stands here, and nothing else
-    Copter: [takeoff, fly, where]  # of every Copter these portals,
-    copter3: [where]               # of this one only where(): its own line counts before its type's
-    Lift: all                      # of whoever serves Lift, the portals by which it does
+  survey:                          # this coordinator may call only what is listed
+    Copter: [takeoff, fly, where]  # these portals of every Copter,
+    copter3: [where]               # only where() of this one: the line of an agent takes precedence
+    Lift: all                      # the portals of a resource that serve Lift
   Relay:                           # each coordinator of this type
-    others: all                    # whatever no other line of Relay names
+    others: all                    # everything without another line
     winch: []
-  others: all                      # as it is without a line: all portals of the own deployment
+  others: all                      # the default: all portals of the own deployment
 ```
 
-Names are those of agents, types and capabilities, in that order where one name is several. What there is not
-is an error, all of them at once, each drawn at its place.
+Names are those of agents, types and capabilities, in that order for an ambiguous name. An unknown name is an
+error; all errors are reported at once, each at its position.
 """
 
 from __future__ import annotations
@@ -30,26 +30,26 @@ from lfield.authority.identity import MAX_NAME, Right
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
 from lfield.errors import ProgramError
-from lfield.mission.access.rules import OTHERS, Access, Caller, Kind, Line, Person
-from lfield.text.source import Diagnostic, Diagnostics, Span
-from lfield.text.suggest import did_you_mean, listed
-from lfield.text.yaml_fields import Fields
-from lfield.text.yaml_source import Entry, Listing, Mapping, Node, Scalar, describe, read
-from lfield.vm.agent import Member
+from lfield.mission.access.access_rules import OTHERS, Access, CallerRule, PersonRule, PortalRule, SubjectKind
+from lfield.text.source_text import Diagnostic, Diagnostics, Span
+from lfield.text.suggestions import did_you_mean, listed
+from lfield.text.yaml_fields import YamlFields
+from lfield.text.yaml_source import YamlEntry, YamlList, YamlMapping, YamlNode, YamlScalar, describe, read
+from lfield.vm.agent import TeamMember
 
-#: Everything that could be listed.
+#: The keyword for everything that could be listed.
 ALL = "all"
-#: What a person can be left by a mission. Who may sign it is not the mission's to say.
+#: Rights that a mission can leave to a person. The right to sign missions is in the certificate alone.
 _RIGHTS = tuple(str(right) for right in Right if right is not Right.COMMAND)
 
 
 def read_access(
-    path: Path, team: Sequence[Member], program: Program, registry: Callable[[], Registry]
+    path: Path, team: Sequence[TeamMember], program: Program, registry: Callable[[], Registry]
 ) -> Access:
-    """The rules in a file, of a team that runs a program.
+    """The rules in a file, for a team that runs a program.
 
-    The `registry` is asked for only where a name is neither an agent nor a type. Raises ProgramError with all
-    that is wrong, InputFileError when the file cannot be read.
+    `registry` is called only where a name is neither an agent nor a type. Raises ProgramError with all
+    errors, InputFileError when the file cannot be read.
     """
     found = Diagnostics()
     node = read(str(path), found)
@@ -62,18 +62,22 @@ def read_access(
 
 
 class _Resource(NamedTuple):
-    """What a line is about: its portals, and by resource types what those of a capability are there."""
+    """The subject of a line: its portals, and for a capability its portals by resource type."""
 
-    kind: Kind
+    kind: SubjectKind
     portals: Collection[str]
     serving: dict[str, dict[str, str]]
 
 
 class _Reader:
-    """One pass over an access file; what is wrong goes to `found`."""
+    """One pass over an access file; errors go to `found`."""
 
     def __init__(
-        self, team: Sequence[Member], program: Program, registry: Callable[[], Registry], found: Diagnostics
+        self,
+        team: Sequence[TeamMember],
+        program: Program,
+        registry: Callable[[], Registry],
+        found: Diagnostics,
     ) -> None:
         self._registry, self._found = registry, found
         self._coordinators = {m.id: m.type for m in team if m.kind == "coordinator"}
@@ -84,74 +88,82 @@ class _Reader:
             if method.kind == "portal" and owner in self._portals:
                 self._portals[owner].append(method.name)
 
-    def access(self, file: str, node: Node) -> Access:
+    def access(self, file: str, node: YamlNode) -> Access:
         """The whole file."""
-        top = Fields(node, self._found, "an access file")
-        people = tuple(map(self._person, top.section("people").named()))
+        top = YamlFields(node, self._found, "an access file")
+        people = tuple(map(self._read_person, top.section("people").named()))
         callers = tuple(map(self._caller, top.section("coordinators").named()))
-        top.done()
+        top.report_unread()
         return Access(file, people, callers)
 
-    def _wrong(self, code: str, message: str, span: Span, hint: str) -> None:
+    def _report_error(self, code: str, message: str, span: Span, hint: str) -> None:
         self._found.add(Diagnostic(code, message, span, hint))
 
-    def _is_starred(self, entry: Entry) -> bool:
-        """Whether a name is the star by which other files mean everybody, and a finding if it is."""
+    def _is_starred(self, entry: YamlEntry) -> bool:
+        """Whether a name is '*', which other file formats use for everyone; reported if it is."""
         if entry.key == "*":
-            self._wrong("Y113", "'*' is nobody's name", entry.key_span, f"write {OTHERS}")
+            self._report_error("Y113", "'*' is not a name", entry.key_span, f"write {OTHERS}")
         return entry.key == "*"
 
-    def _listed(self, entry: Entry, what: str) -> tuple[Node, ...] | None:
+    def _list_nodes(self, entry: YamlEntry, what: str) -> tuple[YamlNode, ...] | None:
         """The nodes of a list, None for ALL; () and a finding for anything else."""
         node = entry.value
-        if isinstance(node, Listing):
+        if isinstance(node, YamlList):
             return node.items
-        if _word(node) == ALL:
+        if _text(node) == ALL:
             return None
-        hint = f"write [{_word(node)}]" if _word(node) else "[] is none of them"
-        self._wrong(
-            "Y112", f"'{entry.key}' has {ALL} or a list of {what}, not {describe(node)}", node.span, hint
+        hint = f"write [{_text(node)}]" if _text(node) else "[] means none of them"
+        self._report_error(
+            "Y112", f"'{entry.key}' must be {ALL} or a list of {what}, not {describe(node)}", node.span, hint
         )
         return ()
 
     # --- people ---------------------------------------------------------------------------------------
 
-    def _person(self, entry: Entry) -> Person:
-        """A person, and what is left of their rights."""
+    def _read_person(self, entry: YamlEntry) -> PersonRule:
+        """A person, and the rights that the mission leaves them."""
         name = entry.key
         if not self._is_starred(entry) and not (0 < len(name) <= MAX_NAME and name.isprintable()):
-            said = f"nobody's keys have such a name: it has 1 to {MAX_NAME} characters that can be printed"
-            self._wrong("Y113", said, entry.key_span, "")
-        items = self._listed(entry, "rights")
-        rights = Right if items is None else (Right(word) for item in items if (word := self._right(item)))
-        return Person(entry.key, tuple(rights), entry.key_span.line)
+            message = f"a person's name has 1 to {MAX_NAME} printable characters"
+            self._report_error("Y113", message, entry.key_span, "")
+        items = self._list_nodes(entry, "rights")
+        rights = (
+            Right
+            if items is None
+            else (Right(name_text) for item in items if (name_text := self._right(item)))
+        )
+        return PersonRule(entry.key, tuple(rights), entry.key_span.line)
 
-    def _right(self, node: Node) -> str:
-        word, known = _word(node), f"rights here: {listed(_RIGHTS)}"
-        if word in _RIGHTS:
-            return word
-        if word == Right.COMMAND:
-            said = "a mission cannot say who may sign it: that is in the certificate alone"
-            self._wrong("Y113", said, node.span, known)
+    def _right(self, node: YamlNode) -> str:
+        name_text, known = _text(node), f"rights here: {listed(_RIGHTS)}"
+        if name_text in _RIGHTS:
+            return name_text
+        if name_text == Right.COMMAND:
+            message = "a mission cannot grant the right to sign it: that is in the certificate alone"
+            self._report_error("Y113", message, node.span, known)
         else:
-            said = f"there is no right '{word}'" if word else f"a right is a word, not {describe(node)}"
-            self._wrong("Y113" if word else "Y112", said, node.span, did_you_mean(word, _RIGHTS) or known)
+            message = (
+                f"unknown right '{name_text}'" if name_text else f"a right is a name, not {describe(node)}"
+            )
+            self._report_error(
+                "Y113" if name_text else "Y112", message, node.span, did_you_mean(name_text, _RIGHTS) or known
+            )
         return ""
 
     # --- coordinators ---------------------------------------------------------------------------------
 
-    def _caller(self, entry: Entry) -> Caller:
+    def _caller(self, entry: YamlEntry) -> CallerRule:
         """A coordinator, and what it may call."""
         kind, node, line = self._caller_kind(entry), entry.value, entry.key_span.line
-        if isinstance(node, Mapping):
+        if isinstance(node, YamlMapping):
             lines = [self._line(below) for below in node.entries.values()]
-            return Caller(kind, entry.key, line, tuple(line for line in lines if line is not None))
-        if _word(node) != ALL:
-            said = f"'{entry.key}' has {ALL}, or resources with their portals, not {describe(node)}"
-            self._wrong("Y112", said, node.span, f"as in {entry.key}: {{{self._example}}}")
-        return Caller(kind, entry.key, line)
+            return CallerRule(kind, entry.key, line, tuple(line for line in lines if line is not None))
+        if _text(node) != ALL:
+            message = f"'{entry.key}' must be {ALL}, or resources with their portals, not {describe(node)}"
+            self._report_error("Y112", message, node.span, f"as in {entry.key}: {{{self._example}}}")
+        return CallerRule(kind, entry.key, line)
 
-    def _caller_kind(self, entry: Entry) -> Kind:
+    def _caller_kind(self, entry: YamlEntry) -> SubjectKind:
         if entry.key == OTHERS:
             return OTHERS
         if entry.key in self._coordinators:
@@ -160,35 +172,35 @@ class _Reader:
         if entry.key not in types and not self._is_starred(entry):
             hint = did_you_mean(entry.key, [*self._coordinators, *types])
             hint = hint or f"its coordinators: {listed(self._coordinators)}"
-            said = f"the deployment has no coordinator '{entry.key}', and none of such a type"
-            self._wrong("Y113", said, entry.key_span, hint)
+            message = f"the deployment has no coordinator '{entry.key}', and none of such a type"
+            self._report_error("Y113", message, entry.key_span, hint)
         return "type"
 
     @property
     def _example(self) -> str:
-        """A line that fits this deployment."""
+        """An example line for this deployment."""
         return next((f"{type}: [{portals[0]}]" for type, portals in self._portals.items() if portals), "")
 
     # --- their lines ----------------------------------------------------------------------------------
 
-    def _line(self, entry: Entry) -> Line | None:
-        """A resource, and which portals of it may be called; None, and a finding, when there is none."""
+    def _line(self, entry: YamlEntry) -> PortalRule | None:
+        """A resource, and its portals that may be called; None with a finding when it is unknown."""
         name, line = entry.key, entry.key_span.line
         known = None if self._is_starred(entry) else self._resource(entry)
         if known is None:
             return None
-        items = self._listed(entry, "portals")
+        items = self._list_nodes(entry, "portals")
         portals: Collection[str] = (
             () if items is None else [self._portal(item, name, known) for item in items]
         )
         chosen = None if items is None else tuple(dict.fromkeys(filter(None, portals)))
         if known.kind != "capability":
-            return Line(known.kind, name, line, chosen)
-        serving = {type: _meant(targets, chosen) for type, targets in known.serving.items()}
-        return Line(known.kind, name, line, (), serving)
+            return PortalRule(known.kind, name, line, chosen)
+        serving = {type: _served_portals(targets, chosen) for type, targets in known.serving.items()}
+        return PortalRule(known.kind, name, line, (), serving)
 
-    def _resource(self, entry: Entry) -> _Resource | None:
-        """What a name is."""
+    def _resource(self, entry: YamlEntry) -> _Resource | None:
+        """The meaning of a name."""
         name, resources, types = entry.key, self._resources, self._portals
         if name == OTHERS:
             return _Resource(OTHERS, {portal for portals in types.values() for portal in portals}, {})
@@ -198,14 +210,14 @@ class _Reader:
             return _Resource("type", types[name], {})
         return self._capability(entry)
 
-    def _capability(self, entry: Entry) -> _Resource | None:
-        name, registry = entry.key, self._known
+    def _capability(self, entry: YamlEntry) -> _Resource | None:
+        name, registry = entry.key, self._registry_or_empty
         primitive, providers = registry.primitives.get(name), registry.providers
         if primitive is None:
             hint = did_you_mean(name, [*self._resources, *self._portals, *registry.primitives])
             hint = hint or f"its resources: {listed(self._resources)}"
-            said = f"the deployment has no resource '{name}', and there is no such type or capability"
-            self._wrong("Y113", said, entry.key_span, hint)
+            message = f"the deployment has no resource '{name}', and there is no such type or capability"
+            self._report_error("Y113", message, entry.key_span, hint)
             return None
         serving = {
             type: {portal: way.target for portal, way in providers[type].serves[name].portals.items()}
@@ -213,34 +225,36 @@ class _Reader:
             if type in providers and name in providers[type].serves
         }
         if not serving:
-            said = f"no resource of the deployment serves {name} itself"
-            self._wrong("Y113", said, entry.key_span, "what stands in for it has a line by its own name")
+            message = f"no resource of the deployment serves {name} itself"
+            self._report_error(
+                "Y113", message, entry.key_span, "add a line for the capability that substitutes it"
+            )
         return _Resource("capability", primitive.portals.keys(), serving)
 
     @cached_property
-    def _known(self) -> Registry:
+    def _registry_or_empty(self) -> Registry:
         return self._registry()
 
-    def _portal(self, node: Node, name: str, known: _Resource) -> str:
-        """One portal of a list, '' when it is none."""
-        word = _word(node)
-        if word in known.portals:
-            return word
-        if not word:
-            self._wrong("Y112", f"a portal is a name, not {describe(node)}", node.span, "")
+    def _portal(self, node: YamlNode, name: str, known: _Resource) -> str:
+        """One portal of a list, '' when it is unknown."""
+        name_text = _text(node)
+        if name_text in known.portals:
+            return name_text
+        if not name_text:
+            self._report_error("Y112", f"a portal is a name, not {describe(node)}", node.span, "")
             return ""
-        hint = did_you_mean(word, known.portals) or f"its portals: {listed(sorted(known.portals))}"
+        hint = did_you_mean(name_text, known.portals) or f"its portals: {listed(sorted(known.portals))}"
         whose = "no resource of the deployment has a" if known.kind == OTHERS else f"{name} has no"
-        self._wrong("Y113", f"{whose} portal '{word}'", node.span, hint)
+        self._report_error("Y113", f"{whose} portal '{name_text}'", node.span, hint)
         return ""
 
 
-def _meant(targets: dict[str, str], chosen: tuple[str, ...] | None) -> tuple[str, ...]:
-    """The portals by which a type serves some of a capability (None: all of it)."""
-    wanted = targets if chosen is None else chosen
-    return tuple(dict.fromkeys(targets[portal] for portal in wanted if portal in targets))
+def _served_portals(targets: dict[str, str], chosen: tuple[str, ...] | None) -> tuple[str, ...]:
+    """The portals of a type that serve some portals of a capability (None: all)."""
+    requested = targets if chosen is None else chosen
+    return tuple(dict.fromkeys(targets[portal] for portal in requested if portal in targets))
 
 
-def _word(node: Node) -> str:
-    """A text, '' for anything else."""
-    return node.value if isinstance(node, Scalar) and isinstance(node.value, str) else ""
+def _text(node: YamlNode) -> str:
+    """A text, '' for any other node."""
+    return node.value if isinstance(node, YamlScalar) and isinstance(node.value, str) else ""

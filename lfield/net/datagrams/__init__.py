@@ -1,1 +1,1 @@
-"""Datagrams of orders to stop and to pause: the sockets of a host, beside those that it listens at."""
+"""UDP datagrams with stop and pause orders: the sockets of a host, beside its listening sockets."""

@@ -1,8 +1,9 @@
-"""A filter in the kernel for the datagrams of a socket: what it drops takes no processor time of the host.
+"""Kernel packet filter (classic BPF, `SO_ATTACH_FILTER`, Linux): a dropped datagram costs the host no CPU
+time.
 
-Classic BPF (`SO_ATTACH_FILTER`, Linux). It drops what cannot be an order by its size and first bytes, and all
-of senders that send too much, each for a while. Without it a flood fills the socket's buffer, so that the
-kernel drops a real order with the rest. Kernels without filters receive all; the rations hold there too.
+It drops datagrams that cannot be orders by size and first bytes, and all from senders that exceed the limit,
+for a while. Without it a flood fills the socket buffer and displaces orders. Kernels without filters deliver
+everything; the rate limits still apply.
 """
 
 from __future__ import annotations
@@ -13,33 +14,33 @@ import struct
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from lfield.wire.orders import MAGIC, MAX_DATAGRAM
+from lfield.wire.order_messages import MAGIC, MAX_DATAGRAM
 
-#: The shortest datagram that may be an order, in bytes: a signature and what is around it.
+#: Size of the shortest datagram that may be an order, in bytes: a signature and its envelope.
 SHORTEST = 120
-#: So many senders at most are dropped at a time, each for so many seconds from when it has sent too much.
-MOST, SECONDS = 32, 2.0
+#: Maximum number of senders dropped at a time, and the duration in seconds.
+MAX_FLOODERS, DROP_SECONDS = 32, 2.0
 
 _SO_ATTACH_FILTER = 26
-#: Opcodes: load a word, a half word or a byte at a place, or the size; and; jump if equal, greater or equal,
-#: or greater; return.
+#: Opcodes: load a word, half word or byte at an offset, or the size; and; jump if equal, greater or equal, or
+#: greater; return.
 _LD, _LDH, _LDB, _LEN, _AND, _JEQ, _JGE, _JGT, _RET = 0x20, 0x28, 0x30, 0x80, 0x54, 0x15, 0x35, 0x25, 0x06
-#: Where the IP header begins for a load, and the size of the UDP header, in bytes.
+#: Offset of the IP header for loads, and the size of the UDP header, in bytes.
 _NET, _UDP = 0xFFF00000, 8
 _ALL, _NONE = 0xFFFFFFFF, 0
 #: The port of a `Flooder` that stands for all ports of its address.
-EVERY_PORT = 0
+ANY_PORT = 0
 
 
 class Flooder(NamedTuple):
-    """A sender that sends too much: its address as packed bytes (4 or 16), and its port or EVERY_PORT."""
+    """A sender that exceeds the limit: packed address (4 or 16 bytes), and port or EVERY_PORT."""
 
     address: bytes
     port: int
 
 
-def flooder(host: str, port: int) -> Flooder:
-    """A sender by its address as sockets have it. Raises OSError."""
+def flooder_at(host: str, port: int) -> Flooder:
+    """A sender by its socket address. Raises OSError."""
     host = host.partition("%")[0]
     if ":" not in host:
         return Flooder(socket.inet_pton(socket.AF_INET, host), port)
@@ -49,7 +50,7 @@ def flooder(host: str, port: int) -> Flooder:
 
 
 def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
-    """Have the kernel drop what cannot be an order, and all of some senders; whether it does."""
+    """Attach a filter against non-orders and these senders. Returns whether the kernel accepted it."""
     code = program(flooders)
     held = ctypes.create_string_buffer(code)
     prog = struct.pack("HL", len(code) // 8, ctypes.addressof(held))
@@ -61,8 +62,8 @@ def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
 
 
 def program(flooders: Iterable[Flooder]) -> bytes:
-    """The filter as the kernel reads it. Of an IPv6 address it compares the last 32 bits."""
-    known = list(flooders)[:MOST]
+    """The BPF program. Of an IPv6 address it compares the last 32 bits."""
+    known = list(flooders)[:MAX_FLOODERS]
     four = _senders([one for one in known if len(one.address) == 4], _NET + 12)
     six = _senders([one for one in known if len(one.address) == 16], _NET + 20)
     code = [
@@ -84,10 +85,10 @@ def program(flooders: Iterable[Flooder]) -> bytes:
 
 
 def _senders(senders: list[Flooder], place: int) -> list[tuple[int, int, int, int]]:
-    """Drop the datagrams of some senders whose addresses stand at a place, and take all others."""
+    """Instructions that drop these senders, with addresses at an offset, and accept all others."""
     code = []
     for one in senders:
         word = int.from_bytes(one.address[-4:])
-        port = [] if one.port == EVERY_PORT else [(_LDH, 0, 0, 0), (_JEQ, 0, 1, one.port)]
+        port = [] if one.port == ANY_PORT else [(_LDH, 0, 0, 0), (_JEQ, 0, 1, one.port)]
         code += [(_LD, 0, 0, place), (_JEQ, 0, len(port) + 1, word), *port, (_RET, 0, 0, _NONE)]
     return [*code, (_RET, 0, 0, _ALL)]

@@ -1,1 +1,1 @@
-"""What is measured of a link."""
+"""Link health: heartbeats, round-trip times, loss, TCP options."""

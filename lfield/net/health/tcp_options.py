@@ -1,8 +1,7 @@
-"""The options of TCP connections for radio, and what the kernel tells of them (Linux, `linux/tcp.h`).
+"""TCP options for radio links, and the kernel's TCP statistics (Linux, `linux/tcp.h`).
 
-A link carries few small messages, each of which somebody waits for. TCP's defaults are for bulk transfer: its
-retransmission time-out is at least 200 ms, doubles with each loss up to 120 s, and acknowledgements of a
-receiver with nothing to say wait for 40 ms or more.
+A link carries few small, urgent messages. TCP's defaults suit bulk transfer: a retransmission time-out of at
+least 200 ms that doubles with each loss up to 120 s, and acknowledgements delayed by 40 ms or more.
 """
 
 from __future__ import annotations
@@ -12,38 +11,37 @@ import struct
 from contextlib import suppress
 from typing import Protocol
 
-from lfield.net.health.traffic import Counts
+from lfield.net.health.traffic import TcpCounts
 
-#: The first six time-outs of a connection with few packets under way do not double (since Linux 2.6.34).
+#: The first six time-outs of a connection with few packets in flight do not double (since Linux 2.6.34).
 THIN_LINEAR_TIMEOUTS = 16
-#: The longest retransmission time-out in ms, since Linux 6.15; the kernel takes no less than 1,000. After an
-#: outage a connection continues within this time. (The kernel then ends one after 11 s without an
-#: acknowledgement; a silent link is given up before that.)
+#: Maximum retransmission time-out in ms, since Linux 6.15; the kernel's minimum is 1,000. After an outage a
+#: connection continues within this time. (The kernel then ends one after 11 s without an acknowledgement; a
+#: silent link is closed before that.)
 RTO_MAX_MS, LONGEST_TIMEOUT_MS = 44, 1_000
-#: The least retransmission time-out beyond the round trip, and the longest wait of an acknowledgement for a
-#: message to travel with, in microseconds, since Linux 6.15.
+#: Minimum retransmission time-out beyond the round trip, and maximum delay of an acknowledgement, in
+#: microseconds, since Linux 6.15.
 RTO_MIN_US, DELACK_MAX_US = 45, 46
-#: So many bytes that it has not sent the kernel may have before it takes no more: an order to stop waits
-#: behind them.
-NOTSENT_LOWAT, MOST_NOT_SENT = 25, 4096
+#: Maximum unsent bytes in the kernel: a stop order waits behind them.
+NOTSENT_LOWAT, MAX_NOT_SENT = 25, 4096
 LONGEST_ACK_DELAY_US = 5_000
 
-#: The margin of the retransmission time-out over the round trip, in seconds: half a round trip, within these
-#: bounds. A short margin repeats a lost packet early; one that is too short for the path repeats packets that
-#: are only late, which a slow channel has no room for.
-MARGIN, LEAST_MARGIN, MOST_MARGIN = 0.5, 0.02, 0.2
-#: From this round trip in s on, time-outs double, and the longest is so many round trips. A longer round trip
-#: is mostly a queue: where all connections of a slow channel repeat each second what still waits in it, the
-#: repeats fill the channel for good (congestion collapse, RFC 896).
+#: Margin of the retransmission time-out over the round trip, in seconds: half a round trip, within these
+#: bounds. A short margin repeats a lost packet early; one too short for the path repeats packets that are
+#: only late, which wastes a slow channel.
+MARGIN, MIN_MARGIN, MAX_MARGIN = 0.5, 0.02, 0.2
+#: From this round trip in s on, time-outs double, and the maximum is this many round trips. A longer round
+#: trip is mostly queueing: if all connections of a slow channel repeated queued data each second, the channel
+#: would stay full (congestion collapse, RFC 896).
 CONGESTED, LONGEST_TIMEOUT = 0.5, 4.0
 
-#: The part of `struct tcp_info` up to `tcpi_dsack_dups`, and where its fields are.
+#: `struct tcp_info` up to `tcpi_dsack_dups`, and the offsets of its fields.
 _INFO_SIZE = 220
 _TOTAL_RETRANS, _BYTES_RECEIVED, _DATA_SEGS_OUT, _BYTES_SENT, _DSACK_DUPS = 100, 128, 156, 200, 216
 
 
-class Socket(Protocol):
-    """What is needed of a socket; uvloop's are no `socket.socket`."""
+class TcpSocket(Protocol):
+    """The socket methods used here; uvloop's sockets are no `socket.socket`."""
 
     def getsockopt(self, level: int, option: int, size: int, /) -> bytes:
         """The value of an option."""
@@ -52,12 +50,12 @@ class Socket(Protocol):
         """Set an option."""
 
 
-def set_options(made: Socket) -> None:
-    """Set what this kernel has; the others are left at what they are."""
-    # A hop is one small write that nobody answers: it must not wait to be joined by more.
+def set_options(made: TcpSocket) -> None:
+    """Set the options that this kernel has."""
+    # A hop is one small unanswered write, which must not be delayed for coalescing (Nagle).
     made.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     for option, value in (
-        (NOTSENT_LOWAT, MOST_NOT_SENT),
+        (NOTSENT_LOWAT, MAX_NOT_SENT),
         (DELACK_MAX_US, LONGEST_ACK_DELAY_US),
     ):
         with suppress(OSError):
@@ -67,11 +65,11 @@ def set_options(made: Socket) -> None:
 
 def margin(round_trip: float) -> float:
     """The margin for a round trip, in seconds."""
-    return min(MOST_MARGIN, max(LEAST_MARGIN, MARGIN * round_trip))
+    return min(MAX_MARGIN, max(MIN_MARGIN, MARGIN * round_trip))
 
 
-def set_time_outs(made: Socket, round_trip: float) -> None:
-    """Set the retransmission time-outs for a measured round trip in s, where this kernel has the options."""
+def set_time_outs(made: TcpSocket, round_trip: float) -> None:
+    """Set the retransmission time-outs for a measured round trip in s, if this kernel has the options."""
     congested = round_trip >= CONGESTED
     longest = (
         max(LONGEST_TIMEOUT_MS, round(LONGEST_TIMEOUT * round_trip * 1e3))
@@ -87,8 +85,8 @@ def set_time_outs(made: Socket, round_trip: float) -> None:
             made.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
-def counts(made: Socket) -> Counts | None:
-    """What the kernel has counted; None where it does not tell all of it (before Linux 4.19)."""
+def read_counts(made: TcpSocket) -> TcpCounts | None:
+    """The kernel's counters; None if incomplete (before Linux 4.19)."""
     try:
         info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _INFO_SIZE)
     except OSError:
@@ -99,4 +97,4 @@ def counts(made: Socket) -> Counts | None:
     (sent,) = struct.unpack_from("=Q", info, _BYTES_SENT)
     repeated, needless = (struct.unpack_from("=I", info, at)[0] for at in (_TOTAL_RETRANS, _DSACK_DUPS))
     (segments,) = struct.unpack_from("=I", info, _DATA_SEGS_OUT)
-    return Counts(sent, received, segments, max(0, repeated - needless))
+    return TcpCounts(sent, received, segments, max(0, repeated - needless))

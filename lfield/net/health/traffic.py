@@ -1,4 +1,4 @@
-"""What went over one link, and what share of it was lost, from the counters of the kernel. Pure."""
+"""Traffic and loss rate of one link, from the kernel's counters. Sans-IO."""
 
 from __future__ import annotations
 
@@ -6,17 +6,17 @@ import math
 from collections import deque
 from typing import NamedTuple
 
-#: Loss is of the last so many seconds, and counters are kept so many seconds apart.
-PERIOD, APART = 60.0, 5.0
-#: A share of fewer segments than this says nothing.
-FEWEST = 10
+#: Window of the loss rate in seconds, and seconds between stored counters.
+PERIOD, SAMPLE_EVERY = 60.0, 5.0
+#: Minimum number of segments for a loss rate.
+MIN_SEGMENTS = 10
 
 
-class Counts(NamedTuple):
-    """What the kernel has counted of one connection since it was made.
+class TcpCounts(NamedTuple):
+    """The kernel's counters of one connection.
 
-    Bytes are with what TLS adds and without headers, those sent with the repeated ones. `segments` with data
-    were sent, of which so many were `repeated` since an earlier one was lost.
+    Bytes include TLS overhead and retransmissions, but no headers. `segments`: data segments sent, of which
+    `repeated` were retransmissions.
     """
 
     bytes_sent: int
@@ -25,45 +25,45 @@ class Counts(NamedTuple):
     repeated: int
 
 
-class Traffic:
-    """The counters of one link as they were read; times are of a monotonic clock, in seconds."""
+class LinkTraffic:
+    """The counters of one link over time; times are monotonic seconds."""
 
     def __init__(self) -> None:
-        #: The last that was read; None where the kernel does not tell.
-        self.counts: Counts | None = None
-        self._kept: deque[tuple[float, Counts]] = deque()
+        #: The last counters; None if the kernel provides none.
+        self.counts: TcpCounts | None = None
+        self._samples: deque[tuple[float, TcpCounts]] = deque()
         self._due = -math.inf
 
     def is_due(self, now: float) -> bool:
-        """Whether the counters are to be read."""
+        """Whether the counters are due for reading."""
         return now >= self._due
 
-    def read(self, counts: Counts | None, now: float) -> None:
-        """These are the counters now."""
+    def record(self, counts: TcpCounts | None, now: float) -> None:
+        """Store the present counters."""
         is_due = self.is_due(now)
         if is_due:
-            self._due = now + APART
+            self._due = now + SAMPLE_EVERY
         if counts is None:
             return
         self.counts = counts
         if is_due:
-            self._kept.append((now, counts))
-        while len(self._kept) > 1 and self._kept[1][0] <= now - PERIOD:
-            self._kept.popleft()
+            self._samples.append((now, counts))
+        while len(self._samples) > 1 and self._samples[1][0] <= now - PERIOD:
+            self._samples.popleft()
 
     @property
     def loss(self) -> float | None:
-        """The share of the segments with data that were lost on their way there, from 0 to 1, in the last
-        minute; None before enough were sent.
+        """The share of data segments lost in transit in the last minute, from 0 to 1; None before enough were
+        sent.
 
-        What was sent again and had arrived is not counted where the other end reports it (RFC 2883).
+        Spurious retransmissions are excluded where the peer reports them (RFC 2883).
         """
         if self.counts is None:
             return None
-        before = self._kept[0][1]
+        before = self._samples[0][1]
         sent = self.counts.segments - before.segments
-        if sent < FEWEST:
-            before, sent = Counts(0, 0, 0, 0), self.counts.segments
-        if sent < FEWEST:
+        if sent < MIN_SEGMENTS:
+            before, sent = TcpCounts(0, 0, 0, 0), self.counts.segments
+        if sent < MIN_SEGMENTS:
             return None
         return min(1.0, max(0, self.counts.repeated - before.repeated) / sent)

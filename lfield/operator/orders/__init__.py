@@ -1,1 +1,1 @@
-"""Orders to stop and to pause that a desk gives as datagrams, beside its connections."""
+"""Stop and pause orders as signed datagrams, sent in parallel to links."""

@@ -15,19 +15,19 @@ from lfield.capability.model import (
     Composition,
     Equivalence,
     Expression,
-    Live,
+    LiveAttribute,
     Portal,
     PortalMap,
     Primitive,
     Provider,
     Registry,
-    Served,
-    Term,
+    ServedPrimitive,
+    TaxonomyTerm,
     Value,
 )
-from lfield.capability.reading.signatures import written
-from lfield.operator.registry.taxonomy import called_as, term_of, terms_below
-from lfield.text.suggest import listed
+from lfield.capability.registry_reader.unit_signatures import written
+from lfield.operator.registry.taxonomy import primitives_of, term_of, terms_below
+from lfield.text.suggestions import listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,27 +39,27 @@ class Sheet:
     rows: tuple[tuple[str, tuple[str, ...]], ...]
 
 
-def describe(registry: Registry, word: str) -> list[Sheet]:
+def describe(registry: Registry, name_or_id: str) -> list[Sheet]:
     """Everything that has this name or id, or this word of the thesis; [] when nothing does."""
-    named = word.casefold()
+    named = name_or_id.casefold()
     terms = [t.id for t in registry.terms.values() if named in (t.name.casefold(), t.id)]
-    if (meant := term_of(registry, word)) is not None:
+    if (meant := term_of(registry, name_or_id)) is not None:
         terms.append(meant.id)
-    if word in registry.primitives:
-        terms.append(registry.primitives[word].id)
+    if name_or_id in registry.primitives:
+        terms.append(registry.primitives[name_or_id].id)
     sheets = []
     for id in dict.fromkeys(terms):
         sheets.append(term_sheet(registry, registry.terms[id]))
-        called = called_as(registry, id)
+        called = primitives_of(registry, id)
         sheets += [primitive_sheet(registry, registry.primitives[name]) for name in called]
-    if word in registry.attributes:
-        sheets.append(attribute_sheet(registry, registry.attributes[word]))
-    if word in registry.providers:
-        sheets.append(provider_sheet(registry, registry.providers[word]))
-    if word in registry.equivalences:
-        sheets.append(equivalence_sheet(registry.equivalences[word]))
-    if word in registry.compositions:
-        sheets.append(composition_sheet(registry.compositions[word]))
+    if name_or_id in registry.attributes:
+        sheets.append(attribute_sheet(registry, registry.attributes[name_or_id]))
+    if name_or_id in registry.providers:
+        sheets.append(provider_sheet(registry, registry.providers[name_or_id]))
+    if name_or_id in registry.equivalences:
+        sheets.append(equivalence_sheet(registry.equivalences[name_or_id]))
+    if name_or_id in registry.compositions:
+        sheets.append(composition_sheet(registry.compositions[name_or_id]))
     return sheets
 
 
@@ -84,7 +84,7 @@ def _sheet(kind: str, name: str, rows: Mapping[str, Iterable[str] | str]) -> She
 # --- terms and attributes -----------------------------------------------------------------------------
 
 
-def term_sheet(registry: Registry, term: Term) -> Sheet:
+def term_sheet(registry: Registry, term: TaxonomyTerm) -> Sheet:
     """A node of the taxonomy."""
     rows = {
         "name": term.name,
@@ -104,7 +104,7 @@ def attribute_sheet(registry: Registry, attribute: Attribute) -> Sheet:
         "type": with_unit(attribute.type, f"in {attribute.unit}" if attribute.unit else ""),
         "values": ", ".join(map(code, attribute.values)),
         "better": attribute.better if rated else "",
-        "typical": worth(attribute.typical, attribute.unit) if rated else "",
+        "typical": value_text(attribute.typical, attribute.unit) if rated else "",
         "live": f"counts for {attribute.max_age:g} s" if attribute.live else "",
         "stated by": _stated_by(registry, attribute),
     }
@@ -115,16 +115,16 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
     name, unit = attribute.name, attribute.unit
     for type, provider in sorted(registry.providers.items()):
         if name in provider.attributes:
-            yield f"{type}: {worth(provider.attributes[name], unit)}{_usual(name, provider.nominal)}"
+            yield f"{type}: {value_text(provider.attributes[name], unit)}{_usual(name, provider.nominal)}"
         if name in provider.live:
             yield f"{type}: {'live' if attribute.live else 'told'}, {_source(provider.live[name])}"
         for served in provider.serves.values():
             if name in served.attributes:
-                said = f"{worth(served.attributes[name], unit)}{_usual(name, served.nominal)}"
+                said = f"{value_text(served.attributes[name], unit)}{_usual(name, served.nominal)}"
                 yield f"{type}, for {served.primitive}: {said}"
     for agent, values in registry.agents.items():
         if name in values:
-            yield f"agent {agent}: {worth(values[name], unit)}"
+            yield f"agent {agent}: {value_text(values[name], unit)}"
 
 
 # --- primitives ---------------------------------------------------------------------------------------
@@ -206,12 +206,12 @@ def provider_sheet(registry: Registry, provider: Provider) -> Sheet:
     return _sheet("provider", provider.type, rows)
 
 
-def _source(live: Live) -> str:
+def _source(live: LiveAttribute) -> str:
     index = "" if live.index is None else f"[{live.index}]"
     return code(f"{live.portal}(){index}" if live.portal else f"{live.device}.{live.quantity}{index}")
 
 
-def _served(registry: Registry, provider: Provider, served: Served) -> Iterator[str]:
+def _served(registry: Registry, provider: Provider, served: ServedPrimitive) -> Iterator[str]:
     yield f"{served.primitive}{_when(served.when)}"
     for mapped in served.portals.values():
         yield f"    {mapped.portal}: {_call(provider.type, mapped)}"
@@ -221,7 +221,7 @@ def _served(registry: Registry, provider: Provider, served: Served) -> Iterator[
 
 def _values(registry: Registry, values: Mapping[str, Value], nominal: Collection[str]) -> Iterator[str]:
     for name, value in values.items():
-        yield f"{name}: {worth(value, registry.attributes[name].unit)}{_usual(name, nominal)}"
+        yield f"{name}: {value_text(value, registry.attributes[name].unit)}{_usual(name, nominal)}"
 
 
 def _usual(name: str, nominal: Collection[str]) -> str:
@@ -274,7 +274,7 @@ def _argument(argument: Argument) -> str:
     elif argument.constant is None:
         text = "emitted"
     else:
-        constant = worth(argument.constant)
+        constant = value_text(argument.constant)
         text = f'"{constant}"' if isinstance(argument.constant, str) and argument.constant else constant
     if argument.factor != 1:
         text += f" * {argument.factor:g}"
@@ -294,7 +294,7 @@ def printable(text: str) -> str:
     return "".join(ch if ch.isprintable() else "·" for ch in text)
 
 
-def worth(value: Value, unit: str = "") -> str:
+def value_text(value: Value, unit: str = "") -> str:
     """A value with its unit: `2.5 kg`, `aerial and terrestrial`, `true`."""
     match value:
         case bool():

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lfield.capability.model import Primitive, Registry, Term
-from lfield.text.suggest import did_you_mean
+from lfield.capability.model import Primitive, Registry, TaxonomyTerm
+from lfield.text.suggestions import did_you_mean
 
 
 @dataclass(frozen=True, slots=True)
-class Branch:
+class TreeBranch:
     """A line of a tree with what hangs below it. `mark` is the L type of what can be called."""
 
     text: str
-    children: tuple[Branch, ...] = ()
+    children: tuple[TreeBranch, ...] = ()
     mark: str = ""
 
 
-def term_of(registry: Registry, id: str) -> Term | None:
+def term_of(registry: Registry, id: str) -> TaxonomyTerm | None:
     """The term of an id. Aliases and ids out of use lead to the one that counts."""
     term = registry.terms.get(id)
     if term is None:
@@ -25,7 +25,7 @@ def term_of(registry: Registry, id: str) -> Term | None:
     return registry.terms[term.deprecated] if term is not None and term.deprecated else term
 
 
-def called_as(registry: Registry, term: str) -> list[str]:
+def primitives_of(registry: Registry, term: str) -> list[str]:
     """The primitives that can be called at a term."""
     return sorted(p.name for p in registry.primitives.values() if p.id == term)
 
@@ -36,12 +36,12 @@ def primitives_below(registry: Registry, id: str) -> list[Primitive]:
     return sorted(found, key=lambda p: (p.id, p.name))
 
 
-def terms_below(registry: Registry, id: str) -> list[Term]:
+def terms_below(registry: Registry, id: str) -> list[TaxonomyTerm]:
     """The terms whose parent is a term; with '' those that have none."""
     return [term for term in registry.terms.values() if term.id.rpartition(".")[0] == id]
 
 
-def unknown_name(registry: Registry, word: str) -> str:
+def unknown_name(registry: Registry, unknown: str) -> str:
     """A hint about a name that nothing in the registry has."""
     known = (
         registry.terms,
@@ -51,18 +51,20 @@ def unknown_name(registry: Registry, word: str) -> str:
         registry.equivalences,
         registry.compositions,
     )
-    hint = did_you_mean(word[:80], [name for names in known for name in names])
+    hint = did_you_mean(unknown[:80], [name for names in known for name in names])
     return hint or "'lfield capabilities tree' shows what there is"
 
 
-def tree(registry: Registry, id: str = "") -> list[Branch]:
+def tree(registry: Registry, id: str = "") -> list[TreeBranch]:
     """The taxonomy, or what hangs at one of its terms; deprecated terms say what to write instead."""
     roots = [registry.terms[id]] if id else terms_below(registry, "")
     return [_branch(registry, term, term.id) for term in roots]
 
 
-def _branch(registry: Registry, term: Term, name: str) -> Branch:
+def _branch(registry: Registry, term: TaxonomyTerm, name: str) -> TreeBranch:
     said = f"out of use, write {term.deprecated}" if term.deprecated else term.meaning
     below = terms_below(registry, term.id)
     children = tuple(_branch(registry, child, child.id.rpartition(".")[2]) for child in below)
-    return Branch(f"{name}: {said}" if said else name, children, ", ".join(called_as(registry, term.id)))
+    return TreeBranch(
+        f"{name}: {said}" if said else name, children, ", ".join(primitives_of(registry, term.id))
+    )

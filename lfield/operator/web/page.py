@@ -14,7 +14,7 @@ _LEAFLET = importlib.import_module("nicegui.elements.leaflet")
 importlib.import_module("nicegui.elements.echart")
 
 
-class Team(Element, component="browser/team.js", esm={"lfield-watch": "browser"}):
+class TeamPage(Element, component="browser/team.js", esm={"lfield-watch": "browser"}):
     """Everything on the page. What it shows it asks its server for (browser/server.js)."""
 
     def __init__(self, title: str) -> None:
@@ -30,4 +30,4 @@ def page(title: str) -> None:
     @ui.page("/", title=title)
     def team() -> None:
         ui.add_css(style)
-        Team(title)
+        TeamPage(title)

@@ -1,1 +1,1 @@
-"""Computers on virtual time: models of sockets, pipes and clocks, under what runs on a robot."""
+"""Simulated computers on virtual time: sockets, pipes and clocks for the real code of a robot."""

@@ -1,1 +1,1 @@
-"""A mission in one process on virtual time: real hosts, guards, drivers and fakes, for its tests."""
+"""Missions in one process on virtual time, with real hosts, guards, drivers and fakes, for tests."""

@@ -1,1 +1,1 @@
-"""The maths of L, written once for every engine and every computer (decision 58, table J.9)."""
+"""The maths of L, identical to the bit on every engine and computer (decision 58, table J.9)."""

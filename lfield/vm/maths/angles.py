@@ -14,17 +14,17 @@ from lfield.vm.maths.constants import (
     PI,
     PI_LOW,
 )
-from lfield.vm.maths.pairs import add, divide, exponent, multiply, root, scaled, two_product, two_sum
-from lfield.vm.memory.values import NAN
+from lfield.vm.maths.double_doubles import add, divide, exponent, multiply, root, scaled, two_product, two_sum
+from lfield.vm.memory.word_codec import NAN
 
-#: Below this an arc sine is its argument.
+#: Below this an arc sine equals its argument.
 _TINY = 7.450580596923828e-09
-#: From so many powers of two between them on, one side of a triangle does not turn the other.
+#: If two sides differ by this many powers of two, the angle is that of the longer one.
 _APART = 64
 
 
 def asin(x: float) -> float:
-    """The arc sine in radians; not a number outside -1 to 1."""
+    """The arc sine in radians; NaN outside -1 to 1."""
     if not abs(x) <= 1.0:
         return NAN
     if abs(x) < _TINY:
@@ -37,7 +37,7 @@ def asin(x: float) -> float:
 
 
 def acos(x: float) -> float:
-    """The arc cosine in radians; not a number outside -1 to 1."""
+    """The arc cosine in radians; NaN outside -1 to 1."""
     if not abs(x) <= 1.0:
         return NAN
     if abs(x) == 1.0:
@@ -50,7 +50,7 @@ def acos(x: float) -> float:
 
 
 def atan2(y: float, x: float) -> float:
-    """The angle of the direction (x, y) from the x axis, from -pi to pi; a 0 has a sign."""
+    """The angle of the direction (x, y) from the x axis, from -pi to pi; signed zeros count."""
     if x != x or y != y:
         return NAN
     if y == 0.0 or abs(x) == INFINITY:
@@ -93,7 +93,7 @@ def _angle(y: float, y_low: float, x: float, x_low: float) -> tuple[float, float
 
 
 def _arc(t: float, t_low: float) -> tuple[float, float]:
-    """The arc tangent of a pair from 0 to 1: of the next eighth, and of what lies between."""
+    """The arc tangent of a pair from 0 to 1: the nearest eighth plus the remainder."""
     eighths = int(t * 8.0 + 0.5)
     if eighths > 0:
         near = float(eighths) * 0.125

@@ -1,7 +1,7 @@
-"""The numbers that the maths of L needs: pi, the logarithm of 2, coefficients, angles (decision 58).
+"""Constants of the maths of L: pi, ln 2, series coefficients, angles (decision 58).
 
-A name with _LOW is what the real before it lacks. Coefficients are those of the plain series, with as many
-terms as the reduced arguments need, the last one first.
+A name with _LOW is the rounding error of the real before it. Coefficients are those of the plain series, the
+last one first, as many as the reduced arguments need.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ INFINITY = inf
 PI, PI_LOW = _hex("0x1.921fb54442d18p+1", "0x1.1a62633145c07p-53")
 HALF_PI, HALF_PI_LOW = _hex("0x1.921fb54442d18p+0", "0x1.1a62633145c07p-54")
 TWO_OVER_PI = float.fromhex("0x1.45f306dc9c883p-1")
-#: pi / 2 in three parts of 33 bits, and what is left: 20 bits times one of the first is exact.
+#: pi / 2 in three parts of 33 bits and a remainder: a product of 20 bits with one of the parts is exact.
 QUARTER_1, QUARTER_2, QUARTER_3, QUARTER_4 = _hex(
     "0x1.921fb54400000p+0", "0x1.0b4611a600000p-34", "0x1.3198a2e000000p-69", "0x1.b839a252049c1p-104"
 )
-#: 2 / pi in digits of 28 bits behind three that are 0.
+#: 2 / pi in digits of 28 bits, after three digits 0.
 TWO_OVER_PI_DIGITS = (
     *(0x0000000, 0x0000000, 0x0000000, 0xA2F9836, 0xE4E4415, 0x29FC275, 0x7D1F534, 0xDDC0DB6, 0x295993C),
     *(0x439041F, 0xE5163AB, 0xDEBBC56, 0x1B7246E, 0x3A424DD, 0x2E00649, 0x2EEA09D, 0x1921CFE, 0x1DEB1CB),
@@ -32,7 +32,7 @@ TWO_OVER_PI_DIGITS = (
     *(0x69E5FEA, 0x2D7527B, 0xAC7EBE5, 0xF17B3D0, 0x739F78A, 0x5292EA6, 0xBFB5FB1, 0x1F8D5D0, 0x8560330),
 )
 
-#: ln 2: 40 bits, so that it can be multiplied by any exponent, and what is left.
+#: ln 2: 40 bits, exact when multiplied by an exponent, and the remainder.
 LN2, LN2_LOW = _hex("0x1.62e42fefa2000p-1", "0x1.9ef35793c7673p-41")
 ONE_OVER_LN2 = float.fromhex("0x1.71547652b82fep+0")
 THIRD, THIRD_LOW = _hex("0x1.5555555555555p-2", "0x1.5555555555555p-56")

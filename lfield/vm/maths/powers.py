@@ -16,27 +16,36 @@ from lfield.vm.maths.constants import (
     THIRD,
     THIRD_LOW,
 )
-from lfield.vm.maths.pairs import add, divide, exponent, multiply, quick_sum, scaled, two_product, two_sum
-from lfield.vm.memory.values import NAN, real_of, word_of
+from lfield.vm.maths.double_doubles import (
+    add,
+    divide,
+    exponent,
+    multiply,
+    quick_sum,
+    scaled,
+    two_product,
+    two_sum,
+)
+from lfield.vm.memory.word_codec import NAN, bits_of_real, real_from_bits
 
-#: e to more than this is too large for a real, and e to less than that is nothing.
+#: Arguments above which e^x overflows, and below which it is 0.
 _LARGEST, _SMALLEST = 709.8, -745.2
-#: Adding and taking it away rounds to a whole number.
+#: Adding and subtracting it rounds to an integer.
 _ROUNDING = 6755399441055744.0
 _ROOT_OF_2 = 1.4142135623730951
-#: From here on every real is whole, and from twice of it every one is even.
+#: From here on every real is an integer, and from twice of it an even one.
 _WHOLE = 4503599627370496.0
 
 
 def exp(x: float) -> float:
-    """e to the power x; infinite where that is too large."""
+    """e to the power x; infinite on overflow."""
     if x != x:
         return NAN
     return _exponential(x, 0.0)
 
 
 def log(x: float) -> float:
-    """The natural logarithm; of 0 minus infinity, below 0 not a number."""
+    """The natural logarithm; minus infinity for 0, NaN below 0."""
     if not x >= 0.0:
         return NAN
     if x == 0.0:
@@ -48,7 +57,7 @@ def log(x: float) -> float:
 
 
 def pow(x: float, y: float) -> float:
-    """x to the power y, with the special cases of IEEE 754; 0 to less than 0 is infinite."""
+    """x to the power y, with the special cases of IEEE 754; 0 to a negative power is infinite."""
     if y == 0.0 or x == 1.0:
         return 1.0
     if x != x or y != y:
@@ -63,7 +72,7 @@ def pow(x: float, y: float) -> float:
 
 
 def _size(x: float, y: float) -> float:
-    """x to the power y for an x of no sign and a finite y other than 0."""
+    """|x| to the power y, for finite y other than 0."""
     if x == 0.0 or x == INFINITY:
         return 0.0 if (x == 0.0) == (y > 0.0) else INFINITY
     if x == 1.0:
@@ -110,13 +119,13 @@ def _exponential(x: float, low: float) -> float:
 
 
 def _logarithm(x: float) -> tuple[float, float]:
-    """The logarithm of a real above 0 as a pair, good for 65 bits."""
+    """The logarithm of a real above 0 as a pair, accurate to 65 bits."""
     twos = 0
     if x < 2.2250738585072014e-308:
         x = x * 18014398509481984.0
         twos = -54
     twos = twos + exponent(x)
-    x = real_of(word_of(x) & 0xFFFFFFFFFFFFF | 0x3FF0000000000000)
+    x = real_from_bits(bits_of_real(x) & 0xFFFFFFFFFFFFF | 0x3FF0000000000000)
     if x > _ROOT_OF_2:
         x = 0.5 * x
         twos = twos + 1

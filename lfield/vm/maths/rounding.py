@@ -1,7 +1,7 @@
-"""What is exact: whole numbers, the smaller and the larger, the remainder of a division (tables J.7, J.9).
+"""Exact functions: rounding, minimum, maximum, remainder (tables J.7, J.9).
 
-Nothing here is rounded, so any computer has the same results; they are written out because WebAssembly has no
-remainder, and rounds with other signs of 0 than L.
+No result is rounded. They are written out since WebAssembly has no remainder, and rounds with other signs of
+0 than L.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 from math import copysign, sqrt
 
 from lfield.vm.maths.constants import INFINITY
-from lfield.vm.maths.pairs import exponent, scaled
-from lfield.vm.memory.values import NAN, word_of
+from lfield.vm.maths.double_doubles import exponent, scaled
+from lfield.vm.memory.word_codec import NAN, bits_of_real
 
-#: From here on every real is whole.
+#: From here on every real is an integer.
 _WHOLE = 4503599627370496.0
 
 
 def floor(x: float) -> float:
-    """The next whole number down; 0.0 for -0.0."""
+    """The next integer down; 0.0 for -0.0."""
     if not abs(x) < _WHOLE:
         return x
     whole = float(int(x))
@@ -25,7 +25,7 @@ def floor(x: float) -> float:
 
 
 def ceil(x: float) -> float:
-    """The next whole number up; 0.0 for what is above -1."""
+    """The next integer up; 0.0 above -1."""
     if not abs(x) < _WHOLE:
         return x
     whole = float(int(x))
@@ -33,7 +33,7 @@ def ceil(x: float) -> float:
 
 
 def round(x: float) -> float:
-    """The nearest whole number, halves away from zero; a 0 keeps the sign."""
+    """The nearest integer, halves away from zero; a 0 keeps its sign."""
     if not abs(x) < _WHOLE:
         return x
     whole = float(int(abs(x)))
@@ -41,17 +41,17 @@ def round(x: float) -> float:
 
 
 def magnitude(x: float) -> float:
-    """Without the sign."""
+    """The absolute value."""
     return abs(x)
 
 
 def root(x: float) -> float:
-    """The square root; not a number below 0."""
+    """The square root; NaN below 0."""
     return sqrt(x) if x >= 0.0 else NAN
 
 
 def smaller(a: float, b: float) -> float:
-    """The same in either order: not a number when one of them is none, and -0.0 is smaller than 0.0."""
+    """The minimum; NaN if either is NaN, and -0.0 is smaller than 0.0."""
     if a != a or b != b:
         return NAN
     if a == b:
@@ -60,12 +60,12 @@ def smaller(a: float, b: float) -> float:
 
 
 def larger(a: float, b: float) -> float:
-    """As `smaller`."""
+    """The maximum, with the rules of `smaller`."""
     return -smaller(-a, -b)
 
 
 def remainder(a: float, b: float) -> float:
-    """What is left of a when b is taken from it as often as can be, signed as a; not a number without b."""
+    """The remainder of a / b with the sign of a; NaN for b = 0."""
     if b == 0.0 or b != b or not abs(a) < INFINITY:
         return NAN
     if abs(a) < abs(b):
@@ -87,6 +87,6 @@ def _power(x: float) -> int:
 
 
 def _mantissa(x: float) -> int:
-    """The 53 bits of a finite real, without its sign: x is that times 2^(power - 52)."""
-    bits = word_of(x) & 0xFFFFFFFFFFFFF
+    """The 53-bit mantissa of a finite real without sign: x is it times 2^(power - 52)."""
+    bits = bits_of_real(x) & 0xFFFFFFFFFFFFF
     return bits if exponent(x) == -1023 else bits | 0x10000000000000

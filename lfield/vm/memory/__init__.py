@@ -1,1 +1,1 @@
-"""The block: the whole execution state of an agent in one run of bytes (chapter V, Memory Management)."""
+"""The block: the execution state of an agent in contiguous bytes (chapter V, Memory Management)."""

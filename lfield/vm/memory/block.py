@@ -1,25 +1,25 @@
-"""The block: the whole execution state of one agent as one run of bytes."""
+"""The block: the execution state of one agent in contiguous bytes."""
 
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 from lfield.vm.memory import layout
+from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR, BlockAllocator, Buffer
 from lfield.vm.memory.layout import HEADER_WORDS, STRING, header
-from lfield.vm.memory.space import SEPARATE, Buffer, Space
 
 #: Words of a new block; it grows with use.
 INITIAL_WORDS = 512
-#: Words above the limit that only the machine uses, to say in an exception that the limit is reached.
+#: Words above the limit, reserved for the exception that reports the limit.
 RESERVE_WORDS = 256
 
 _ZEROS = memoryview(bytes(8 * 4096)).cast("q")
 
 
-class Full(Exception):
-    """The heap has no room for `words` more; the machine collects and runs the instruction again."""
+class HeapFull(Exception):
+    """The heap lacks `words` words; the machine collects and repeats the instruction."""
 
     def __init__(self, words: int) -> None:
         self.words = words
@@ -27,39 +27,43 @@ class Full(Exception):
 
 
 def template(kind: int, index: int, words: int) -> memoryview[int]:
-    """The words of a new thing of that kind, for `Block.stamp`."""
+    """The words of a new object of that kind, for `Block.stamp`."""
     return memoryview(array("q", [header(kind, index, words), *[0] * (words - 1)]))
 
 
-class Places(dict[int, int]):
-    """Where the threads of a block are, by id; `ids` has these from the oldest on, which is their order."""
+class ThreadPlaces(dict[int, int]):
+    """The places of the threads of a block by id; `ids` are in the order of creation."""
 
     __slots__ = ("ids",)
 
-    def __init__(self, found: Iterable[tuple[int, int]] = ()) -> None:
-        super().__init__(found)
-        self.ids = list(self)
+    ids: list[int]
 
 
 class Block:
-    """A block in memory: its bytes, seen as ints (`w`) and as reals (`r`), from a `space` that has more.
+    """A block in memory: its bytes as ints (`w`) and as reals (`r`), allocated from `space`.
 
-    `top` is the first unused word, `end` the first one that may not be used, `limit` the most words the heap
-    may have, `packed` where the top was when there was no garbage, 0 if never. The views belong to the bytes
-    of the moment: whoever collects or grows a block must take them again. So do `places`, None until somebody
-    looks for a thread (`lfield.vm.memory.threads`).
+    `top` is the first unused word, `end` the first one out of bounds, `limit` the maximum words of the heap,
+    `packed` the top when there was no garbage (0: never). The views belong to the present bytes: after a
+    collection or growth they must be read again. So must `places`, None until first used
+    (`lfield.vm.memory.threads`).
     """
 
     __slots__ = ("data", "end", "limit", "packed", "places", "r", "space", "top", "w")
 
-    def __init__(self, data: Buffer, top: int, limit: int, space: Space = SEPARATE) -> None:
-        self.limit, self.space, self.packed = limit, space, 0
-        self.replace(data, top)
+    def __init__(
+        self, data: Buffer, top: int, limit: int, space: BlockAllocator = HEAP_ALLOCATOR, *, packed: int = 0
+    ) -> None:
+        self.limit, self.space, self.packed = limit, space, packed
+        self.data, self.top = data, top
+        self.places: ThreadPlaces | None = None
+        view = memoryview(data)
+        self.w, self.r = view.cast("q"), view.cast("d")
+        self.end = min(len(self.w), limit)
 
     @classmethod
-    def empty(cls, digest: bytes, limit: int, space: Space = SEPARATE) -> Block:
+    def empty(cls, digest: bytes, limit: int, space: BlockAllocator = HEAP_ALLOCATOR) -> Block:
         """A block with a header and nothing on its heap."""
-        block = cls(space.room(8 * INITIAL_WORDS), HEADER_WORDS, limit, space)
+        block = cls(space.allocate(8 * INITIAL_WORDS), HEADER_WORDS, limit, space)
         block.w[:HEADER_WORDS] = _ZEROS[:HEADER_WORDS]
         block.w[layout.W_MAGIC] = layout.MAGIC | layout.VERSION << 32
         block.data[8 * layout.W_PROGRAM : 8 * layout.W_PROGRAM + 32] = digest
@@ -67,10 +71,8 @@ class Block:
         return block
 
     def replace(self, data: Buffer, top: int) -> None:
-        """Let the block be these bytes from now on."""
-        self.data = data
-        self.top = top
-        self.places: Places | None = None
+        """Replace the bytes of the block by compacted ones."""
+        self.data, self.top, self.packed, self.places = data, top, top, None
         view = memoryview(data)
         self.w = view.cast("q")
         self.r = view.cast("d")
@@ -87,8 +89,8 @@ class Block:
         return self.w[layout.W_INTERVAL] / 1000 if self.heap > layout.W_INTERVAL else 0.0
 
     @contextmanager
-    def reserve(self) -> Iterator[None]:
-        """Allow what is above the limit too, for as long as it takes to say that the limit is reached."""
+    def use_reserve(self) -> Iterator[None]:
+        """Permit words above the limit, for the exception that reports the limit."""
         self.end = len(self.w)
         try:
             yield
@@ -96,25 +98,42 @@ class Block:
             self.end = min(len(self.w), self.limit)
 
     def image(self) -> memoryview:
-        """The used bytes: what a hop sends, a shadow keeps and a dump holds."""
+        """The used bytes: the content of a transfer, a shadow and a dump."""
         self.w[layout.W_TOP] = self.top
         return memoryview(self.data)[: 8 * self.top]
 
-    def require(self, words: int) -> None:
-        """Raise Full unless there is room for so many words: for all that is written, before any of it is."""
-        if self.top + words > self.end:
-            raise Full(words)
+    def set_top(self, top: int) -> None:
+        """Set the first unused word, after writes above the old one or a release below it."""
+        self.top = top
 
-    def lacking(self, start: int, full: Full) -> int:
-        """How much room a work needs at least that has come so far, from where the top was when it began."""
+    def index_threads(self) -> ThreadPlaces:
+        """The places of the threads, indexed again after the heap has moved."""
+        places = self.places
+        if places is None:
+            w = self.w
+            place, youngest_first = w[layout.W_THREADS], []
+            while place:
+                youngest_first.append((w[place + layout.THREAD_ID], place))
+                place = w[place + layout.THREAD_NEXT]
+            places = self.places = ThreadPlaces(reversed(youngest_first))
+            places.ids = list(places)
+        return places
+
+    def require(self, words: int) -> None:
+        """Raise HeapFull unless that many words are free; called before the first write."""
+        if self.top + words > self.end:
+            raise HeapFull(words)
+
+    def missing_words(self, start: int, full: HeapFull) -> int:
+        """The minimum free words for an operation that got this far, from the top at its start."""
         return self.top - start + full.words
 
     def allocate(self, kind: int, index: int, words: int) -> int:
-        """Room for a thing of so many words, all 0 behind its header; raises Full."""
+        """A new object of that many words, zero except its header. Raises HeapFull."""
         place = self.top
         end = place + words
         if end > self.end:
-            raise Full(words)
+            raise HeapFull(words)
         w = self.w
         w[place] = header(kind, index, words)
         start = place + 1
@@ -126,17 +145,17 @@ class Block:
         return place
 
     def stamp(self, template: memoryview[int]) -> int:
-        """A copy of a template on the heap: its header and zeros, written at once; raises Full."""
+        """A copy of a template on the heap. Raises HeapFull."""
         place = self.top
         end = place + len(template)
         if end > self.end:
-            raise Full(len(template))
+            raise HeapFull(len(template))
         self.w[place:end] = template
         self.top = end
         return place
 
     def new_string(self, text: str) -> int:
-        """A string on the heap; raises Full. Text that is no valid Unicode keeps its place as '?'."""
+        """A string on the heap; invalid Unicode becomes '?'. Raises HeapFull."""
         raw = text.encode("utf-8", "replace")
         place = self.allocate(STRING, 0, 2 + (len(raw) + 7 >> 3))
         self.w[place + 1] = len(raw)
@@ -154,12 +173,12 @@ class Block:
         return self.string(place) if place else ""
 
     def trail(self) -> list[int]:
-        """The last hosts, oldest first, as numbers from 0 in the order of the deployment."""
+        """The last hosts, oldest first, numbered from 0 in the order of the deployment."""
         hops = self.w[layout.W_HOPS]
         start = max(0, hops + 1 - layout.TRAIL_LENGTH)
         ring = (self.w[layout.W_TRAIL + i % layout.TRAIL_LENGTH] for i in range(start, hops + 1))
         return [number - 1 for number in ring if number]
 
-    def visit(self, host: int) -> None:
-        """Note the host (a number from 0) as the place of the current hop."""
+    def append_trail(self, host: int) -> None:
+        """Record the host (numbered from 0) of the current hop."""
         self.w[layout.W_TRAIL + self.w[layout.W_HOPS] % layout.TRAIL_LENGTH] = host + 1

@@ -1,27 +1,28 @@
-"""Deep copy between blocks: what crosses a portal is copied whole, aliases and cycles kept (chapter IV)."""
+"""Deep copy between blocks for portal calls: aliases and cycles are preserved (chapter IV)."""
 
 from __future__ import annotations
 
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.layout import Layouts
 
 
 def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) -> list[int]:
-    """Copy everything the references in `roots` lead to, but for what stays; returns the references there.
+    """Copy everything reachable from `roots`, except uncopied references; returns the copied references.
 
-    One call keeps aliases among all its roots. Raises Full, with the words it needs, before it writes
-    anything. The words around the references are copied as they are, so both blocks must be of the same
-    program.
+    One call preserves aliases among all its roots. Raises HeapFull with the words needed, before any write.
+    Other words are copied unchanged, so both blocks must be of the same program.
     """
     if not any(roots):
         target.require(0)
         return list(roots)
-    done = target.space.copied(source.data, source.top, roots, target.data, target.top, target.end, layouts)
-    if done is not None:
-        copies, top = done
+    native_result = target.space.copy(
+        source.data, source.top, roots, target.data, target.top, target.end, layouts
+    )
+    if native_result is not None:
+        copies, top = native_result
         if top < 0:
-            raise Full(-top)
-        target.top = top
+            raise HeapFull(-top)
+        target.set_top(top)
         return copies
     order, words = _closure(source, roots, layouts)
     target.require(words)
@@ -34,33 +35,33 @@ def deep_copy(source: Block, roots: list[int], target: Block, layouts: Layouts) 
         moved[old] = place
         place += size
     for old in order:
-        new, stays = moved[old], _staying(layouts, w[old])
+        new, uncopied = moved[old], _uncopied_offset(layouts, w[old])
         for offset in layouts.references(w[old]):
-            into[new + offset] = 0 if offset == stays else moved[w[old + offset]]
-    target.top = place
+            into[new + offset] = 0 if offset == uncopied else moved[w[old + offset]]
+    target.set_top(place)
     return [moved[root] for root in roots]
 
 
 def _closure(source: Block, roots: list[int], layouts: Layouts) -> tuple[list[int], int]:
-    """Everything reachable, in the order found, and its size in words."""
+    """Everything reachable, in order of discovery, and its size in words."""
     w = source.w
-    seen: set[int] = {0}
+    visited: set[int] = {0}
     order: list[int] = []
     words = 0
     pending = list(roots)
     while pending:
         place = pending.pop()
-        if place in seen:
+        if place in visited:
             continue
-        seen.add(place)
+        visited.add(place)
         order.append(place)
         head = w[place]
         words += head >> 32
-        stays = _staying(layouts, head)
-        pending.extend(w[place + offset] for offset in layouts.references(head) if offset != stays)
+        uncopied = _uncopied_offset(layouts, head)
+        pending.extend(w[place + offset] for offset in layouts.references(head) if offset != uncopied)
     return order, words
 
 
-def _staying(layouts: Layouts, head: int) -> int:
+def _uncopied_offset(layouts: Layouts, head: int) -> int:
     """The offset of the reference that is not followed, 0 for none."""
-    return layouts.stays.get(head & 0xFFFFFFFF, 0)
+    return layouts.uncopied.get(head & 0xFFFFFFFF, 0)

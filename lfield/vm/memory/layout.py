@@ -1,9 +1,9 @@
-"""How a block is laid out: its header, and the words of everything on its heap.
+"""Layout of a block: its header, and the words of everything on its heap.
 
 A block is one contiguous run of little-endian 64-bit words (chapter V, Memory Management). A reference is
 the index of a word from the start of the block; 0 is null. Word 0 of everything on the heap is its header:
 kind in bits 0-7, record index in bits 8-31, size in words (header included) in bits 32-62. While the
-collector works, a negative header is the negated new place of what moved.
+collector works, a negative header is the negated new place of a moved object.
 
     OBJECT   class index     fields
     ARRAY    type index      elements
@@ -21,9 +21,9 @@ from lfield.bytecode.program import REFERENCES, Program, TypeRecord
 
 MAGIC = int.from_bytes(b"LBLK", "little")
 VERSION = 3
-#: Blocks of lfield 0.3, inside its dumps: a proxy remembers no start.
+#: Blocks of lfield 0.3, inside its dumps: a proxy has no START.
 OLD_VERSION = 1
-#: Blocks from before there were tickets and time limits: they travel no more, but journals have them.
+#: Blocks from before tickets and time limits: only read from journals.
 EARLIER_VERSION = 2
 
 # The block's header, by word.
@@ -36,30 +36,30 @@ W_ID = 8  # its id, a string
 W_THREADS = 9  # first thread
 W_NEXT_THREAD = 10  # id for the next thread
 W_OWNER = 11  # id of the thread that holds the monitor, or 0
-W_ENTRIES = 12  # how often it holds it
-W_GENERATION = 13  # which start of its host it is of: tells two starts of a coordinator apart
+W_ENTRIES = 12  # number of its acquisitions
+W_GENERATION = 13  # identifies the start of the coordinator
 W_SEQUENCE = 14  # number of the last attempt to migrate
 W_HOPS = 15  # migrations made
 W_TRAIL = 16  # the last hosts, as numbers from 1 in the order of the deployment; a ring
 TRAIL_LENGTH = 16
 W_INTERVAL = W_TRAIL + TRAIL_LENGTH  # heartbeat interval of its shadows in ms, 0 for none (appendix I)
-W_CLOCK = W_INTERVAL + 1  # the agent's clock in ns, when it was last packed: how long it has lived
+W_CLOCK = W_INTERVAL + 1  # the agent's clock (its age) in ns, when it was last packed
 W_TICKETS = W_INTERVAL + 2  # the number of the last ticket
 HEADER_WORDS = W_INTERVAL + 3
-#: How many words each version has before its heap.
+#: Words before the heap, by version.
 HEADERS = {OLD_VERSION: W_INTERVAL, EARLIER_VERSION: W_CLOCK, VERSION: HEADER_WORDS}
 
 #: The longest heartbeat interval: a day, in milliseconds.
-MOST_INTERVAL = 86_400_000
+MAX_INTERVAL = 86_400_000
 
 #: Header words that hold references: the collector's roots.
 ROOTS = (W_SELF, W_ID, W_THREADS)
 
-# Kinds of things on the heap.
+# Kinds of heap objects.
 OBJECT, ARRAY, STRING, PROXY, FRAME, THREAD, TICKET = 1, 2, 3, 4, 5, 6, 7
 
-# A proxy. MEMBER is the number of the resource in the deployment, START the life of its host in which it was
-# called last: 0 before the first call, else below START_LIMIT.
+# A proxy. MEMBER is the number of the resource in the deployment, START the incarnation of its host at the
+# last call: 0 before the first call, else below START_LIMIT.
 PROXY_MEMBER, PROXY_START = 1, 2
 PROXY_WORDS = 3
 START_LIMIT = 1 << 62
@@ -73,17 +73,17 @@ THREAD_WORDS = 7
 THREAD_REFERENCES = (THREAD_FRAME, THREAD_NEXT)
 
 # A ticket: one portal call of a `together` (decision 46). CALL is a frame of the portal METHOD, with the
-# arguments in its slots, until the call has begun. The result goes to element INDEX of ARRAY. NEXT is the
-# ticket collected before: numbers fall along it. The ticket with the NUMBER 0 is the sentinel that holds all
-# one `together`: it has only NEXT, the newest. One without a PROXY has no call either, and is BACK: it has
-# what an offer that was gone through in place has given.
+# arguments in its slots, until the call has started. The result goes to element INDEX of ARRAY. NEXT is the
+# ticket collected before: numbers decrease along it. The ticket with NUMBER 0 is the sentinel of a
+# `together`: it has only NEXT, the newest. One without a PROXY has no CALL either, and is RETURNED: it has
+# the result of an offer that was executed synchronously.
 TICKET_PROXY, TICKET_CALL, TICKET_METHOD, TICKET_ARRAY, TICKET_INDEX, TICKET_STATE = 1, 2, 3, 4, 5, 6
 TICKET_GENERATION, TICKET_NUMBER, TICKET_VALUE, TICKET_THROWN, TICKET_NEXT = 7, 8, 9, 10, 11
 TICKET_WORDS = 12
 TICKET_REFERENCES = (TICKET_PROXY, TICKET_CALL, TICKET_ARRAY, TICKET_THROWN, TICKET_NEXT)
-#: States of a ticket. TOLD is one that has begun and shall be cancelled: its host has been told.
-COLLECTED, BEGUN, TOLD, BACK = 1, 2, 3, 4
-#: Numbers and clocks stay below this.
+#: States of a ticket. CANCELLING: it has started, and its host was informed of its cancellation.
+TICKET_COLLECTED, TICKET_STARTED, TICKET_CANCELLING, TICKET_RETURNED = 1, 2, 3, 4
+#: Upper limit of numbers and clocks.
 COUNT_LIMIT = 1 << 62
 
 # Thread states.
@@ -97,7 +97,7 @@ def header(kind: int, index: int, words: int) -> int:
 
 
 class Layouts:
-    """Where the references are, for every record of one program; made once when it is loaded."""
+    """Positions of references, for every record of one program; computed once when it is loaded."""
 
     def __init__(self, program: Program) -> None:
         core = program.core
@@ -116,10 +116,10 @@ class Layouts:
             for m in core.methods
         ]
 
-        #: By the low half of a header: the one reference of the thing that stays behind when it is copied to
-        #: another block, which is what else a `together` has thrown. It may lead to what crosses no portal.
-        self.stays = {OBJECT | i << 8: 1 + field for i, field in program.others.items()}
-        #: Offsets of the references by the low half of a header; arrays that hold references are not in it.
+        #: By the lower half of a header: the reference that is not copied to another block: the suppressed
+        #: exceptions of a `together`. It may refer to objects that cannot cross a portal.
+        self.uncopied = {OBJECT | i << 8: 1 + field for i, field in program.others.items()}
+        #: Offsets of the references by the lower half of a header; arrays that hold references are not in it.
         self.offsets = self._by_half(core.types)
 
     def _by_half(self, types: tuple[TypeRecord, ...]) -> dict[int, tuple[int, ...]]:
@@ -143,6 +143,6 @@ class Layouts:
         return offsets
 
     def references(self, head: int) -> tuple[int, ...] | range:
-        """Offsets of the references in the thing with that header word."""
+        """Offsets of the references in an object with that header word."""
         found = self.offsets.get(head & 0xFFFFFFFF)
         return range(1, head >> 32) if found is None else found

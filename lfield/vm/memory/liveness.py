@@ -1,7 +1,7 @@
-"""Which slots a frame will still read: what it will not is cleared before a hop, so only live data travels.
+"""Live-variable analysis of slots: dead slots are cleared before a hop, so that only live data is sent.
 
-The classic backward data flow over the basic blocks of one method, sets of slots as bits of an int. Solved
-for the methods a coordinator stands in when it first hops from them, then kept.
+Backward data flow over the basic blocks of one method, with sets of slots as bits. Computed when a
+coordinator first hops from a method, then cached.
 """
 
 from __future__ import annotations
@@ -14,14 +14,22 @@ from itertools import pairwise
 from lfield.bytecode.opcodes import BY_CODE, BY_NAME
 from lfield.bytecode.program import CATCH, FINALLY, Handler, MethodRecord, Program, Quad
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.flow import Edge, Node, solve
-from lfield.vm.memory.layout import FRAME_CALLER, FRAME_RETURN, FRAME_SLOTS, THREAD_FRAME, THREAD_PC, Layouts
-from lfield.vm.memory.threads import threads
+from lfield.vm.memory.data_flow import Edge, Node, solve
+from lfield.vm.memory.layout import (
+    FRAME_CALLER,
+    FRAME_RETURN,
+    FRAME_SLOTS,
+    THREAD_FRAME,
+    THREAD_NEXT,
+    THREAD_PC,
+    W_THREADS,
+    Layouts,
+)
 
-#: Instructions of a basic block at most: to know what is live inside one is to go through it once more.
-LONGEST = 64
-#: Places where frames stood whose dead slots are kept: those asked for last.
-KEPT = 256
+#: Maximum instructions of a basic block: liveness inside one needs a pass over it.
+MAX_BLOCK_LENGTH = 64
+#: Number of cached positions, the most recently used.
+CACHE_SIZE = 256
 
 _ENDS = frozenset(BY_NAME[name].code for name in ("jmp", "return", "rtn", "throw", "noreturn"))
 _JUMPS = frozenset(row.code for row in BY_CODE.values() if row.operands and row.operands[0].role == "L")
@@ -29,32 +37,34 @@ _ALL = -1
 
 
 class Liveness:
-    """The dead slots at the instructions of a program where frames stand."""
+    """The dead slots at the suspension points of a program's frames."""
 
     def __init__(self, program: Program, layouts: Layouts) -> None:
         self._program = program
         self._layouts = layouts
         self._methods: dict[int, LiveSlots] = {}
-        self._dead = lru_cache(KEPT)(self._find_dead)
+        self._dead = lru_cache(CACHE_SIZE)(self._find_dead)
 
     def clear_dead(self, block: Block) -> None:
-        """Set every reference that no frame of the block will read again to null, but the object's own."""
+        """Set every reference that no frame will read again to null, except the object's own."""
         w = block.w
-        for thread in threads(block):
+        thread = w[W_THREADS]
+        while thread:
             frame, pc, inside_call = w[thread + THREAD_FRAME], w[thread + THREAD_PC], False
             while frame:
                 for offset in self._dead(w[frame] >> 8 & 0xFFFFFF, pc, inside_call):
                     w[frame + offset] = 0
                 pc, inside_call = w[frame + FRAME_RETURN], True
                 frame = w[frame + FRAME_CALLER]
+            thread = w[thread + THREAD_NEXT]
 
     def _find_dead(self, method: int, pc: int, inside_call: bool) -> tuple[int, ...]:
-        """The offsets of the references that a frame of a method will not read again."""
+        """Offsets of the references that a frame of a method will not read again."""
         slots = self._methods.get(method)
         if slots is None:
             slots = self._methods[method] = LiveSlots(self._program, method)
-        # A callee may also throw: then the handlers around its call go on.
-        live = slots.before(pc) | (slots.caught(pc - 1) if inside_call else 0)
+        # A callee may also throw: then the handlers around its call run.
+        live = slots.live_at(pc) | (slots.live_in_handlers(pc - 1) if inside_call else 0)
         references = self._layouts.frame_references[method]
         return tuple(at for at in references if at > FRAME_SLOTS and not live >> at - FRAME_SLOTS & 1)
 
@@ -62,8 +72,8 @@ class Liveness:
 class LiveSlots:
     """The live slots before every basic block of a method, as bits.
 
-    The nodes of the flow are the blocks, then the sets of handlers that are around any: what their targets
-    read is live before every instruction inside.
+    Nodes are the blocks, and the sets of handlers around them: slots read by their targets are live before
+    every covered instruction.
     """
 
     def __init__(self, program: Program, method: int) -> None:
@@ -71,59 +81,59 @@ class LiveSlots:
         handlers = [handler for handler in record.handlers if handler.kind in (CATCH, FINALLY)]
         self._starts = _leaders(record, handlers, self._quads)
         self._ends = (*self._starts[1:], record.end)
-        around = _around(self._starts, handlers)
+        around = _enclosing_handlers(self._starts, handlers)
         number = {found: len(self._starts) + i for i, found in enumerate(dict.fromkeys(around))}
         #: The node of the handlers around each block.
-        self._caught = [number[found] for found in around]
+        self._handler_nodes = [number[found] for found in around]
         self._sets = solve(
             [self._block(i) for i in range(len(self._starts))]
             + [Node(0, [self._handler(handlers[i]) for i in found]) for found in number]
         )
 
-    def before(self, pc: int) -> int:
-        """What may be read from an instruction on."""
+    def live_at(self, pc: int) -> int:
+        """The slots that may be read from an instruction on."""
         block = self._at(pc)
-        reads, keeps = self._through(pc, self._ends[block])
+        reads, unwritten = self._through(pc, self._ends[block])
         after = 0
-        for to in self._behind(block):
+        for to in self._successors(block):
             after |= self._sets[to]
-        return reads | after & keeps | self._sets[self._caught[block]]
+        return reads | after & unwritten | self._sets[self._handler_nodes[block]]
 
-    def caught(self, pc: int) -> int:
-        """What the handlers around an instruction will read."""
-        return self._sets[self._caught[self._at(pc)]]
+    def live_in_handlers(self, pc: int) -> int:
+        """The slots that the handlers around an instruction will read."""
+        return self._sets[self._handler_nodes[self._at(pc)]]
 
     def _at(self, pc: int) -> int:
         """The block of an instruction."""
         return bisect_right(self._starts, pc) - 1
 
     def _block(self, block: int) -> Node:
-        reads, keeps = self._through(self._starts[block], self._ends[block])
-        edges = [Edge(to, keeps) for to in self._behind(block)]
-        return Node(reads, [*edges, Edge(self._caught[block], _ALL)])
+        reads, unwritten = self._through(self._starts[block], self._ends[block])
+        edges = [Edge(to, unwritten) for to in self._successors(block)]
+        return Node(reads, [*edges, Edge(self._handler_nodes[block], _ALL)])
 
     def _handler(self, handler: Handler) -> Edge:
-        """A handler reads what its target reads, but for what was thrown."""
+        """A handler reads the slots of its target, except the one of the exception."""
         return Edge(self._at(handler.target), ~(1 << handler.slot))
 
-    def _behind(self, block: int) -> list[int]:
+    def _successors(self, block: int) -> list[int]:
         """The blocks that may follow a block."""
         last = self._quads[self._ends[block] - 1]
         following = [self._at(last.a)] if last.op in _JUMPS else []
         return following if last.op in _ENDS else [*following, block + 1]
 
     def _through(self, start: int, end: int) -> tuple[int, int]:
-        """What instructions read that they have not written, and all that they do not write."""
-        reads, keeps = 0, _ALL
+        """Slots read before being written by the instructions, and slots not written by them."""
+        reads, unwritten = 0, _ALL
         for pc in range(end - 1, start - 1, -1):
-            read, written = _touched(self._quads[pc])
+            read, written = _reads_and_writes(self._quads[pc])
             reads = reads & ~written | read
-            keeps &= ~written
-        return reads, keeps
+            unwritten &= ~written
+        return reads, unwritten
 
 
-def _touched(quad: Quad) -> tuple[int, int]:
-    """The slots that an instruction reads, and those that it writes then."""
+def _reads_and_writes(quad: Quad) -> tuple[int, int]:
+    """The slots that an instruction reads, and then writes."""
     read = written = 0
     for operand, value in zip(BY_CODE[quad.op].operands, quad[1:], strict=False):
         if operand.role == "D":
@@ -134,7 +144,7 @@ def _touched(quad: Quad) -> tuple[int, int]:
 
 
 def _leaders(record: MethodRecord, handlers: Sequence[Handler], quads: Sequence[Quad]) -> list[int]:
-    """Where the basic blocks of a method begin: no jump leads into one, no handler begins or ends in one."""
+    """Starts of the basic blocks of a method: no jump leads into one, no handler starts or ends in one."""
     found = {record.entry, record.end}
     for handler in handlers:
         found |= {handler.start, handler.end, handler.target}
@@ -143,19 +153,19 @@ def _leaders(record: MethodRecord, handlers: Sequence[Handler], quads: Sequence[
             found.add(quads[pc].a)
         if quads[pc].op in _JUMPS or quads[pc].op in _ENDS:
             found.add(pc + 1)
-    return [pc for start, end in pairwise(sorted(found)) for pc in range(start, end, LONGEST)]
+    return [pc for start, end in pairwise(sorted(found)) for pc in range(start, end, MAX_BLOCK_LENGTH)]
 
 
-def _around(starts: Sequence[int], handlers: Sequence[Handler]) -> list[tuple[int, ...]]:
-    """Which of the handlers are around each block."""
+def _enclosing_handlers(starts: Sequence[int], handlers: Sequence[Handler]) -> list[tuple[int, ...]]:
+    """The handlers around each block."""
     bounds: dict[int, list[int]] = {}
     for i, handler in enumerate(handlers):
         bounds.setdefault(handler.start, []).append(i)
         bounds.setdefault(handler.end, []).append(i)
     found: list[tuple[int, ...]] = []
-    inside: tuple[int, ...] = ()
+    enclosing: tuple[int, ...] = ()
     for start in starts:
         if start in bounds:
-            inside = tuple(sorted(set(inside).symmetric_difference(bounds[start])))
-        found.append(inside)
+            enclosing = tuple(sorted(set(enclosing).symmetric_difference(bounds[start])))
+        found.append(enclosing)
     return found

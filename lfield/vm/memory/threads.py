@@ -1,6 +1,6 @@
-"""The threads of a block: a list on its heap, one record each, and where each of them is.
+"""Threads of a block: a list on its heap with one record each, and an index of their places.
 
-What is known of places is beside the block until its heap moves: nobody walks a list of a thousand.
+The index is valid until the heap moves, and avoids walks over the list.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from bisect import bisect_left
 from collections.abc import Iterator
 
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Places
+from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import (
     FRAME,
     FRAME_CALLER,
@@ -29,7 +29,7 @@ from lfield.vm.memory.layout import (
 
 
 def thread_template(method: int, frame_words: int, entry: int) -> memoryview[int]:
-    """A thread that will run a method from an instruction on, and its frame before it, for `new_thread`."""
+    """A template for `new_thread`: a thread at an instruction of a method, preceded by its frame."""
     words = array("q", bytes(8 * (frame_words + THREAD_WORDS)))
     words[0] = header(FRAME, method, frame_words)
     words[FRAME_DEPTH] = 1
@@ -39,9 +39,9 @@ def thread_template(method: int, frame_words: int, entry: int) -> memoryview[int
 
 
 def new_thread(block: Block, template: memoryview[int], words: list[int], call: int) -> int:
-    """A ready thread made by a template, to run on the words given (the object first); returns its id.
+    """A ready thread from a template, with arguments (the object first); returns its id.
 
-    Raises Full before anything is written.
+    Raises HeapFull before any write.
     """
     frame = block.stamp(template)
     w = block.w
@@ -72,14 +72,14 @@ def threads(block: Block) -> Iterator[int]:
 
 
 def count(block: Block) -> int:
-    """How many threads there are."""
-    return len(_places(block))
+    """The number of threads."""
+    return len(block.index_threads())
 
 
 def place_of(block: Block, identity: int) -> int:
-    """Where the thread with that id is; 0 when there is none."""
+    """The place of the thread with that id; 0 for none."""
     places = block.places
-    return (_places(block) if places is None else places).get(identity, 0)
+    return (block.index_threads() if places is None else places).get(identity, 0)
 
 
 def only_thread(block: Block) -> int:
@@ -89,18 +89,18 @@ def only_thread(block: Block) -> int:
 
 
 def serving(block: Block, call: int) -> int:
-    """The id of the thread that serves the portal call with that number; 0 when there is none."""
+    """The id of the thread that serves the portal call with that number; 0 for none."""
     w = block.w
     return next((w[place + THREAD_ID] for place in threads(block) if w[place + THREAD_CALL] == call), 0)
 
 
 def unlink(block: Block, identity: int) -> None:
-    """Take a thread out of the list. Whatever it has left on the heap is for the collector.
+    """Remove a thread from the list. Its data is left to the collector.
 
-    But where it and its only frame still are what is on the top, as behind a portal that has kept nothing,
-    they are given back at once: such calls cost no garbage.
+    If the thread and its only frame are on the top of the heap, as after a portal without allocations, they
+    are freed at once: such calls produce no garbage.
     """
-    w, places = block.w, _places(block)
+    w, places = block.w, block.index_threads() if block.places is None else block.places
     place = places.pop(identity, 0)
     if not place:
         return
@@ -113,13 +113,13 @@ def unlink(block: Block, identity: int) -> None:
         return
     frame = w[place + THREAD_FRAME]
     if frame + (w[frame] >> 32) == place and not w[frame + FRAME_CALLER]:
-        block.top = frame
+        block.set_top(frame)
 
 
-def still_image(block: Block) -> bytes:
-    """The block but for the states of its threads: equal when nothing that a program sees differs."""
+def image_without_states(block: Block) -> bytes:
+    """The block without the states of its threads: equal if a program sees no difference."""
     w = block.w
-    words = [place + THREAD_STATE for place in _places(block).values()]
+    words = [place + THREAD_STATE for place in block.index_threads().values()]
     states = [w[word] for word in words]
     for word in words:
         w[word] = 0
@@ -127,13 +127,3 @@ def still_image(block: Block) -> bytes:
     for word, state in zip(words, states, strict=True):
         w[word] = state
     return image
-
-
-def _places(block: Block) -> Places:
-    """Where the threads are, looked up where the heap has moved."""
-    places = block.places
-    if places is None:
-        w = block.w
-        youngest_first = [(w[place + THREAD_ID], place) for place in threads(block)]
-        places = block.places = Places(reversed(youngest_first))
-    return places

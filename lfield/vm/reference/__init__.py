@@ -1,9 +1,9 @@
-"""The reference engine: plain Python over the words of a block, the executable specification.
+"""Reference engine: a threaded-code interpreter in Python, the executable specification.
 
-Every instruction becomes one small closure, a step; a step does its work on the registers and returns the
-number of the next instruction. All state is in the block: the registers only mirror it during `run`.
+Every instruction is compiled to one closure, a step, which works on the registers and returns the number of
+the next instruction. All state is in the block: registers mirror it during `run`.
 """
 
-from lfield.vm.reference.run import Engine
+from lfield.vm.reference.reference_engine import ReferenceEngine
 
-__all__ = ["Engine"]
+__all__ = ["ReferenceEngine"]

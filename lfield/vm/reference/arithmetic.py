@@ -1,8 +1,8 @@
 """Arithmetic, comparisons and logic (tables J.6 to J.8).
 
-Writing a number beyond 64 bits into the block fails by itself; the engine turns that failure into an
-ArithmeticException, so no step checks for overflow. What computes a real gives the one NaN that L has; moves,
-fields and elements leave all bits as they are.
+Writing a number beyond 64 bits into the block fails, which the engine turns into an ArithmeticException;
+steps need no overflow check. Computed reals have the single NaN of L; moves, fields and elements preserve all
+bits.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ import operator
 from collections.abc import Callable
 from typing import Any
 
-from lfield.vm.contract import Trap
+from lfield.vm.engine_interface import Trap
 from lfield.vm.maths.rounding import remainder
 from lfield.vm.memory.layout import PROXY_MEMBER
-from lfield.vm.memory.values import canonical
-from lfield.vm.reference.registers import Registers, Step
+from lfield.vm.memory.word_codec import canonical
+from lfield.vm.reference.call_steps import Registers, Step
 
 Int2 = Callable[[int, int], int]
 Real2 = Callable[[float, float], float]
@@ -155,7 +155,7 @@ def string_compare(function: Compare, a: int, b: int, c: int | None, after: int)
 
 
 def proxy_compare(same: bool, a: int, b: int, c: int | None, after: int) -> Step:
-    """`a = whether b and c are for the same agent` (or not), whichever find they came from."""
+    """`a = whether b and c are for the same agent` (or not), regardless of their origin."""
 
     def step(m: Registers) -> int:
         w, slots = m.w, m.slots

@@ -1,1 +1,1 @@
-"""`together`: portal calls that are collected, begun, fetched and left (decision 46)."""
+"""`together`: portal calls are collected, started, fetched and cancelled (decision 46)."""

@@ -1,1 +1,1 @@
-"""The engine in WebAssembly: all blocks of a host in one memory, and its program's methods as functions."""
+"""WebAssembly engine: all blocks of a host in one memory, and its program's methods as functions."""

@@ -1,6 +1,6 @@
-"""The arena: one WebAssembly memory with the blocks of all agents of a host, each in a region of its own.
+"""Region allocator: one WebAssembly memory with the blocks of all agents of a host.
 
-A region is freed when nobody has a view of it any more, so an image that is still being sent stays whole.
+A region is freed when no view of it is left, so an image that is being sent stays intact.
 """
 
 from __future__ import annotations
@@ -14,79 +14,79 @@ from typing import Any
 
 import wasmtime
 
-from lfield.vm.memory.space import SEPARATE, Buffer
-from lfield.vm.wasm.compiling import PAGE, WHOLE, compiler
+from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR, Buffer
+from lfield.vm.wasm.wasm_compiler import ADDRESS_SPACE, PAGE, compiler
 
-#: What is tried, one after another, where addresses are limited (`ulimit -v`).
-RESERVATIONS = (WHOLE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
+#: Reservations tried in turn where the address space is limited (`ulimit -v`).
+RESERVATIONS = (ADDRESS_SPACE, 1 << 30, 1 << 28, 1 << 26, 1 << 24)
 #: Regions have one of four sizes between two powers of two; this is the smallest.
 _SMALLEST = 512
-#: Freed regions of so many bytes keep no memory: it costs a fault for each page to have it again.
+#: Freed regions of this size return their memory, at the cost of a page fault per page on reuse.
 _LARGE = 4 << 20
 _advise = ctypes.CDLL(None, use_errno=True).madvise
 _advise.argtypes = (ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int)
-#: A memory grows by so many pages at least: growing costs a call of the system, untouched pages cost nothing.
+#: Minimum growth in pages: growing costs a system call, untouched pages cost nothing.
 _STEP = 16
 
 
 class Arena:
-    """The memory, and which regions of it are free. The first `low` bytes are not given to blocks."""
+    """The memory and its free regions. The first `low` bytes are not used for blocks."""
 
     def __init__(self, low: int = PAGE) -> None:
         self.reservation, self.store, self.memory = _reserved(-(-low // PAGE))
-        #: Where the memory begins, in this process; it never moves.
+        #: Base address of the memory in this process; constant.
         self.address = ctypes.addressof(self.memory.data_ptr(self.store).contents)
         self._next = low + -low % 8
         self._free: dict[int, list[int]] = {}
-        #: What was freed since something was taken: the collector of Python may free while that is done.
+        #: Regions freed since the last allocation: Python's collector may free during one.
         self._freed: deque[tuple[int, int]] = deque()
 
     def view(self, base: int, size: int) -> memoryview:
-        """So many bytes from a place in the memory, for as long as the arena is there."""
+        """That many bytes at a place in the memory, valid as long as the arena."""
         return memoryview((ctypes.c_ubyte * size).from_address(self.address + base)).cast("B")
 
-    def room(self, size: int) -> Buffer:
-        """A region; bytes elsewhere, which only the reference engine can use, where the memory is full."""
+    def allocate(self, size: int) -> Buffer:
+        """A region; if the memory is full, bytes elsewhere, usable by the reference engine only."""
         capacity = size_class(size)
-        base = self.take(capacity)
+        base = self.allocate_region(capacity)
         if base < 0:
-            return SEPARATE.room(size)
+            return HEAP_ALLOCATOR.allocate(size)
         region = _region(capacity).from_address(self.address + base)
         region.arena, region.base = self, base
         return memoryview(region).cast("B")[:size]
 
-    def sized(self, data: Buffer, size: int) -> Buffer:
-        """The same region where its size class fits, else another one."""
+    def resize(self, data: Buffer, size: int) -> Buffer:
+        """The same region if its size class fits, else another one."""
         region = data.obj if isinstance(data, memoryview) else None
         if isinstance(region, Region) and len(region) == size_class(size):
             return memoryview(region).cast("B")[:size]
-        made = self.room(size)
-        kept = min(size, len(data))
-        made[:kept] = data[:kept]
+        made = self.allocate(size)
+        copied = min(size, len(data))
+        made[:copied] = data[:copied]
         return made
 
     def base(self, data: Buffer) -> int:
-        """Where a region begins in the memory, in bytes; -1 for bytes that are not in this one."""
+        """The start of a region in the memory, in bytes; -1 for bytes elsewhere."""
         region = data.obj if isinstance(data, memoryview) else None
         if isinstance(region, Region) and region.arena is self:
             return region.base
         return -1
 
-    def take(self, capacity: int) -> int:
-        """Where so many bytes (a size class) are that are nobody's until they are freed; -1: nowhere."""
+    def allocate_region(self, capacity: int) -> int:
+        """Allocate that many bytes (a size class) until freed; -1 when the arena is full."""
         while self._freed:
             base, size = self._freed.popleft()
             self._free.setdefault(size, []).append(base)
         free = self._free.get(capacity)
         if free:
             return free.pop()
-        base = self._fresh(capacity)
-        return base if base >= 0 else self._joined(capacity)
+        base = self._extend(capacity)
+        return base if base >= 0 else self._coalesce(capacity)
 
     def free(self, base: int, capacity: int) -> None:
-        """Nobody has a view of a region any more; the system has the memory of a large one back.
+        """Free a region without views; memory of a large one is returned to the system.
 
-        It may be called at any moment, in the middle of `take` too.
+        May be called at any time, even during `allocate_region`.
         """
         if capacity >= _LARGE:
             start = self.address + base
@@ -94,8 +94,8 @@ class Arena:
             _advise(first, last - first, mmap.MADV_DONTNEED)
         self._freed.append((base, capacity))
 
-    def _joined(self, capacity: int) -> int:
-        """A region of freed ones that lie side by side; what is left over stays free. -1: nowhere."""
+    def _coalesce(self, capacity: int) -> int:
+        """Merge adjacent freed regions into one; the rest stays free. -1 if impossible."""
         runs: list[tuple[int, int]] = []
         for base, size in sorted((base, size) for size, bases in self._free.items() for base in bases):
             before, known = runs[-1] if runs else (base, 0)
@@ -110,16 +110,16 @@ class Arena:
             self._free.setdefault(size, []).append(base)
         large = min((size for size in self._free if size >= capacity), default=0)
         if not large:
-            return self._fresh(capacity)
+            return self._extend(capacity)
         base = self._free[large].pop()
         if large > capacity:
             self._free.setdefault(large - capacity, []).append(base + capacity)
         return base
 
-    def _fresh(self, capacity: int) -> int:
-        """A new region from the end of the memory, which grows for it; -1 when it cannot.
+    def _extend(self, capacity: int) -> int:
+        """A new region at the end of the memory, which grows; -1 if impossible.
 
-        The last page is nobody's: the address behind a region is one of 32 bits too, in the code as here.
+        The last page is unused, so the address behind a region has 32 bits too.
         """
         base, end = self._next, self._next + capacity
         size = self.memory.data_len(self.store)
@@ -140,7 +140,7 @@ class Arena:
 
 
 class Region(ctypes.Array[ctypes.c_ubyte]):
-    """The bytes of one region; views of them keep it."""
+    """The bytes of one region; views keep it alive."""
 
     _type_ = ctypes.c_ubyte
     _length_ = 0
@@ -152,7 +152,7 @@ class Region(ctypes.Array[ctypes.c_ubyte]):
 
 
 def size_class(size: int) -> int:
-    """The size of the region for so many bytes: at most a quarter more."""
+    """The size of the region for that many bytes: at most a quarter more."""
     if size <= _SMALLEST:
         return _SMALLEST
     step = 1 << (size - 1).bit_length() - 3
@@ -165,9 +165,9 @@ def _region(capacity: int) -> type[Region]:
 
 
 def _reserved(pages: int) -> tuple[int, Any, wasmtime.Memory]:
-    """A memory with as many addresses as can be had: how many, its store and itself."""
+    """A memory with the largest possible reservation: addresses, store, memory."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    most = WHOLE if limit == resource.RLIM_INFINITY else limit // 4
+    most = ADDRESS_SPACE if limit == resource.RLIM_INFINITY else limit // 4
     for reservation in RESERVATIONS:
         if reservation > max(most, RESERVATIONS[-1]):
             continue

@@ -1,7 +1,7 @@
-"""A vehicle with its autopilot, without a wire: pure, stepped by time. From the bottom:
+"""A vehicle with its autopilot, without a wire: pure, stepped by time. Bottom-up:
 
-`vehicle` moves (kinematics) in the `wind`, `equipment` is what it carries, `plans` what was uploaded to it;
-`flavours` says what tells autopilots apart, `ardupilot` and `px4` are that as data: modes, parameters,
-failsafes, texts. `pilot` holds the state and enters modes; `flight` and `missions` do what a mode does
-as time passes; `watch` looks out; `autopilot` takes commands and lets time pass.
+`vehicle` (kinematics) in the `wind`, `payload`, uploaded `plans`; `flavours` describes differences of
+autopilots, `stacks` has them as data: modes, parameters, failsafes, texts. `pilot` has the state and enters
+modes; `flight_modes` and `mission_flight` implement modes over time; `monitoring` watches; `autopilot`
+handles commands.
 """

@@ -1,7 +1,7 @@
-"""What an autopilot does with a vehicle: arming, modes, guided flight, missions, as commands ask for it.
+"""Commands of an autopilot: arming, modes, guided flight, missions.
 
-Times and refusals are those measured on ArduPilot 4.7 and PX4 1.17; what tells them apart is data in
-`flavours`. Pure: `step(dt)` moves time, everything else answers at once.
+Times and refusals as measured on ArduPilot 4.7 and PX4 1.17; differences are data in `flavours`. Pure:
+`step(dt)` advances time, everything else responds at once.
 """
 
 from __future__ import annotations
@@ -10,22 +10,22 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from lfield_sim.autopilot.body.goals import ZERO, Circle, Fall, Goal, Keep, Lean, Reach, Vector
-from lfield_sim.autopilot.flavours import Control, Kind, Result, Role
-from lfield_sim.autopilot.flight import fly, suffer
-from lfield_sim.autopilot.lifting import begin_takeoff, disarm_when_idle, rise
-from lfield_sim.autopilot.missions import why_no_mission
+from lfield_sim.autopilot.body.goals import ZERO, Fall, Goal, Keep, Lean, Orbit, Reach, Vector
+from lfield_sim.autopilot.flavours import MavResult, Role, SetpointControl, VehicleKind
+from lfield_sim.autopilot.flight_modes import apply_motor_faults, fly
+from lfield_sim.autopilot.mission_flight import why_no_mission
+from lfield_sim.autopilot.monitoring.arming_readiness import ArmingRefusal, arming_refusal, new_texts
+from lfield_sim.autopilot.monitoring.failsafes import Failsafes
 from lfield_sim.autopilot.pace import RoverPace
 from lfield_sim.autopilot.pilot import Pilot
 from lfield_sim.autopilot.stacks import ardupilot, px4
-from lfield_sim.autopilot.watch.failsafes import Failsafes
-from lfield_sim.autopilot.watch.readiness import Unfit, news, why_unfit
+from lfield_sim.autopilot.takeoff_landing import disarm_when_idle, rise, start_takeoff
 
-#: Every vehicle there is, by flavour and kind.
-FLAVOURS: Mapping[str, Mapping[str, Kind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
+#: Every vehicle kind, by flavour.
+FLAVOURS: Mapping[str, Mapping[str, VehicleKind]] = {"ardupilot": ardupilot.KINDS, "px4": px4.KINDS}
 KINDS = FLAVOURS["ardupilot"]
-#: What needs a position, in PX4's words.
-PLACED = {
+#: Modes that need a position, in PX4's words.
+POSITION_MODES = {
     Role.GUIDED: "Offboard",
     Role.HOLD: "Hold",
     Role.RETURN: "Return",
@@ -37,36 +37,36 @@ PLACED = {
 
 @dataclass(frozen=True, slots=True)
 class Setpoint:
-    """What a guided vehicle is to do; a motion and a heading, each may be left open."""
+    """A setpoint; motion and heading are optional."""
 
     goal: Goal | None = None
     yaw: float | None = None
     yaw_rate: float | None = None
-    control: Control = Control.VELOCITY
+    control: SetpointControl = SetpointControl.VELOCITY
 
 
 @dataclass(slots=True)
 class Autopilot(Pilot):
-    """One vehicle with its autopilot: a pilot that takes commands and has failsafes (faults: see `Pilot`).
+    """One vehicle with its autopilot: handles commands and has failsafes (faults: see `Pilot`).
 
-    `board` is the number of its board, in 96 bits, which nothing changes; 0 when it tells none.
+    `board` is the constant 96-bit id of its board; 0 without one.
     """
 
-    kind: Kind = KINDS["copter"]
+    kind: VehicleKind = KINDS["copter"]
     board: int = 0
     failsafes: Failsafes = field(init=False)
 
     def __post_init__(self) -> None:
-        # A class with slots is made twice: super() without arguments would mean the first one.
+        # A class with slots is created twice: super() without arguments would refer to the first one.
         Pilot.__post_init__(self)
         self.failsafes = Failsafes(self)
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advances time by `dt` seconds."""
         self.now += dt
         if self.booting:
             return
-        for text in news(self, dt):
+        for text in new_texts(self, dt):
             self.say(text)
         for text in self.estimate.step(
             dt,
@@ -88,44 +88,44 @@ class Autopilot(Pilot):
         fly(self)
         rise(self)
         disarm_when_idle(self)
-        suffer(self)
+        apply_motor_faults(self)
         if self.armed or self.vehicle.airborne or self.vehicle.velocity != ZERO:
             self.vehicle.step(dt)
 
     # -- arming ---------------------------------------------------------------------------------------
 
     @property
-    def unfit(self) -> Unfit | None:
+    def unfit(self) -> ArmingRefusal | None:
         """Why it cannot be armed now, None when it can."""
         rule = self.flavour.gcs
         if rule.forbids and self.failsafes.station_lost:
-            return Unfit((rule.refusal,) if rule.refusal else None)
+            return ArmingRefusal((rule.refusal,) if rule.refusal else None)
         if self.failsafes.battery_acted and self.flavour.battery_refusal:
-            return Unfit((self.flavour.battery_refusal,))
+            return ArmingRefusal((self.flavour.battery_refusal,))
         if self.failsafes.fences.breach and self.flavour.submodes:
-            return Unfit(())
+            return ArmingRefusal(())
         if not (self.flies or self.flavour.submodes or self.kind.modes[self.mode].armable):
-            return Unfit((self.flavour.unarmable.format(mode=self.mode),))
+            return ArmingRefusal((self.flavour.unarmable.format(mode=self.mode),))
         if self.flavour.submodes and self.role in (Role.MANUAL, Role.TERMINATE):
-            # By hand it needs a transmitter; after a termination nothing helps.
-            return Unfit(())
-        return why_unfit(self)
+            # Manual arming needs a transmitter; after a termination it is impossible.
+            return ArmingRefusal(())
+        return arming_refusal(self)
 
-    def arm(self, *, force: bool = False, text: str = "") -> Result:
-        """COMPONENT_ARM_DISARM 1: accepted too when it is armed already."""
-        if self.armed or self.deaf_to_arming:
-            return Result.ACCEPTED
+    def arm(self, *, force: bool = False, text: str = "") -> MavResult:
+        """COMPONENT_ARM_DISARM 1: also accepted when armed."""
+        if self.armed or self.ignores_arm:
+            return MavResult.ACCEPTED
         if not self.kind.modes[self.mode].armable:
-            return self._deny_arming(Unfit((self.flavour.unarmable.format(mode=self.mode),)))
+            return self._deny_arming(ArmingRefusal((self.flavour.unarmable.format(mode=self.mode),)))
         if (unfit := self.unfit) and not force:
             return self._deny_arming(unfit)
         self.armed, self.armed_at, self.armed_first, self.touched_at = True, self.now, self.now, None
-        self.take_home(self.vehicle.place)
+        self.set_home(self.vehicle.place)
         self.pace.arm()
         self.say(text or self.flavour.armed)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def _deny_arming(self, unfit: Unfit) -> Result:
+    def _deny_arming(self, unfit: ArmingRefusal) -> MavResult:
         texts = [] if unfit.reasons is None else [self.flavour.denial.format(reason=r) for r in unfit.reasons]
         if unfit.reasons is not None and self.flavour.verdict:
             texts.append(self.flavour.verdict)
@@ -133,48 +133,48 @@ class Autopilot(Pilot):
             self.say(text)
         return self.flavour.refusal
 
-    def reboot(self) -> Result:
+    def reboot(self) -> MavResult:
         """PREFLIGHT_REBOOT_SHUTDOWN: refused while armed; silent for a moment, then as after a start."""
         if self.armed:
-            return Result.DENIED if self.flavour.submodes else Result.FAILED
+            return MavResult.DENIED if self.flavour.submodes else MavResult.FAILED
         self.restart()
         self.failsafes = Failsafes(self)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
     # -- modes ----------------------------------------------------------------------------------------
 
-    def set_mode(self, number: int) -> Result:
-        """DO_SET_MODE with a custom mode, or SET_MODE. PX4 says yes to one that it does not have."""
+    def set_mode(self, number: int) -> MavResult:
+        """DO_SET_MODE with a custom mode, or SET_MODE. PX4 accepts unknown ones."""
         name = self.kind.mode_name(number)
         if name:
             return self.command_mode(name)
         if self.flavour.submodes:
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         self.say(f"No such mode {number}")
-        return Result.FAILED
+        return MavResult.FAILED
 
-    def command_mode(self, name: str) -> Result:
-        """A mode by name. PX4 says yes to one that is not available, and stays in the one that it is in."""
+    def command_mode(self, name: str) -> MavResult:
+        """Enters a mode by name. PX4 accepts an unavailable one and stays in its mode."""
         if texts := self._why_not(name):
             for text in texts:
                 self.say(text)
-            # PX4 accepts a mode that is not available, but for one that lacks a position.
+            # PX4 accepts an unavailable mode, except one that lacks a position.
             accepts = self.flavour.submodes and not self._is_lost
-            return Result.ACCEPTED if accepts else self.flavour.refusal
+            return MavResult.ACCEPTED if accepts else self.flavour.refusal
         self.failsafes.commanded()
         self.command(name)
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
     @property
     def _is_lost(self) -> bool:
-        """Whether it flies and knows no position any more."""
+        """Whether it flies without a position."""
         return self.estimate.is_lost and self.armed
 
     def _why_not(self, name: str) -> tuple[str, ...]:
-        """What is said when a mode cannot be entered now, nothing when it can."""
+        """The texts when a mode cannot be entered now, empty when it can."""
         role, flavour = self.kind.modes[name].role, self.flavour
-        if self._is_lost and role in PLACED:
-            return (flavour.blind.refusal.format(mode=PLACED[role] if flavour.submodes else name),)
+        if self._is_lost and role in POSITION_MODES:
+            return (flavour.blind.refusal.format(mode=POSITION_MODES[role] if flavour.submodes else name),)
         if role is Role.MISSION:
             return why_no_mission(self)
         if role is Role.GUIDED and flavour.needs_stream and not self.streams:
@@ -183,28 +183,28 @@ class Autopilot(Pilot):
             return (flavour.unavailable.format(mode="Altitude" if name == "ALTCTL" else "Position"),)
         return ()
 
-    def command_role(self, role: Role) -> Result:
-        """The mode that has a role; UNSUPPORTED when there is none (a rover does not land)."""
+    def command_role(self, role: Role) -> MavResult:
+        """Enters the mode of a role; UNSUPPORTED without one (a rover does not land)."""
         name = self.kind.mode_for(role)
-        return self.command_mode(name) if name else Result.UNSUPPORTED
+        return self.command_mode(name) if name else MavResult.UNSUPPORTED
 
-    def takeoff(self, height: float | None) -> Result:
-        """NAV_TAKEOFF to a height above home; None is the one PX4 has as a parameter.
+    def takeoff(self, height: float | None) -> MavResult:
+        """NAV_TAKEOFF to a height above home; None: PX4's parameter.
 
-        ArduPilot: only armed, in GUIDED, from the ground. PX4 enters a mode and says yes in any case.
+        ArduPilot: only armed, in GUIDED, on the ground. PX4 accepts it and enters a mode in any case.
         """
         if not self.kind.lands:
-            return Result.UNSUPPORTED
+            return MavResult.UNSUPPORTED
         if self.flavour.takeoff_mode:
             return self._enter_takeoff(height)
         ready = self.armed and self.role is Role.GUIDED and not self.vehicle.airborne
         if not ready or height is None or not 0.0 < height < 1e4:
-            return Result.FAILED
-        begin_takeoff(self, self.home[2] - height)
-        return Result.ACCEPTED
+            return MavResult.FAILED
+        start_takeoff(self, self.home[2] - height)
+        return MavResult.ACCEPTED
 
-    def _enter_takeoff(self, height: float | None) -> Result:
-        """PX4's mode for it, disarmed too; whoever is higher already stays there."""
+    def _enter_takeoff(self, height: float | None) -> MavResult:
+        """PX4's takeoff mode, also when disarmed; a vehicle that is higher already stays there."""
         self.takeoff_goal = height if height is not None and 0.0 < height < 1e4 else None
         if height is None:
             self.say(f"Using default takeoff altitude: {self.takeoff_height:.1f} m\t")
@@ -214,68 +214,68 @@ class Autopilot(Pilot):
             return self.command_role(Role.HOLD)
         return self.command_role(Role.TAKEOFF)
 
-    def start_mission(self, first: int | None = None) -> Result:
-        """MISSION_START: the mission mode, from an item or from where it was left."""
+    def start_mission(self, first: int | None = None) -> MavResult:
+        """MISSION_START: enters the mission mode, from an item or from the current one."""
         if first is not None and not self.mission.jump(first):
             return self.refuse(f"Mission: there is no item {first}")
         if self.flavour.takeoff_mode and self.mission.items and not self.armed:
             self.enter(self.kind.mode_for(Role.HOLD))
-            if (result := self.arm(text="Armed by mission start\t")) is not Result.ACCEPTED:
+            if (result := self.arm(text="Armed by mission start\t")) is not MavResult.ACCEPTED:
                 return result
         return self.command_role(Role.MISSION)
 
-    def go_home(self) -> Result:
+    def go_home(self) -> MavResult:
         """NAV_RETURN_TO_LAUNCH."""
         return self.command_role(Role.RETURN)
 
-    def refuse(self, text: str) -> Result:
-        """Say why not, with this autopilot's result for it."""
+    def refuse(self, text: str) -> MavResult:
+        """Sends the reason, and returns this autopilot's result for it."""
         self.say(text)
         return self.flavour.refusal
 
     # -- guided flight --------------------------------------------------------------------------------
 
-    def set_yaw(self, yaw: float) -> Result:
-        """CONDITION_YAW to an absolute heading in radians; other modes accept it and do not turn."""
+    def set_yaw(self, yaw: float) -> MavResult:
+        """CONDITION_YAW to an absolute heading in radians; other modes accept it without effect."""
         if self.role not in (Role.GUIDED, Role.MISSION):
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = yaw, None
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def set_speed(self, speed: float) -> Result:
+    def set_speed(self, speed: float) -> MavResult:
         """DO_CHANGE_SPEED over ground."""
         return self.pace.change(speed)
 
     def reposition(
         self, place: Vector, yaw: float | None, *, change_mode: bool, speed: float | None = None
-    ) -> Result:
-        """DO_REPOSITION, with a speed or None: ArduPilot goes there in GUIDED, PX4 holds there."""
-        if not self.failsafes.fences.takes(place):
-            return Result.ACCEPTED if self.flavour.needs_stream else Result.FAILED
+    ) -> MavResult:
+        """DO_REPOSITION, with a speed or None: ArduPilot flies there in GUIDED, PX4 holds there."""
+        if not self.failsafes.fences.accepts(place):
+            return MavResult.ACCEPTED if self.flavour.needs_stream else MavResult.FAILED
         role = Role.HOLD if self.flavour.needs_stream else Role.GUIDED
         if self.role is not role and not change_mode:
-            return Result.DENIED
+            return MavResult.DENIED
         self.command_role(role)
-        if not self.pace.begin(Control.PLACE, speed):
-            return Result.FAILED
+        if not self.pace.start(SetpointControl.PLACE, speed):
+            return MavResult.FAILED
         if self.armed and (self.vehicle.airborne or not self.flies):
             self.vehicle.goal, self.vehicle.yaw_goal = Reach(place), yaw
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def orbit(self, circle: Circle) -> Result:
-        """DO_ORBIT, PX4's: accepted on the ground too, where nothing comes of it."""
+    def orbit(self, circle: Orbit) -> MavResult:
+        """DO_ORBIT of PX4: also accepted on the ground, without effect."""
         if not self.vehicle.airborne or circle.radius <= 0.0:
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         result = self.command_role(Role.ORBIT)
         self.vehicle.goal = circle
         return result
 
     def guide(self, setpoint: Setpoint) -> None:
-        """A setpoint; ignored, as on the real thing, when it cannot be followed."""
+        """A setpoint; ignored when it cannot be followed, as by the real one."""
         if self.setpoints_over or not self.setpoint_at > -math.inf:
             self.stream_at = self.now
         self.setpoint_at = self.now
-        # An ArduCopter on the ground follows no setpoint: it takes a takeoff to leave it.
+        # An ArduCopter on the ground ignores setpoints until a takeoff.
         lifted = self.vehicle.airborne or not self.flies or self.flavour.needs_stream
         falls = self.motor_failed and isinstance(self.vehicle.goal, Fall)
         if self.role is not Role.GUIDED or not self.armed or not lifted or falls:
@@ -286,13 +286,13 @@ class Autopilot(Pilot):
         if setpoint.goal is None and not self.flavour.needs_stream:
             if self.flies:
                 return
-            # A rover takes a heading alone for a velocity of nothing.
+            # A rover takes a heading alone as a velocity of zero.
             setpoint = replace(setpoint, goal=Keep(ZERO))
-        if isinstance(setpoint.goal, Reach) and not self.failsafes.fences.takes(setpoint.goal.place):
+        if isinstance(setpoint.goal, Reach) and not self.failsafes.fences.accepts(setpoint.goal.place):
             return
         if setpoint.goal is not None:
-            self.pace.begin(setpoint.control)
-            # A rate of turn ends with the next setpoint that does not name one; a heading stays.
+            self.pace.start(setpoint.control)
+            # A yaw rate ends with the next setpoint without one; a heading remains.
             self.vehicle.goal, self.vehicle.yaw_rate_goal = setpoint.goal, None
         if setpoint.yaw is not None or setpoint.yaw_rate is not None:
             self.vehicle.yaw_goal, self.vehicle.yaw_rate_goal = setpoint.yaw, setpoint.yaw_rate

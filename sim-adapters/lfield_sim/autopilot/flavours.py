@@ -1,4 +1,4 @@
-"""What tells autopilots apart, as data. The tables are in `ardupilot` and `px4`."""
+"""Differences of autopilots, as data. The tables are in `stacks`."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from enum import Enum, IntEnum
 from typing import Protocol
 
-from lfield_sim.autopilot.body.estimate import BlindRule
-from lfield_sim.autopilot.ground import Wheels
+from lfield_sim.autopilot.body.estimator import BlindRule
+from lfield_sim.autopilot.ground_vehicle import Wheels
 from lfield_sim.autopilot.vehicle import Limits
 
 
-class Result(IntEnum):
+class MavResult(IntEnum):
     """MAV_RESULT."""
 
     ACCEPTED = 0
@@ -25,7 +25,7 @@ class Result(IntEnum):
 
 
 class Role(Enum):
-    """What a flight mode does, whatever an autopilot calls it."""
+    """What a flight mode does, independent of its name."""
 
     MANUAL = "manual"
     HOLD = "hold"
@@ -38,8 +38,8 @@ class Role(Enum):
     TERMINATE = "terminate"
 
 
-class Control(Enum):
-    """What a setpoint has controlled: a place, a place with a velocity towards it, or a velocity."""
+class SetpointControl(Enum):
+    """What a setpoint controls: a position, a position with a velocity towards it, or a velocity."""
 
     PLACE = "place"
     BOTH = "both"
@@ -47,11 +47,11 @@ class Control(Enum):
 
 
 class Pace(Protocol):
-    """How fast a place is flown to (see `pace`); speeds in m/s."""
+    """The speed to a position (see `pace`); speeds in m/s."""
 
     @property
     def speed(self) -> float:
-        """What is flown to a place now."""
+        """The present speed to a position."""
 
     def enter(self, *, guided: bool) -> None:
         """A mode was entered, or a takeoff began."""
@@ -59,24 +59,23 @@ class Pace(Protocol):
     def arm(self) -> None:
         """It was armed."""
 
-    def begin(self, control: Control, asked: float | None = None) -> bool:
-        """A goal came, with a speed of its own or without; False when it is refused for that."""
+    def start(self, control: SetpointControl, asked: float | None = None) -> bool:
+        """A goal came, with or without its own speed; False when it is refused for that."""
 
-    def change(self, speed: float) -> Result:
+    def change(self, speed: float) -> MavResult:
         """DO_CHANGE_SPEED."""
 
 
-#: Makes a pace from the autopilot's own speed and the cap on all speeds, each read when it is needed.
-PaceMaker = Callable[[Callable[[], float], Callable[[], float]], Pace]
+#: Creates a pace from the autopilot's own speed and the cap on all speeds, read when needed.
+MakePace = Callable[[Callable[[], float], Callable[[], float]], Pace]
 
 
 @dataclass(frozen=True, slots=True)
-class Mode:
-    """A flight mode: HEARTBEAT.custom_mode, what it does, and whether one may arm in it.
+class FlightMode:
+    """A flight mode: HEARTBEAT.custom_mode, its role, and whether it permits arming.
 
-    `flags` is what HEARTBEAT.base_mode says of it beside armed (MAV_MODE_FLAG), `standard` what CURRENT_MODE
-    does (MAV_STANDARD_MODE). `by_hand` needs a transmitter: without one the throttle counts as down, and it
-    sinks.
+    `flags` is HEARTBEAT.base_mode apart from armed (MAV_MODE_FLAG), `standard` that of CURRENT_MODE
+    (MAV_STANDARD_MODE). `by_hand` needs a transmitter: without one the throttle counts as down, and it sinks.
     """
 
     number: int
@@ -92,16 +91,15 @@ Actions = Mapping[int, Role]
 
 @dataclass(frozen=True, slots=True)
 class GcsRule:
-    """The failsafe for a lost ground station, by the names of its parameters ('' where it has none).
+    """The ground station failsafe, by parameter names ('' for none).
 
-    `action` 0 switches it off; `pause` are seconds of hold before the action; `options` bit 3 lets a
-    landing go on (`goes_on` is said then); `station` is the only system whose heartbeats count, or the first
-    of them, up to `stations_to`, on whatever link. `late` is
-    how much longer than the timeout it takes, in s, or the parameter that says so. While it lasts arming is
-    refused when it `forbids` that, with `refusal` ('': without a word). `stands` says that what is not armed
-    takes the action too, unless it holds or returns already. `lost_text` is said whatever the action is,
-    `unfit_text` where there is one, `hold_text` before a pause, and `text` with the action. It is looked at
-    `every` so many seconds (0: always), so that it begins and ends up to that much later.
+    `action` 0 disables it; `pause` are seconds of hold before the action; `options` bit 3 lets a landing
+    continue (text `goes_on`); `station` is the only system whose heartbeats count, or the first of a range up
+    to `stations_to`, on any link. `late` is its delay beyond the timeout in s, or the parameter for it. While
+    it lasts arming is refused if it `forbids` that, with `refusal` ('': without a text). `stands`: a disarmed
+    vehicle takes the action too, unless it holds or returns already. `lost_text` is sent for any action,
+    `unfit_text` if there is one, `hold_text` before a pause, and `text` with the action. It is checked
+    `every` so many seconds (0: always), which delays its start and end.
     """
 
     action: str
@@ -138,14 +136,13 @@ class BatteryLevel:
 
 @dataclass(frozen=True, slots=True)
 class FenceRule:
-    """The fence failsafe; the texts are for circle, ceiling and what was uploaded.
+    """The fence failsafe; the texts are for circle, ceiling and uploaded zones.
 
-    `avoid` is the parameter by which it stays inside (`margin` m from the edge), '' where it has none.
-    `refuses` says that it does not set out for a goal beyond, which is told with `outside_text`.
-    `recovery_text` is said with each change of mode outside, `cleared_text` when it is back. `pause` is the
-    parameter for seconds of hold before the action, `hold_text` what is said to that, and then the breach is
-    told once more. `blind_text` is why nobody arms behind a fence without a position ('' where that has no
-    text of its own).
+    `avoid` is the parameter by which it stays inside (`margin` m from the edge), '' for none. `refuses`: it
+    ignores a goal beyond, with `outside_text`. `recovery_text` is sent at each change of mode outside,
+    `cleared_text` when it is back. `pause` is the parameter for seconds of hold before the action,
+    `hold_text` the text for it, after which the breach is reported again. `blind_text` is the reason against
+    arming behind a fence without a position ('' for no text).
     """
 
     enable: str
@@ -168,13 +165,13 @@ class FenceRule:
 
 
 @dataclass(frozen=True, slots=True)
-class Warming:
-    """A cold start, in shares of the time that it takes until it may be armed.
+class StartupTiming:
+    """A cold start, in shares of the time until arming is possible.
 
-    `fix`, `home`, `origin` and `position` are when GPS has one and when the others are told; from `estimate`
-    on the estimator trusts its position. `reasons` are why arming is refused, each until its share; None is
-    a refusal without a word. `texts` are what it says of itself meanwhile, each at its share.
-    From `by_hand` on it may be armed in a mode that needs no position.
+    `fix`, `home`, `origin` and `position` are when GNSS has a fix and when the others are reported; from
+    `estimate` on the estimator trusts its position. `reasons` are why arming is refused, each until its
+    share; None is a refusal without a text. `texts` are its messages, each at its share. From `by_hand` on it
+    may be armed in a mode without a position.
     """
 
     fix: float
@@ -187,58 +184,58 @@ class Warming:
     by_hand: float = 1.0
 
 
-#: Nothing comes of a lost GPS.
-SEES_ON = BlindRule(1e9)
+#: A lost GNSS has no effect.
+NEVER_BLIND = BlindRule(1e9)
 
 
 @dataclass(frozen=True, slots=True)
 class Flavour:
     """An autopilot: what its kinds of vehicles have in common.
 
-    refusal             the result of an arming or disarming that is refused
+    refusal             the result of a refused arming or disarming
     denial              the texts of a refused arming: one for each {reason}
-    warning             the same, told again and again while it is not armed ('': never)
-    verdict             what is said after them
-    unarmable           the reason why a {mode} is none to arm in
-    serves_components   commands for another component are carried out (ArduPilot), not ignored (PX4)
+    warning             the same, repeated while it is not armed ('': never)
+    verdict             the text after them
+    unarmable           the reason when a {mode} does not permit arming
+    serves_components   commands for another component are executed (ArduPilot), not ignored (PX4)
     submodes            DO_SET_MODE has a main and a sub mode (PX4)
-    streams             what it sends unasked, id -> Hz
-    needs_stream        the guided mode is entered and kept only while setpoints come, and lifts off by them
+    streams             what it sends without a request, id -> Hz
+    needs_stream        the guided mode requires a stream of setpoints, which also lift it off
     takeoff_mode        takeoff is a mode that is entered even when disarmed; its height is a parameter
     home_item           item 0 of a mission is home
-    settles             seconds that it stands until it says that it has landed
-    landed_text         said when it switches its motors off after a landing
-    unsupported         MAV_CMDs that it does not know
-    lacks               messages that it does not have
-    streamed_only       messages that it streams and does not send for REQUEST_MESSAGE
+    settles             seconds at rest until it reports a landing
+    landed_text         sent when it switches its motors off after a landing
+    unsupported         unknown MAV_CMDs
+    lacks               unknown messages
+    streamed_only       messages that REQUEST_MESSAGE does not support
     heeds_groups        it obeys REQUEST_DATA_STREAM
-    fastest             the highest rate of a stream that it takes, Hz
-    return_cone         how steep the cone about home is, within which it climbs less for its return (0: none)
-    unasked_only        messages that it sends as often as it likes, whatever it is asked
-    grace               seconds that a setpoint may be late beyond its timeout
-    unavailable         said when a mode is not available, which is accepted all the same ('': it is refused)
-    ignored_text        said when an acceleration alone is ignored ('': it is followed)
-    setpoint_text       said when a setpoint is too old
-    mute, stale         seconds without a ground station after which it says no texts; they come later, unless
-                        they are so old by then
-    tells_modes         a heartbeat goes out with each change of mode, not only once a second
-    tells_home          home goes out when it is taken, not only as a stream
+    fastest             the highest accepted rate of a stream, Hz
+    return_cone         slope of the cone around home in which it climbs less for its return (0: none)
+    unasked_only        messages whose rate cannot be changed
+    grace               seconds that a setpoint may exceed its timeout
+    unavailable         text for an unavailable mode, which is accepted ('': it is refused)
+    ignored_text        text for an ignored acceleration alone ('': it is followed)
+    setpoint_text       text for a setpoint that is too old
+    mute, stale         seconds without a ground station after which it sends no texts; they follow, unless
+                        they are too old by then
+    tells_modes         a heartbeat is sent at each change of mode, not only once a second
+    tells_home          home is sent when it is set, not only as a stream
     told_once           messages that come when the first station is heard, and again only by REQUEST_MESSAGE
-    no_mission          said when there is no mission to fly
-    airborne_text       said when it is not disarmed because it flies
-    idle_text           said when it disarms because nothing follows an arming
+    no_mission          text when there is no mission
+    airborne_text       text when it is not disarmed because it flies
+    idle_text           text when it disarms because nothing follows an arming
     drifts              home's height moves with GNSS while it flies
-    blind               what it does without GPS
-    battery_text        said when the failsafe of the battery acts
-    battery_refusal     why it is not armed after that
-    thrust_loss         said when it sinks for want of power
+    blind               its behaviour without GNSS
+    battery_text        text when the battery failsafe acts
+    battery_refusal     reason against arming after that
+    thrust_loss         text when it sinks for lack of power
     """
 
     name: str
     autopilot: int
     version: int
     capabilities: int
-    refusal: Result
+    refusal: MavResult
     denial: str
     armed: str
     disarmed: str
@@ -274,39 +271,38 @@ class Flavour:
     ignored_text: str = ""
     mute: float = math.inf
     stale: float = math.inf
-    tells_modes: bool = False
-    tells_home: bool = False
-    told_once: frozenset[int] = frozenset()
+    sends_modes: bool = False
+    sends_home: bool = False
+    sent_once: frozenset[int] = frozenset()
     idle_text: str = ""
     no_mission: tuple[str, ...] = ()
     airborne_text: str = ""
     drifts: bool = False
-    blind: BlindRule = SEES_ON
+    blind: BlindRule = NEVER_BLIND
     battery_text: str = ""
     battery_refusal: str = ""
     thrust_loss: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Kind:
+class VehicleKind:
     """A kind of vehicle with its autopilot.
 
-    `speeds` are the parameters of the limits of motion with how many of their units make one SI unit;
-    `return_height` and `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those that
-    no parameter sets, `pace` how fast it goes to a place, `wheels` are those of a rover,
-    `home_altitude` the height above mean sea level that it takes for home's, wherever that is; `lands` says
-    that it knows takeoff, landing and being landed. `mission_limits` are those that hold in a mission only.
+    `speeds` are the parameters of the motion limits with units per SI unit; `return_height` and
+    `return_pause` likewise; `takeoff_height` is PX4's in metres. `limits` are those without a parameter,
+    `pace` its speed to a position, `wheels` those of a rover, `home_altitude` the height above mean sea level
+    that it uses for home; `lands`: it supports takeoff and landing. `mission_limits` apply in a mission only.
     """
 
     name: str
     mav_type: int
     flavour: Flavour
-    modes: Mapping[str, Mode]
+    modes: Mapping[str, FlightMode]
     start: str
     parameters: Mapping[str, float]
     speeds: Mapping[str, tuple[str, float]]
-    pace: PaceMaker
-    warming: Warming
+    pace: MakePace
+    warming: StartupTiming
     limits: Limits = field(default_factory=Limits)
     wheels: Wheels = field(default_factory=Wheels)
     home_altitude: float | None = None

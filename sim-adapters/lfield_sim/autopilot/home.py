@@ -1,11 +1,11 @@
-"""Home as the autopilot sees it: where it was armed, what GNSS makes of its height, and where it returns to.
+"""Home of an autopilot: where it was armed, its drift with GNSS altitude, and the destination of a return.
 
-PX4 takes home anew at arming, takeoff and landing, and in between its height moves with GNSS for as long as
-it flies (trace `px4-copter.i-heights`: 54 values in a minute, from -1.5 to +1.4 m). ArduCopter's stays within
-a centimetre; ArduRover takes 0.19 m above mean sea level for it, wherever that is (`ap-rover.i-heights`).
+PX4 sets home at arming, takeoff and landing, and in flight its height drifts with GNSS (trace
+`px4-copter.i-heights`: 54 values in a minute, from -1.5 to +1.4 m). ArduCopter's stays within a centimetre;
+ArduRover always uses 0.19 m above mean sea level (`ap-rover.i-heights`).
 
-A return leads to the nearest rally point, or home when that is nearer: with ArduPilot by RALLY_LIMIT_KM and
-RALLY_INCL_HOME (https://ardupilot.org/copter/docs/common-rally-points.html), with PX4 by RTL_TYPE 0
+A return leads to the nearest rally point, or home when that is nearer: ArduPilot by RALLY_LIMIT_KM and
+RALLY_INCL_HOME (https://ardupilot.org/copter/docs/common-rally-points.html), PX4 by RTL_TYPE 0
 (https://docs.px4.io/main/en/flight_modes/return).
 """
 
@@ -17,50 +17,49 @@ from random import Random
 
 from lfield_sim.autopilot.body.goals import ZERO, Vector
 
-#: Metres that a height may be wrong by, how much of an error is left after a step, and how it is renewed.
+#: Maximum height error in metres, the share that remains after a step, and its renewal.
 WORST, LEFT, RENEWED = 1.45, 0.7, 0.6
 #: Seconds between two steps of the error.
 PERIOD = 1.0
 
 
 class Home:
-    """Where home is in the local frame, metres north, east, down.
+    """Home in the local frame, metres north, east, down.
 
-    `dice` make what GNSS does to its height. Who takes home anew says so by `take`; who lets time pass by
-    `step` has the rest done for it.
+    `rng` drives its GNSS drift. Call `set_place` to set it, and `step` to advance time.
     """
 
-    def __init__(self, dice: Random) -> None:
-        self._dice = dice
+    def __init__(self, rng: Random) -> None:
+        self._rng = rng
         self._rest = 0.0
         self._error = 0.0
         self._flew = False
-        self._taken = ZERO
-        #: The rally points in the local frame, and the one that the present return leads to.
+        self._reference = ZERO
+        #: The rally points in the local frame, and the destination of the present return.
         self.rally: list[Vector] = []
         self.rallies_at: Vector | None = None
 
     @property
     def place(self) -> Vector:
-        """Where it is told to be now."""
-        return (self._taken[0], self._taken[1], self.ground - self._error)
+        """Its reported position."""
+        return (self._reference[0], self._reference[1], self.ground - self._error)
 
     @property
     def ground(self) -> float:
-        """How far down it was when it was taken."""
-        return self._taken[2]
+        """Its height when it was set, down."""
+        return self._reference[2]
 
-    def take(self, place: Vector) -> None:
-        """It is here from now on, its height right for the moment."""
-        self._taken, self._error, self._rest = place, 0.0, 0.0
+    def set_place(self, place: Vector) -> None:
+        """Sets home, without an error at first."""
+        self._reference, self._error, self._rest = place, 0.0, 0.0
 
     @property
     def destination(self) -> Vector:
-        """Where the present return leads."""
+        """The destination of the present return."""
         return self.rallies_at or self.place
 
-    def begin_return(self, here: Vector, parameters: Mapping[str, float]) -> Vector:
-        """Choose where a return from `here` leads, and tell that."""
+    def start_return(self, here: Vector, parameters: Mapping[str, float]) -> Vector:
+        """Selects and returns the destination of a return from `here`."""
 
         def far(place: Vector) -> float:
             return math.dist(place[:2], here[:2])
@@ -78,9 +77,9 @@ class Home:
         return self.destination
 
     def step(self, dt: float, here: Vector, *, flying: bool) -> None:
-        """Let `dt` seconds of PX4 pass: in flight a new height each second, after it a new home."""
+        """Advances PX4's time by `dt` seconds: a new height each second in flight, a new home afterwards."""
         if self._flew and not flying:
-            self.take(here)
+            self.set_place(here)
         self._flew = flying
         self._rest = self._rest + dt if flying else 0.0
         while self._rest >= PERIOD:
@@ -88,5 +87,5 @@ class Home:
             self._renew()
 
     def _renew(self) -> None:
-        error = LEFT * self._error + self._dice.gauss(0.0, RENEWED)
+        error = LEFT * self._error + self._rng.gauss(0.0, RENEWED)
         self._error = max(-WORST, min(WORST, error))

@@ -1,4 +1,4 @@
-"""The state of a vehicle with its autopilot, and what modes and failsafes do to it: say, enter, fall back."""
+"""The state of a vehicle with its autopilot, and its changes by modes and failsafes."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from random import Random
 
-from lfield_sim.autopilot.body.estimate import Estimate
-from lfield_sim.autopilot.body.goals import ZERO, Circle, Descend, Fall, Goal, Keep, Lean, Rest, Sink, Vector
-from lfield_sim.autopilot.equipment import Battery, Payload
-from lfield_sim.autopilot.flavours import Flavour, Kind, Pace, Result, Role
-from lfield_sim.autopilot.ground import GroundVehicle
+from lfield_sim.autopilot.body.estimator import Estimator
+from lfield_sim.autopilot.body.goals import ZERO, Descend, Fall, Goal, Keep, Lean, Orbit, Rest, Sink, Vector
+from lfield_sim.autopilot.flavours import Flavour, MavResult, Pace, Role, VehicleKind
+from lfield_sim.autopilot.ground_vehicle import GroundVehicle
 from lfield_sim.autopilot.home import Home
+from lfield_sim.autopilot.payload import Battery, Payload
 from lfield_sim.autopilot.plans import BOUNDARY, CEILING, NO_BREACH, Fence, Mission, MissionItem, NoFence
 from lfield_sim.autopilot.vehicle import Vehicle
 from lfield_sim.state_log import Facts
 
-#: Seconds that a restart takes.
+#: Seconds of a restart.
 REBOOT = 3.0
-#: A vehicle that is slower stands or hovers, in m/s.
+#: m/s below which a vehicle is at rest or hovers.
 STILL = 0.05
-#: Seconds that a setpoint lasts where no parameter says so.
+#: Seconds that a setpoint is valid without a parameter for it.
 SETPOINT_TIMEOUT = 3.0
-#: Metres from home within which PX4 returns by a cone (RTL_MIN_DIST); beyond it is the whole height.
+#: Metres from home within which PX4 returns by a cone (RTL_MIN_DIST); beyond, at full height.
 CONE_RADIUS = 10.0
-#: Texts that are kept until somebody takes them.
+#: Pending texts at most.
 KEPT_TEXTS = 100
 
 
@@ -57,7 +57,7 @@ class Pilot:
     deaf_to_arming       after a motor test while armed it says yes and stays disarmed, until it is restarted
     """
 
-    kind: Kind
+    kind: VehicleKind
     battery: Battery = field(default_factory=Battery)
     refuse_arming: str = ""
     gps_lost: bool = False
@@ -65,7 +65,7 @@ class Pilot:
     compass_failed: bool = False
     motor_failed: bool = False
     motor_power: float = 1.0
-    estimate: Estimate = field(init=False)
+    estimate: Estimator = field(init=False)
     sticks: bool = False
     warm_up: float = 0.0
     parameters: dict[str, float] = field(init=False)
@@ -78,7 +78,7 @@ class Pilot:
     resumes: str = field(init=False)
     pace: Pace = field(init=False)
     homing: Home = field(init=False)
-    dice: Random = field(default_factory=lambda: Random(1))
+    rng: Random = field(default_factory=lambda: Random(1))
     altitude: float = 488.0
     armed: bool = False
     critical: bool = False
@@ -106,25 +106,25 @@ class Pilot:
     perform: Callable[[MissionItem], object] = lambda _: None
     ailing: str = ""
     calibrating: bool = False
-    deaf_to_arming: bool = False
-    told_goal: Goal | None = None
+    ignores_arm: bool = False
+    sent_goal: Goal | None = None
     _texts: list[tuple[float, str]] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        self.parameters, self.estimate = dict(self.kind.parameters), Estimate(self.flavour.blind)
+        self.parameters, self.estimate = dict(self.kind.parameters), Estimator(self.flavour.blind)
         limits = replace(self.kind.limits)
         self.vehicle = (
             Vehicle(limits) if self.kind.name == "copter" else GroundVehicle(limits, wheels=self.kind.wheels)
         )
         self.pace = self.kind.pace(self.own_speed, lambda: self.vehicle.limits.top)
-        self.homing = Home(self.dice)
+        self.homing = Home(self.rng)
         self.mode = self.intended = self.kind.start
         self.resumes = self.kind.mode_for(Role.HOLD)
         self.apply_parameters()
         self.pace.enter(guided=False)
-        self.take_home(ZERO)
+        self.set_home(ZERO)
 
-    # -- what is so -----------------------------------------------------------------------------------
+    # -- state ----------------------------------------------------------------------------------------
 
     @property
     def flavour(self) -> Flavour:
@@ -138,29 +138,29 @@ class Pilot:
 
     @property
     def aloft(self) -> bool:
-        """Whether it counts as off the ground: a copter that is, and PX4's rover on its way."""
+        """Whether it counts as off the ground: a flying copter, or PX4's rover on its way."""
         return self.vehicle.airborne if self.flies else self.on_its_way
 
     @property
     def settles(self) -> float:
-        """Seconds that it stands until it says that it has landed."""
+        """Seconds at rest until it reports a landing."""
         return self.flavour.settles if self.flies else 0.0
 
     @property
     def landed(self) -> bool:
-        """Whether it stands, and has done so for long enough to say so."""
+        """Whether it has been at rest for long enough to report a landing."""
         if self.aloft:
             return False
         return self.touched_at is None or self.now - self.touched_at >= self.settles
 
     @property
     def home(self) -> Vector:
-        """Where it returns to, in the local frame."""
+        """Its return destination, in the local frame."""
         return self.homing.place
 
     @property
     def role(self) -> Role:
-        """What the present mode does."""
+        """The role of the present mode."""
         return self.kind.modes[self.mode].role
 
     @property
@@ -170,11 +170,11 @@ class Pilot:
 
     @property
     def booting(self) -> bool:
-        """Whether it is restarting: it says nothing and hears nothing."""
+        """Whether it is restarting, neither sending nor receiving."""
         return self.now < self.booting_until
 
     def facts(self) -> Facts:
-        """What it writes into its log; `failsafe` is that of the state CRITICAL in its heartbeats."""
+        """Its log entries; `failsafe` is the state CRITICAL in its heartbeats."""
         return {
             "mode": self.mode,
             "armed": self.armed,
@@ -185,7 +185,7 @@ class Pilot:
 
     @property
     def setpoints_over(self) -> bool:
-        """Whether the last setpoint is too old to go on with; positions of ArduPilot stay for ever."""
+        """Whether the last setpoint is too old; positions of ArduPilot do not expire."""
         name = self.flavour.setpoint_timeout
         timeout = self.value(name) if name else SETPOINT_TIMEOUT
         old = self.now - self.setpoint_at > timeout + self.flavour.grace
@@ -193,31 +193,31 @@ class Pilot:
 
     @property
     def streams(self) -> bool:
-        """Whether setpoints come, one after another in time."""
+        """Whether a stream of setpoints arrives."""
         return self.setpoint_at >= self.stream_at and not self.setpoints_over
 
     @property
     def return_height(self) -> float:
-        """Metres above home at which it returns."""
+        """The height of its return above home, in metres."""
         name, scale = self.kind.return_height
         return min(self.value(name) / scale, 1000.0) if name else 0.0
 
     @property
     def return_pause(self) -> float:
-        """Seconds that it hovers over home before it comes down."""
+        """Seconds that it hovers over home before it descends."""
         name, scale = self.kind.return_pause
         return self.value(name) / scale if name else 0.0
 
     @property
     def takeoff_height(self) -> float:
-        """Metres above home to which PX4 takes off."""
+        """PX4's takeoff height above home, in metres."""
         if self.takeoff_goal is not None:
             return self.takeoff_goal
         name = self.kind.takeoff_height
         return min(max(self.value(name), 0.5), 1000.0) if name else 2.5
 
     def fence_at(self, place: Vector) -> tuple[int, str]:
-        """Which fence a place is beyond (FENCE_BREACH), with what is said about it; (0, '') for none."""
+        """The fence that a position is beyond (FENCE_BREACH), with its text; (0, '') for none."""
         rule = self.flavour.fence
         if not self.value(rule.enable):
             return NO_BREACH, ""
@@ -233,12 +233,12 @@ class Pilot:
     # -- parameters and texts -------------------------------------------------------------------------
 
     def value(self, name: str) -> float:
-        """A parameter as a number one can count with: neither NaN nor below 0."""
+        """A parameter as a finite, non-negative number."""
         number = self.parameters[name]
         return min(number, 1e9) if number > 0.0 else 0.0
 
     def apply_parameters(self) -> None:
-        """Take the limits of motion and the battery's size from the parameters."""
+        """Takes motion limits and battery size from the parameters."""
         for limit in self.kind.speeds:
             if limit != "cruise":
                 setattr(self.vehicle.limits, limit, self._limit(limit))
@@ -248,7 +248,7 @@ class Pilot:
         self.battery.capacity = min(max(self.value(self.flavour.capacity), 1.0), 1e6)
 
     def own_speed(self) -> float:
-        """The speed over ground that its own parameter says."""
+        """The horizontal speed of its own parameter."""
         return self._limit("cruise")
 
     def _limit(self, limit: str) -> float:
@@ -256,36 +256,36 @@ class Pilot:
         return min(max(self.value(name) / scale, 0.01), 100.0)
 
     def say(self, text: str) -> None:
-        """A status text."""
+        """Sends a status text."""
         self._texts = [*self._texts[-KEPT_TEXTS:], (self.now, text)]
 
-    def take_texts(self) -> list[str]:
-        """What it had to say since the last call; without a station PX4 keeps it for a while."""
+    def pop_texts(self) -> list[str]:
+        """The texts since the last call; without a station PX4 holds them back for a while."""
         if self.now - self.station_at > self.flavour.mute:
             return []
         since = self.now - self.flavour.stale
         texts, self._texts = self._texts, []
         return [text for at, text in texts if at >= since]
 
-    # -- what becomes of it ---------------------------------------------------------------------------
+    # -- changes --------------------------------------------------------------------------------------
 
-    def take_home(self, place: Vector, *, told: bool = False) -> None:
-        """Home is a place in the local frame from now on; a rover knows its height better, unless told."""
-        altitude = None if told else self.kind.home_altitude
+    def set_home(self, place: Vector, *, sent: bool = False) -> None:
+        """Sets home in the local frame; a rover uses its own height, unless sent."""
+        altitude = None if sent else self.kind.home_altitude
         down = place[2] if altitude is None else self.altitude - altitude
-        self.homing.take((place[0], place[1], down))
+        self.homing.set_place((place[0], place[1], down))
 
     def command(self, name: str) -> None:
-        """Somebody wants a mode: enter it."""
+        """A mode is commanded."""
         self.intended = name
         self.enter(name)
 
     def go_on(self, role: Role) -> None:
-        """A mode has done what it is for; the next one follows from it."""
+        """A mode is complete; enters the next one."""
         self.command(self.kind.mode_for(role))
 
     def enter(self, name: str) -> None:
-        """Enter a mode, whoever wants it."""
+        """Enters a mode."""
         if name == self.mode:
             return
         if self.role in (Role.HOLD, Role.GUIDED):
@@ -299,7 +299,7 @@ class Pilot:
         if self.kind.limits.eases and self.role in (Role.HOLD, Role.RETURN):
             vehicle.level()
         if self.role is Role.RETURN:
-            self._begin_return()
+            self._start_return()
         if self.role is Role.MISSION:
             first = 1 if self.flavour.home_item else 0
             self.mission.jump(max(self.mission.current, first) if self.mission.item else first)
@@ -308,9 +308,9 @@ class Pilot:
         if self.role is Role.GUIDED:
             self.armed_at = self.now
 
-    def _begin_return(self) -> None:
-        """PX4 tells how high it returns; its rover lands from the beginning."""
-        here, home = self.vehicle.place, self.homing.begin_return(self.vehicle.place, self.parameters)
+    def _start_return(self) -> None:
+        """PX4 reports its return height; its rover lands from the start."""
+        here, home = self.vehicle.place, self.homing.start_return(self.vehicle.place, self.parameters)
         if not (self.flavour.takeoff_mode and self.armed and self.aloft):
             return
         if not self.flies:
@@ -320,13 +320,13 @@ class Pilot:
         self.say(f"RTL: start return at {top:.0f} m ({up:.0f} m above destination)\t")
 
     def return_height_at(self, far: float) -> float:
-        """Metres above home at which it returns from `far` away: less, near home, where there is a cone."""
+        """The height of its return from `far` away in metres above home: lower within the cone."""
         cone = self.flavour.return_cone
         near = cone > 0.0 and far <= CONE_RADIUS
         return min(self.return_height, cone * far) if near else self.return_height
 
     def _first_goal(self) -> Goal:
-        """What a mode does as soon as it is entered; without a transmitter ArduPilot's throttle is down."""
+        """The initial goal of a mode; without a transmitter ArduPilot's throttle is down."""
         if not self.flies:
             return self.vehicle.released() if self.kind.modes[self.mode].by_hand else Rest()
         if self.armed and self.role is Role.LAND:
@@ -336,7 +336,7 @@ class Pilot:
         return Rest(self.kind.limits.eases * (self.role is Role.HOLD))
 
     def fall_back(self, role: Role, *, pause: float = 0.0) -> None:
-        """What a failsafe does, a landing after a pause in s; a rover stops where a copter would land."""
+        """The action of a failsafe, a landing after a pause in s; a rover stops instead of landing."""
         if role is Role.TERMINATE:
             self.terminate()
         else:
@@ -345,11 +345,11 @@ class Pilot:
             self.vehicle.goal, self.sinks_at = Rest(), self.now + pause
 
     def stop_moving(self) -> None:
-        """The setpoint is over: stand still where it is."""
+        """The setpoint has expired: stop."""
         self.vehicle.goal, self.vehicle.yaw_rate_goal = Rest(self.kind.limits.eases), None
 
-    def disarm(self, *, force: bool = False, text: str = "") -> Result:
-        """COMPONENT_ARM_DISARM 0: refused while it flies and has not landed, unless forced."""
+    def disarm(self, *, force: bool = False, text: str = "") -> MavResult:
+        """COMPONENT_ARM_DISARM 0: refused in flight, unless forced."""
         if self.armed and self.flies and not (self.landed or force):
             if self.flavour.airborne_text:
                 self.say(self.flavour.airborne_text)
@@ -358,13 +358,13 @@ class Pilot:
             self.say(text or self.flavour.disarmed)
         self.armed = self.on_its_way = False
         if self.role is Role.TAKEOFF:
-            # Else the next arming would take off.
+            # Otherwise the next arming would take off.
             self.go_on(Role.HOLD)
         self.vehicle.switch_off()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
-    def terminate(self) -> Result:
-        """DO_FLIGHTTERMINATION: the motors stop, wherever it is; PX4 stays armed in a mode for it."""
+    def terminate(self) -> MavResult:
+        """DO_FLIGHTTERMINATION: the motors stop anywhere; PX4 stays armed in a special mode."""
         name = self.kind.mode_for(Role.TERMINATE)
         if not name or not self.armed:
             return self.disarm(force=True)
@@ -373,28 +373,28 @@ class Pilot:
         self.say("Preflight Fail: Flight termination active")
         self.command(name)
         self.vehicle.goal = Fall() if self.vehicle.airborne else Rest()
-        return Result.ACCEPTED
+        return MavResult.ACCEPTED
 
     def restart(self) -> None:
-        """Begin again: silent for a moment, then as after a start; parameters and plans are kept."""
+        """Restarts: silent for a moment, then as after a start; parameters and plans remain."""
         self.booting_until = self.booted = self.now + REBOOT
         self.boots += 1
         self.payload, self.critical = Payload(self.payload.fitted), False
-        self.ailing, self.calibrating, self.deaf_to_arming = "", False, False
+        self.ailing, self.calibrating, self.ignores_arm = "", False, False
         self.mission.jump(0)
         self.mode = self.intended = self.kind.start
         self._texts, self.setpoint_at, self.stream_at = [], -math.inf, math.inf
         self.apply_parameters()
         self.pace.enter(guided=False)
-        self.take_home(ZERO)
+        self.set_home(ZERO)
 
     def switch_off(self) -> None:
-        """Silent for ever."""
+        """Silent permanently."""
         self.booting_until = math.inf
 
-    def _circle_ahead(self) -> Circle:
+    def _circle_ahead(self) -> Orbit:
         """ArduCopter's CIRCLE: the centre is a radius (cm) ahead; CIRCLE_RATE is in degrees per second."""
         radius = min(max(self.value("CIRCLE_RADIUS") / 100.0, 1.0), 2000.0)
         (north, east, down), yaw = self.vehicle.place, self.vehicle.yaw
         centre = (north + radius * math.cos(yaw), east + radius * math.sin(yaw), down)
-        return Circle(centre, radius, math.radians(min(self.value("CIRCLE_RATE"), 90.0)) * radius)
+        return Orbit(centre, radius, math.radians(min(self.value("CIRCLE_RATE"), 90.0)) * radius)

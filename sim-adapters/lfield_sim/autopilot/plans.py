@@ -1,6 +1,6 @@
-"""What was uploaded to a vehicle: the mission it flies, and the fence it keeps to.
+"""Uploaded plans of a vehicle: mission and fence.
 
-The numbers of a mission's items are those of the list: with ArduPilot item 0 is home and is not flown.
+Item numbers are those of the list: with ArduPilot item 0 is home and is not flown.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import Protocol
 
 from lfield_sim.autopilot.body.goals import Vector
 
-#: Of a mission none of whose items was reached yet.
+#: No item was reached yet.
 NO_ITEM = 65535
 #: FENCE_BREACH.
 NO_BREACH, CEILING, BOUNDARY = 0, 2, 3
@@ -18,7 +18,7 @@ NO_BREACH, CEILING, BOUNDARY = 0, 2, 3
 
 @dataclass(frozen=True, slots=True)
 class MissionItem:
-    """One item: its MAV_CMD, its seven values, and its place in the local frame (None: it has none)."""
+    """One item: its MAV_CMD, its seven values, and its position in the local frame (None: without one)."""
 
     command: int
     values: tuple[float, ...]
@@ -27,17 +27,17 @@ class MissionItem:
 
 @dataclass(slots=True)
 class Mission:
-    """The items and how far they are flown.
+    """The items, and their progress.
 
-    `begun` is the index whose flight has begun, -1 for none; `arrived` is when its place was reached, in
-    seconds; `height` is the down to which it returns after it has put down a payload; `jumps` counts how
-    often each DO_JUMP was taken; `last_reached` is NO_ITEM before the first. `curve` are the points of a
-    curve that are still to be flown, `leg` is where the leg before began, None when it ended at rest.
+    `started` is the index of the started item, -1 for none; `arrived` is when its position was reached, in
+    seconds; `height` is the down to which it returns after it has released a payload; `jumps` counts each
+    DO_JUMP; `last_reached` is NO_ITEM before the first. `curve` are the remaining points of a curve, `leg` is
+    the start of the previous leg, None when it ended at rest.
     """
 
     items: list[MissionItem] = field(default_factory=list)
     current: int = 0
-    begun: int = -1
+    started: int = -1
     arrived: float | None = None
     height: float = 0.0
     jumps: dict[int, int] = field(default_factory=dict)
@@ -48,56 +48,56 @@ class Mission:
 
     @property
     def item(self) -> MissionItem | None:
-        """What is being flown; None past the end."""
+        """The current item; None past the end."""
         return self.items[self.current] if 0 <= self.current < len(self.items) else None
 
     def jump(self, index: int) -> bool:
-        """Make an item the current one; False when there is none of this number."""
+        """Makes an item current; False for an unknown number."""
         if not 0 <= index < len(self.items):
             return False
-        self.current, self.begun, self.arrived = index, -1, None
+        self.current, self.started, self.arrived = index, -1, None
         self.curve, self.leg = [], None
         return True
 
-    def begin_again(self) -> None:
-        """It is a new one."""
+    def restart(self) -> None:
+        """Resets the progress for a new mission."""
         self.last_reached = NO_ITEM
         self.jumps.clear()
         self.jump(0)
 
     def change(self, items: list[MissionItem]) -> bool:
-        """Other items take their place while it is flown; whether the one under way is another one."""
+        """Replaces the items in flight; returns whether the current one has changed."""
         before, self.items = self.item, items
         if self.item is None or self.item == before:
             return False
-        self.begun, self.arrived, self.curve = -1, None, []
+        self.started, self.arrived, self.curve = -1, None, []
         return True
 
     def reach(self) -> None:
-        """The current item is done; on to the next."""
+        """Completes the current item."""
         self._reached.append(self.current)
         self.last_reached = self.current
-        self.current, self.begun, self.arrived = self.current + 1, -1, None
+        self.current, self.started, self.arrived = self.current + 1, -1, None
 
-    def tell(self, index: int) -> None:
-        """Say that an item was reached, whatever is flown."""
+    def add_reached(self, index: int) -> None:
+        """Reports a reached item."""
         self._reached.append(index)
 
-    def take_reached(self) -> list[int]:
-        """Which items were reached since the last call."""
+    def pop_reached(self) -> list[int]:
+        """The items reached since the last call."""
         reached, self._reached = self._reached[-1000:], []
         return reached
 
 
 class Fence(Protocol):
-    """Where a vehicle may be, as far as it was uploaded."""
+    """An uploaded fence."""
 
     def breached(self, place: Vector) -> int:
-        """A FENCE_BREACH type, 0 for none, of a place in the local frame."""
+        """The FENCE_BREACH type of a position in the local frame, 0 for none."""
 
 
 class NoFence:
-    """No fence was uploaded."""
+    """No fence is uploaded."""
 
     def breached(self, place: Vector) -> int:
         """Never."""

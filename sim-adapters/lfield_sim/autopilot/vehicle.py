@@ -1,7 +1,7 @@
-"""How a vehicle moves: point kinematics with limits on speed and acceleration. No protocol, no modes.
+"""Motion of a vehicle: point kinematics with limits on speed and acceleration. No protocol, no modes.
 
-Local frame: metres north, east, down of the place where it was switched on; the ground is flat at
-down = 0. Angles in radians, yaw clockwise from north.
+Local frame: metres north, east, down from where it was switched on; the ground is flat at down = 0. Angles in
+radians, yaw clockwise from north.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 
 from lfield_sim.autopilot.body.goals import (
     ZERO,
-    Circle,
     Descend,
     Fall,
     Goal,
     Keep,
     Lean,
+    Orbit,
     Reach,
     Rest,
     Rise,
@@ -26,29 +26,29 @@ from lfield_sim.autopilot.body.goals import (
 )
 from lfield_sim.autopilot.wind import GRAVITY, Wind
 
-#: What counts as in the air, in metres.
+#: Metres above the ground that count as airborne.
 AIRBORNE = 0.05
-#: Metres to a place within which the nose stays as it is.
+#: Metres to a position within which the heading is kept.
 NEAR = 3.0
-#: m/s2 that are left when it eases to a stop.
+#: Remaining deceleration in m/s2 when it eases to a stop.
 STILL = 0.05
-#: Per second: how fast PX4 flies for each metre to a setpoint (MPC_XY_P, MPC_Z_P).
+#: Per second: PX4's speed per metre to a setpoint (MPC_XY_P, MPC_Z_P).
 LEVEL_GAIN, HEIGHT_GAIN = 0.95, 1.0
-#: Seconds in which a copter without enough power takes two thirds of the speed at which it sinks.
+#: Seconds in which a copter without enough power reaches two thirds of its sink rate.
 SLUGGISH = 1.5
-#: How fast a copter comes down with its throttle down, in m/s.
+#: Descent of a copter with its throttle down, in m/s.
 SINK = 2.5
 
 
 @dataclass(frozen=True, slots=True)
 class Response:
-    """How a speed that was asked for comes out: multiplied, and so much (m/s) more."""
+    """The actual speed for a commanded one: a factor, and an offset in m/s."""
 
     gain: float = 1.0
     more: float = 0.0
 
     def flown(self, speed: float) -> float:
-        """The speed that becomes of one that was asked for; standing stays standing."""
+        """The actual speed for a commanded one; zero stays zero."""
         return speed * self.gain + self.more if speed > 0.0 else 0.0
 
 
@@ -56,17 +56,15 @@ class Response:
 class Limits:
     """Speeds in m/s, accelerations in m/s2, jerk in m/s3, yaw rate in rad/s, tilt in rad.
 
-    `cruise` bounds the way to a place, `top` everything over ground; `braking` is how hard it slows down
-    before a place. `eases` are the seconds in which a copter takes two thirds of what it still lacks of a
-    velocity, or loses two thirds of its speed where it holds. `spool` are the seconds that motors need
-    before they lift it, `awake` those from arming, `lift` is how it leaves the ground (m/s2), `takeoff`
-    how fast it climbs then. `nose_follows` turns the nose along a velocity. `overshoot` is by how much
-    (m/s) a rover shoots over a velocity before it settles there; over its speed to a place it does so by
-    `overshoot_share` (s/m) of the square of that while it `shoots_over`; `rolls_out` is the share of its
-    speed that it loses in a second when nothing drives it, 0 for one that stands at once. What is flown
-    is never quite what was asked: `goal_response` and `velocity_response` say how a speed asked for comes
-    out, for places and velocities. `sets_out` is the share of it that a copter flies at first; of the rest it
-    makes up two thirds in `learns` seconds, as its controller adds up what it lacks.
+    `cruise` bounds the speed to a position, `top` all horizontal speeds; `braking` is its deceleration before
+    a position. `eases` is the time constant in seconds in which a copter approaches a velocity, or stops in a
+    hold. `spool` are the seconds until motors lift it, `awake` those from arming, `lift` its acceleration
+    from the ground (m/s2), `takeoff` its climb afterwards. `nose_follows` turns the heading along a velocity.
+    `overshoot` is a rover's overshoot of a velocity (m/s); for a speed to a position it is `overshoot_share`
+    (s/m) of the square of that while it `shoots_over`; `rolls_out` is the share of its speed that it loses
+    per second undriven, 0 for an immediate stop. `goal_response` and `velocity_response` map commanded to
+    actual speeds, for positions and velocities. `sets_out` is the share that a copter flies at first; it
+    makes up two thirds of the rest in `learns` seconds, by integral control.
     """
 
     cruise: float = 5.0
@@ -97,8 +95,8 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
-class Corral:
-    """A circle about a place north and east, with a radius in m, that velocities stop inside of."""
+class VelocityFence:
+    """A horizontal circle with a radius in m that velocities do not leave."""
 
     north: float
     east: float
@@ -107,10 +105,10 @@ class Corral:
 
 @dataclass(slots=True)
 class Vehicle:
-    """A copter. `yaw_goal` None turns the nose where it flies; `yaw_rate_goal` (rad/s) goes before both.
+    """A copter. `yaw_goal` None turns the heading along its path; `yaw_rate_goal` (rad/s) has priority.
 
-    `station` is the place that it goes back to when wind takes it away, `sags` the speed in m/s at which it
-    sinks for want of power, whatever is wanted of it.
+    `station` is the position that it returns to after wind has moved it, `sags` its forced sink rate in m/s
+    for lack of power.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -122,7 +120,7 @@ class Vehicle:
     yaw_rate_goal: float | None = None
     yaw_rate: float = 0.0
     goal: Goal = field(default_factory=Rest)
-    corral: Corral | None = None
+    corral: VelocityFence | None = None
     lifting: bool = True
     wind: Wind = field(default_factory=Wind)
     station: tuple[float, float] | None = None
@@ -136,13 +134,13 @@ class Vehicle:
 
     @property
     def roll(self) -> float:
-        """Lean to the right that gives the present acceleration, against the wind."""
+        """The roll for the present acceleration, against the wind."""
         north, east = self._lean
         return math.atan2(-north * math.sin(self.yaw) + east * math.cos(self.yaw), GRAVITY)
 
     @property
     def pitch(self) -> float:
-        """Nose up is positive; speeding up needs it down."""
+        """The pitch, positive with the nose up; accelerating needs it down."""
         north, east = self._lean
         return math.atan2(-(north * math.cos(self.yaw) + east * math.sin(self.yaw)), GRAVITY)
 
@@ -151,32 +149,32 @@ class Vehicle:
         return (self.acceleration[0] - self.wind.push[0], self.acceleration[1] - self.wind.push[1])
 
     def released(self) -> Goal:
-        """What becomes of it when nothing drives it, armed: a copter hovers."""
+        """Its goal when nothing drives it, armed: a copter hovers."""
         return Rest()
 
     def switch_off(self) -> None:
-        """The motors go off: it falls, or stands."""
+        """Switches the motors off: it falls, or rests."""
         if self.airborne:
             self.goal = Fall()
         else:
             self.settle()
 
     def level(self) -> None:
-        """It stops leaning at once: a new mode begins with no acceleration over ground."""
+        """Levels at once: a new mode starts without horizontal acceleration."""
         self.acceleration = (0.0, 0.0, self.acceleration[2])
 
     def settle(self) -> None:
-        """Stand on the ground, with the motors off."""
+        """Rests on the ground, with the motors off."""
         self.place, self.velocity, self.acceleration = (*self.place[:2], 0.0), ZERO, ZERO
         self.goal, self.yaw_rate_goal = Rest(), None
 
     def step(self, dt: float) -> None:
-        """Let `dt` seconds pass."""
+        """Advances time by `dt` seconds."""
         before, limits = self.velocity, self.limits
-        north, east, down = self._kept_in(self._stationed(self._set_out(self._wanted(), dt)))
+        north, east, down = self._kept_in(self._stationed(self._set_out(self._target_velocity(), dt)))
         missing = (north - before[0], east - before[1])
         felt = (self.acceleration[0] - self.wind.left[0], self.acceleration[1] - self.wind.left[1])
-        # Who only leans, or falls, goes with the wind.
+        # A vehicle that only leans, or falls, moves with the wind.
         self.wind.meet(before, dt, flies=self.airborne, goes=isinstance(self.goal, Lean | Fall))
         lean = eased(felt, missing, self._strongest(missing), limits.jerk, dt)
         lean = self.wind.bear(lean, before, limits.tilt)
@@ -190,8 +188,8 @@ class Vehicle:
         self._turn(dt)
         self.yaw_rate = wrap(self.yaw - heading) / dt
 
-    def _wanted(self) -> Vector:
-        """The velocity that serves the goal."""
+    def _target_velocity(self) -> Vector:
+        """The velocity for the goal."""
         match self.goal:
             case Reach(place):
                 return self._approach(place)
@@ -199,10 +197,10 @@ class Vehicle:
                 return self._tracked(place, velocity)
             case Keep(velocity):
                 return self._bounded(velocity)
-            case Circle(centre, radius, speed):
+            case Orbit(centre, radius, speed):
                 return self._around(centre, radius, speed)
             case Lean(north, east, down):
-                # A second of leaning ahead: the bound on acceleration makes a lean of it.
+                # Leaning one second ahead: the bound on acceleration results in a lean.
                 ahead = (self.velocity[0] + north, self.velocity[1] + east)
                 return self._bounded((*ahead, down))
             case Rise(down, speed):
@@ -218,40 +216,40 @@ class Vehicle:
                 return (self.velocity[0], self.velocity[1], 50.0)
         return ZERO
 
-    def _set_out(self, wanted: Vector, dt: float) -> Vector:
-        """What becomes of a velocity at first, and after a while: what it lacks is added up, and added."""
-        share, (north, east) = self.limits.sets_out, wanted[:2]
+    def _set_out(self, target: Vector, dt: float) -> Vector:
+        """The actual velocity for a target, initially and with integral control."""
+        share, (north, east) = self.limits.sets_out, target[:2]
         if share == 1.0:
-            return wanted
-        # All that it may lack of this velocity in the end, towards which what it has made up goes.
+            return target
+        # The maximum deficit of this velocity, which integral control approaches.
         most, more = 1.0 / share - 1.0, min(1.0, dt / self.limits.learns)
         sums = zip(self._learned, (most * north, most * east), strict=True)
         learned = tuple(had + more * (all_of_it - had) for had, all_of_it in sums)
         size, largest = math.hypot(*learned), most * math.hypot(north, east)
         kept = min(1.0, largest / size) if size > 0.0 else 1.0
         self._learned = (learned[0] * kept, learned[1] * kept)
-        return (share * (north + self._learned[0]), share * (east + self._learned[1]), wanted[2])
+        return (share * (north + self._learned[0]), share * (east + self._learned[1]), target[2])
 
-    def _stationed(self, wanted: Vector) -> Vector:
-        """In wind it goes back to where it came to a stand, when it was to stay over that."""
+    def _stationed(self, target: Vector) -> Vector:
+        """In wind it returns to where it had stopped, if it is to stay there."""
         if not (self.wind.blows and self.airborne and isinstance(self.goal, Rest | Rise | Descend)):
             self.station = None
         elif self.station is None and math.hypot(*self.velocity[:2]) < STILL:
             self.station = self.place[:2]
         if self.station is None:
-            return wanted
+            return target
         north, east, _ = self._approach((*self.station, self.place[2]))
-        return (north, east, wanted[2])
+        return (north, east, target[2])
 
     @property
     def _nose_follows(self) -> bool:
-        """Whether its nose turns to where it flies: on the way to a place that is not quite near."""
+        """Whether its heading follows its path: on the way to a position that is not near."""
         if isinstance(self.goal, Reach):
             return math.dist(self.place[:2], self.goal.place[:2]) > NEAR
         return self.limits.nose_follows
 
     def _strongest(self, missing: tuple[float, float]) -> float:
-        """How hard it may be sped up or slowed down over ground now."""
+        """The maximum horizontal acceleration or deceleration now."""
         if isinstance(self.goal, Lean):
             return math.hypot(self.goal.north, self.goal.east)
         if isinstance(self.goal, Track):
@@ -263,7 +261,7 @@ class Vehicle:
         return min(self.limits.acceleration, easy)
 
     def _vertical(self, down: float) -> float:
-        """How hard its speed up or down is changed; gently until it has left the ground at its speed."""
+        """Its vertical acceleration; gentle until it has left the ground at its speed."""
         if isinstance(self.goal, Fall):
             return GRAVITY
         if self.place[2] >= 0.0:
@@ -273,7 +271,7 @@ class Vehicle:
         return self.limits.lift if self.lifting else self.limits.vertical_acceleration
 
     def _kept_in(self, velocity: Vector) -> Vector:
-        """A velocity as far as it may go on: towards the edge of the corral only so that it stops inside."""
+        """A velocity limited so that it stops inside the fence."""
         if self.corral is None:
             return velocity
         north, east = self.place[0] - self.corral.north, self.place[1] - self.corral.east
@@ -298,7 +296,7 @@ class Vehicle:
         return (north * share, east * share, vertical)
 
     def _tracked(self, place: Vector, velocity: Vector) -> Vector:
-        """As PX4's position control: no faster than it may fly, and as fast as that for a far place."""
+        """As PX4's position controller, within its maximum speed."""
         gains = (LEVEL_GAIN, LEVEL_GAIN, HEIGHT_GAIN)
         way = zip(_minus(place, self.place), velocity, gains, strict=True)
         north, east, down = (gain * error + ahead for error, ahead, gain in way)
@@ -306,7 +304,7 @@ class Vehicle:
         return self._bounded((north, east, slowly))
 
     def _around(self, centre: Vector, radius: float, speed: float) -> Vector:
-        """Along the circle, and towards it from where it is not."""
+        """Along the circle, and towards it from outside."""
         north, east, down = _minus(self.place, centre)
         far = math.hypot(north, east)
         out = (north / far, east / far) if far > 1e-6 else (1.0, 0.0)
@@ -323,7 +321,7 @@ class Vehicle:
     def _move(self, dt: float) -> None:
         north, east, down = (p + v * dt for p, v in zip(self.place, self.velocity, strict=True))
         if down >= 0.0:
-            # The ground takes what is left of the motion, unless it is taking off.
+            # The ground ends the motion, unless it is taking off.
             self.place, self.velocity = (self.place[0], self.place[1], 0.0), ZERO
         else:
             self.place = (north, east, down)
@@ -334,8 +332,8 @@ class Vehicle:
             self.yaw = wrap(self.yaw + rate * dt)
             return
         goal = self.yaw_goal
-        if goal is None and isinstance(self.goal, Circle) and not self.limits.nose_follows:
-            # PX4 looks at the centre of its orbit.
+        if goal is None and isinstance(self.goal, Orbit) and not self.limits.nose_follows:
+            # PX4 faces the centre of its orbit.
             north, east, _ = _minus(self.goal.centre, self.place)
             goal = math.atan2(east, north)
         follows = self._nose_follows
@@ -350,7 +348,7 @@ class Vehicle:
 
 
 def wrap(angle: float) -> float:
-    """The same angle from -pi to pi."""
+    """The angle in -pi to pi."""
     return math.remainder(angle, math.tau)
 
 
@@ -359,7 +357,7 @@ def _minus(a: Vector, b: Vector) -> Vector:
 
 
 def _braking(distance: float, fastest: float, acceleration: float) -> float:
-    """The speed from which one can still stop in `distance`; gentle near the end, so that it settles."""
+    """The speed from which it can stop in `distance`; gentle near the end, so that it settles."""
     return min(fastest, distance * 2.0, math.sqrt(acceleration * distance))
 
 
@@ -370,9 +368,9 @@ def _towards(value: float, goal: float, change: float) -> float:
 def eased(
     felt: tuple[float, ...], missing: tuple[float, float], most: float, jerk: float, dt: float
 ) -> tuple[float, float]:
-    """The next acceleration on the way to a velocity that is `missing`: within `most`, built up by `jerk`.
+    """The next acceleration towards a velocity that is `missing`: within `most`, limited by `jerk`.
 
-    It eases off before the velocity is reached, so that there is none left when it is.
+    It decreases before the velocity is reached, so that it ends at zero.
     """
     size = math.hypot(*missing)
     if size < jerk * dt * dt:

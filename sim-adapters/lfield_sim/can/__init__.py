@@ -10,16 +10,18 @@ from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
 from lfield.errors import UsageError
-from lfield.text.numbers import whole_between
+from lfield.text.number_arguments import whole_between
 from lfield_sim.faults import Faults, add_fault_option
 from lfield_sim.state_log import StateLog, add_log_option
 
-#: The kind of door that is a pty (PATH is a link to it); the other kind is `socketcand:HOST:PORT`.
+#: The endpoint kind of a pty (PATH is a link to it); the other kind is `socketcand:HOST:PORT`.
 _PTY = "slcan-pty"
 
 
 def parse_listen(text: str) -> tuple[str, str, int]:
-    """`socketcand:HOST:PORT` or `slcan-pty[:PATH]` as kind, host or path, and port. Raises UsageError."""
+    """Splits `socketcand:HOST:PORT` or `slcan-pty[:PATH]` into kind, host or path, and port. Raises
+    UsageError.
+    """
     kind, _, rest = text.partition(":")
     if kind == _PTY:
         return _PTY, os.path.abspath(rest) if rest else "", 0
@@ -32,13 +34,13 @@ def parse_listen(text: str) -> tuple[str, str, int]:
 
 
 class CanSim:
-    """A CAN bus with drives on a desk (see `lfield.driver.sims.Sim`)."""
+    """A simulated CAN bus with drives (see `lfield.driver.sims.Sim`)."""
 
     name = "can"
     help = "A CAN bus with CiA 402 drives, ODrive axes and devices by DBC file."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Doors, devices and faults."""
+        """Adds endpoints, devices and faults."""
         parser.add_argument(
             "--listen",
             action="append",
@@ -66,8 +68,10 @@ class CanSim:
         )
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """A bus with the devices of these bindings behind socketcand; two on one node are one device."""
-        from lfield_sim.can.specs import parse, spec_of
+        """A bus with the devices of these bindings behind socketcand; two bindings of one node share a
+        device.
+        """
+        from lfield_sim.can.device_specs import parse, spec_of
 
         specs: dict[str, str] = {}
         for binding in devices:
@@ -77,7 +81,7 @@ class CanSim:
         return ["--listen", "socketcand:127.0.0.1:0", *chosen]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end; 0."""
+        """Serves until it is stopped; returns 0."""
         # epoll rounds a wait up to a millisecond, which is eight frames; select does not.
         select = asyncio.SelectorEventLoop(selectors.SelectSelector())
         with asyncio.Runner(loop_factory=lambda: select) as runner:
@@ -85,10 +89,10 @@ class CanSim:
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on the running loop."""
-        from lfield_sim.can.bus import FAULTS
-        from lfield_sim.can.server import serve
-        from lfield_sim.can.specs import build, parse
+        """As `run`, on the running loop."""
+        from lfield_sim.can.can_bus import FAULTS
+        from lfield_sim.can.can_server import serve
+        from lfield_sim.can.device_specs import build, parse
 
         doors = [parse_listen(text) for text in args.listen or ["socketcand:127.0.0.1:0"]]
         specs = [parse(text) for text in args.device]
@@ -106,7 +110,7 @@ class CanSim:
             StateLog(args.log, {device.id: device.facts for device in devices}),
             bitrate=args.bitrate,
             names=names,
-            words=" ".join(f"{spec.kind}:{spec.id}" for spec in specs),
+            summary=" ".join(f"{spec.kind}:{spec.id}" for spec in specs),
             until_stdin_closes=args.until_stdin_closes,
         )
 

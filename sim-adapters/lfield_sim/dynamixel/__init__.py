@@ -8,25 +8,25 @@ import tempfile
 from collections.abc import Sequence
 
 from lfield.driver.binding import DeviceBinding
-from lfield.text.numbers import whole_between
+from lfield.text.number_arguments import whole_between
 from lfield_sim.faults import add_fault_option
 from lfield_sim.state_log import add_log_option
 
-#: What a binding that names no model gets.
+#: Default models.
 DEFAULT_MODEL, DEFAULT_MODEL_1 = "XM430-W350", "AX-12A"
-#: The speed of a bus that `lfield up --sim` starts.
+#: The baud rate of a bus under `lfield up --sim`.
 FAST_BAUD = 1_000_000
 
 
 class DynamixelSim:
-    """A chain of servos on a desk (see `lfield.driver.sims.Sim`)."""
+    """A simulated chain of servos (see `lfield.driver.sims.Sim`)."""
 
     name = "dynamixel"
     help = "Dynamixel servos on a serial port (a pseudo-terminal)."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """The servos, their port and its speed."""
-        from lfield_sim.dynamixel.model import BAUDS
+        """Adds the servos, their port and its speed."""
+        from lfield_sim.dynamixel.servo_model import BAUDS
 
         parser.add_argument(
             "--servo",
@@ -78,7 +78,7 @@ class DynamixelSim:
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
         """The servos of all bindings of a bus; those of a group are named GROUP.ID."""
         servos: dict[int, tuple[str, str]] = {}
-        # Groups first: a servo that is bound by itself too goes by that name.
+        # Groups first: a servo with its own binding uses that name.
         for device in sorted(devices, key=lambda device: "ids" not in device.options):
             group = device.options.get("ids")
             if isinstance(group, list):
@@ -92,21 +92,21 @@ class DynamixelSim:
         return [*options, "--protocol", "1.0"] if old else options
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end; 0. Raises UsageError."""
+        """Serves until it is stopped; returns 0. Raises UsageError."""
         with tempfile.TemporaryDirectory(prefix="lfield-dynamixel-") as folder:
             args.listen = args.listen or f"{folder}/ttyDXL"
             asyncio.run(self.serve(args))
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on the running loop, at `args.listen`."""
-        from lfield_sim.dynamixel.run import serve
+        """As `run`, on the running loop, at `args.listen`."""
+        from lfield_sim.dynamixel.chain_setup import serve
 
         await serve(args, DEFAULT_MODEL)
 
 
 def _model(device: DeviceBinding) -> str:
-    """The model of a binding, or one that speaks its protocol."""
+    """The model of a binding, or one with its protocol."""
     default = DEFAULT_MODEL_1 if device.options.get("protocol") == 1 else DEFAULT_MODEL
     return str(device.options.get("model") or default)
 

@@ -1,6 +1,6 @@
-"""Dynamixel packets on the wire, protocols 2.0 and 1.0: what a servo hears, and what it answers.
+"""Dynamixel packets, protocols 2.0 and 1.0: instructions in, answers out.
 
-https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/
+https://emanual.robotis.com/docs/en/dxl/protocol2/ and .../protocol1/.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from enum import IntEnum
 from typing import Protocol
 
 BROADCAST = 0xFE
-#: The longest packet that a servo takes in, in bytes; a length beyond it is noise.
+#: The longest accepted packet in bytes; a larger length is noise.
 MAX_PACKET = 1024
 
 HEADER = b"\xff\xff\xfd\x00"
@@ -21,7 +21,7 @@ _STUFFED = b"\xff\xff\xfd\xfd"
 
 
 class Instruction(IntEnum):
-    """The instructions that a servo knows."""
+    """The known instructions."""
 
     PING = 0x01
     READ = 0x02
@@ -40,14 +40,14 @@ class Instruction(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Packet:
-    """One instruction packet. `sound` is False when its check sum is wrong; `size` is bytes on the wire."""
+class InstructionPacket:
+    """One instruction packet. `is_valid` is False for a wrong checksum; `size` is bytes on the wire."""
 
     id: int
     instruction: int
     parameters: bytes
     size: int
-    sound: bool = True
+    is_valid: bool = True
 
 
 def _crc_table() -> list[int]:
@@ -64,19 +64,19 @@ _CRC = _crc_table()
 
 
 def crc16(data: Iterable[int], crc: int = 0) -> int:
-    """The check sum of protocol 2.0 (polynomial 0x8005), going on from `crc`."""
+    """The checksum of protocol 2.0 (polynomial 0x8005), continued from `crc`."""
     for byte in data:
         crc = ((crc & 0xFF) << 8) ^ _CRC[(crc >> 8) ^ byte]
     return crc
 
 
 def stuff(data: bytes) -> bytes:
-    """`data` with no header in it: FF FF FD becomes FF FF FD FD."""
+    """Escapes headers in `data`: FF FF FD becomes FF FF FD FD."""
     return data.replace(_LEAD, _STUFFED)
 
 
 def unstuff(data: bytes) -> bytes:
-    """What was stuffed."""
+    """The inverse of `stuff`."""
     return data.replace(_STUFFED, _LEAD)
 
 
@@ -93,11 +93,11 @@ def _sealed(id: int, body: bytes) -> bytes:
 class Codec(Protocol):
     """One protocol: bytes to packets, and answers to bytes."""
 
-    def feed(self, data: bytes) -> list[Packet]:
-        """The packets that these bytes complete; whatever else they are is skipped. Never raises."""
+    def feed(self, data: bytes) -> list[InstructionPacket]:
+        """The packets that these bytes complete; others are skipped. Never raises."""
 
     def clear(self) -> None:
-        """Forget what is half read."""
+        """Discards a partial packet."""
 
     def status(self, id: int, error: int, data: bytes = b"") -> bytes:
         """A status packet."""
@@ -109,15 +109,15 @@ class Codec2:
     def __init__(self) -> None:
         self._buffer = bytearray()
 
-    def feed(self, data: bytes) -> list[Packet]:
+    def feed(self, data: bytes) -> list[InstructionPacket]:
         """The packets that these bytes complete."""
         buffer = self._buffer
-        packets: list[Packet] = []
+        packets: list[InstructionPacket] = []
         buffer += data
         while True:
             start = buffer.find(HEADER)
             if start < 0:
-                # The end may be the beginning of a header.
+                # The last bytes may be part of a header.
                 del buffer[: max(0, len(buffer) - len(HEADER) + 1)]
                 return packets
             del buffer[:start]
@@ -127,26 +127,26 @@ class Codec2:
             if not 10 <= end <= MAX_PACKET:
                 del buffer[: len(HEADER)]
             elif len(buffer) >= end:
-                packets.append(self._take(end))
+                packets.append(self._next_packet(end))
             elif not self._restart():
                 return packets
 
-    def _take(self, end: int) -> Packet:
+    def _next_packet(self, end: int) -> InstructionPacket:
         raw = bytes(self._buffer[:end])
         sound = crc16(raw[:-2]) == int.from_bytes(raw[-2:], "little")
-        # If it is broken its length may be wrong too, so the search goes on right behind its header.
+        # Its length may be wrong too, so the search continues right after its header.
         del self._buffer[: end if sound else len(HEADER)]
-        return Packet(raw[4], raw[7], unstuff(raw[7:-2])[1:], end, sound)
+        return InstructionPacket(raw[4], raw[7], unstuff(raw[7:-2])[1:], end, sound)
 
     def _restart(self) -> bool:
-        """Whether another packet began inside the half-read one, which then will never end."""
+        """Whether another packet has started inside a partial one."""
         again = self._buffer.find(HEADER, len(HEADER))
         if again >= 0:
             del self._buffer[:again]
         return again >= 0
 
     def clear(self) -> None:
-        """Forget what is half read."""
+        """Discards a partial packet."""
         self._buffer.clear()
 
     def status(self, id: int, error: int, data: bytes = b"") -> bytes:
@@ -155,10 +155,10 @@ class Codec2:
 
 
 def fast_status(expected: int, blocks: Sequence[tuple[int, int, bytes]]) -> bytes:
-    """The one packet that all servos of a fast read write together.
+    """The shared packet of all servos in a fast read.
 
-    `expected` is the number of bytes in all blocks had every servo answered; `blocks` are id, error and data
-    of those that did. Each block ends with the check sum of all before it. Nothing is stuffed: the vendor's
+    `expected` is the size of all blocks if every servo answered; `blocks` are id, error and data of those
+    that did. Each block ends with the checksum of everything before it. Nothing is stuffed: the vendor's
     software finds the blocks by their length.
     """
     packet = HEADER + bytes([BROADCAST]) + (expected + 1).to_bytes(2, "little") + bytes([_STATUS])
@@ -176,10 +176,10 @@ class Codec1:
     def __init__(self) -> None:
         self._buffer = bytearray()
 
-    def feed(self, data: bytes) -> list[Packet]:
+    def feed(self, data: bytes) -> list[InstructionPacket]:
         """The packets that these bytes complete."""
         buffer = self._buffer
-        packets: list[Packet] = []
+        packets: list[InstructionPacket] = []
         buffer += data
         while True:
             start = buffer.find(self._START)
@@ -195,16 +195,16 @@ class Codec1:
             elif len(buffer) < end:
                 return packets
             else:
-                packets.append(self._take(end))
+                packets.append(self._next_packet(end))
 
-    def _take(self, end: int) -> Packet:
+    def _next_packet(self, end: int) -> InstructionPacket:
         raw = bytes(self._buffer[:end])
         sound = ~sum(raw[2:-1]) & 0xFF == raw[-1]
         del self._buffer[: end if sound else 1]
-        return Packet(raw[2], raw[4], raw[5:-1], end, sound)
+        return InstructionPacket(raw[2], raw[4], raw[5:-1], end, sound)
 
     def clear(self) -> None:
-        """Forget what is half read."""
+        """Discards a partial packet."""
         self._buffer.clear()
 
     def status(self, id: int, error: int, data: bytes = b"") -> bytes:
@@ -213,6 +213,6 @@ class Codec1:
 
 
 def encode1(id: int, instruction: int, parameters: bytes = b"") -> bytes:
-    """A packet of protocol 1.0; an answer has its error where a question has its instruction."""
+    """A packet of protocol 1.0; in answers the error replaces the instruction."""
     body = bytes([id, len(parameters) + 2, instruction]) + parameters
     return b"\xff\xff" + body + bytes([~sum(body) & 0xFF])

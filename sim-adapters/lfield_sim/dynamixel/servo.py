@@ -1,69 +1,69 @@
-"""One servo: what it does with the instructions it hears, and how it protects itself.
+"""One servo: execution of instructions, and protection.
 
-Pure: time is given to it, in seconds. https://emanual.robotis.com/docs/en/dxl/protocol2/
+Pure: time is given in seconds. https://emanual.robotis.com/docs/en/dxl/protocol2/.
 """
 
 from __future__ import annotations
 
 from lfield.errors import UsageError
-from lfield_sim.dynamixel.model import BAUDS, POSITION, Item, Model
-from lfield_sim.dynamixel.motion import Motion
-from lfield_sim.dynamixel.table import ControlTable, Refusal, Refused
+from lfield_sim.dynamixel.control_table import ControlTable, InstructionRefused, RefusalCode
+from lfield_sim.dynamixel.servo_model import BAUDS, POSITION, Register, ServoModel
+from lfield_sim.dynamixel.servo_motion import ServoMotion
 from lfield_sim.state_log import Facts
 
-#: Its control period while it moves, in seconds, and while nothing changes.
+#: Its control period in seconds while it moves, and while nothing changes.
 PERIOD, IDLE_PERIOD = 0.002, 0.1
-#: A servo that is slower stands, in rad/s.
+#: rad/s below which a servo is at rest.
 STILL = 0.02
-#: How long it is silent after a reboot, in seconds.
+#: Seconds of silence after a reboot.
 BOOT = 0.1
-#: A load is an overload when it takes this share of the stall current for this long, in seconds.
+#: An overload: share of the stall current, and its duration in seconds.
 OVERLOAD_SHARE, OVERLOAD_TIME = 0.8, 1.0
-#: How long a wrong voltage lasts until it counts, in seconds.
+#: Duration of a wrong voltage until it counts, in seconds.
 VOLTAGE_TIME = 0.2
 
 #: Bits of Hardware Error Status and Shutdown.
 VOLTAGE_ERROR, OVERHEATING, ENCODER_ERROR, OVERLOAD = 0x01, 0x04, 0x08, 0x20
 ALERT, ERRORS_1 = 0x80, 0x25
-#: Of Return Delay Time, in seconds.
+#: Unit of Return Delay Time, in seconds.
 DELAY_UNIT = 2e-6
-#: Bus Watchdog when it has bitten, and its unit in seconds.
-BITTEN, WATCHDOG_UNIT = 255, 0.02
+#: Value of Bus Watchdog after it expired, and its unit in seconds.
+WATCHDOG_EXPIRED, WATCHDOG_UNIT = 255, 0.02
 #: Bits of Startup Configuration and Drive Mode.
 STARTUP_TORQUE, TORQUE_BY_GOAL = 0x01, 0x08
-#: No secondary id from here on.
+#: Secondary ids are below this.
 NO_SECONDARY = 253
 
 GOALS = frozenset({"goal_pwm", "goal_current", "goal_velocity", "goal_position"})
-#: What may follow the Clear instruction: multi-turn information, and four fixed bytes.
+#: Parameters of the Clear instruction: multi-turn information, and four fixed bytes.
 CLEAR_TURNS = bytes([0x01, 0x44, 0x58, 0x4C, 0x22])
-#: What Factory Reset keeps, by its option.
+#: What Factory Reset keeps, by option.
 KEPT = {0xFF: frozenset[str](), 0x01: frozenset({"id"}), 0x02: frozenset({"id", "baud_rate"})}
 
 
 class Servo:
-    """A servo that was switched on at time `now`. `encoder_fault` makes its encoder fail."""
+    """A servo powered up at time `now`. `encoder_fault` makes its encoder fail."""
 
-    def __init__(self, model: Model, now: float = 0.0) -> None:
+    def __init__(self, model: ServoModel, now: float = 0.0) -> None:
         self.model = model
         self.table = ControlTable(model)
         self.motion = self.make_motion()
         self.encoder_fault = False
-        self._time = self._born = self._heard = now
+        self._time = self._born = self._last_packet_at = now
         self._awake = now
-        self._registered: list[tuple[Item, int]] = []
+        self._registered: list[tuple[Register, int]] = []
         self._shut = False
         self._strained = self._starved = 0.0
         self._stale = True
         self.motion.reset_goals()
 
-    def make_motion(self) -> Motion:
-        """How a servo of this kind moves."""
-        return Motion(self.model, self.table)
+    def make_motion(self) -> ServoMotion:
+        """The motion model of this kind of servo."""
+        return ServoMotion(self.model, self.table)
 
     @property
     def id(self) -> int:
-        """By which it is called."""
+        """Its id."""
         return self.table["id"]
 
     @property
@@ -72,18 +72,20 @@ class Servo:
         return BAUDS[self.table["baud_rate"]]
 
     def start_with(self, id: int, baud: int, protocol: int, return_delay: float) -> None:
-        """Set how it is spoken to; the delay is in seconds. Raises UsageError if the model cannot."""
+        """Sets id, baud rate, protocol and return delay (s). Raises UsageError if the model does not support
+        them.
+        """
         protocols = self.model.items["protocol_type"]
         if not protocols.low <= protocol <= protocols.high:
-            raise UsageError(f"{self.model.name} does not speak protocol {protocol}.0")
+            raise UsageError(f"{self.model.name} does not support protocol {protocol}.0")
         if baud not in BAUDS[: self.model.items["baud_rate"].high + 1]:
-            raise UsageError(f"{self.model.name} does not do {baud} baud")
+            raise UsageError(f"{self.model.name} does not support {baud} baud")
         self.table.put("protocol_type", protocol)
         self.table.put("baud_rate", BAUDS.index(baud))
         self.answer_as(id, return_delay)
 
     def answer_as(self, id: int, return_delay: float) -> None:
-        """Set its id, and how long it waits (s) before it answers. Raises UsageError."""
+        """Sets its id and return delay (s). Raises UsageError."""
         delay = self.model.items["return_delay_time"]
         if not delay.low <= round(return_delay / DELAY_UNIT) <= delay.high:
             raise UsageError(f"the return delay is from 0 to {delay.high * DELAY_UNIT * 1e6:g} microseconds")
@@ -97,30 +99,30 @@ class Servo:
 
     @property
     def awake(self) -> bool:
-        """Not just rebooting."""
+        """Whether it is not rebooting."""
         return self._time >= self._awake
 
     @property
     def return_delay(self) -> float:
-        """How long it waits before it answers, in seconds."""
+        """The delay of its answers, in seconds."""
         return self.table["return_delay_time"] * DELAY_UNIT
 
     @property
     def secondary(self) -> int | None:
-        """The second id by which it is called, and never answers."""
+        """The secondary id, which is never answered."""
         number = self.table["secondary_id"]
         return number if number < NO_SECONDARY else None
 
     @property
     def alert(self) -> int:
-        """What its error bytes have in addition while something is wrong; protocol 1.0 says what."""
+        """Error bits of its answers while something is wrong; specific in protocol 1.0."""
         errors = self.table["hardware_error_status"]
         return (ALERT if errors else 0) if self.protocol == 2 else errors & ERRORS_1
 
     # ---- time ---------------------------------------------------------------------------------------
 
     def advance(self, now: float) -> None:
-        """Let time pass until `now`, in whole control periods."""
+        """Advances to `now`, in whole control periods."""
         while now - self._time >= PERIOD:
             dt = min(now - self._time, IDLE_PERIOD if self.motion.resting else PERIOD)
             self._time += dt
@@ -129,21 +131,21 @@ class Servo:
             self.protect(dt)
             self._stale = True
 
-    def hear(self, now: float) -> None:
-        """An instruction packet was on the bus, for whomever: that feeds the watchdog."""
-        self._heard = now
+    def on_packet(self, now: float) -> None:
+        """A packet was on the bus, for any servo: that feeds the watchdog."""
+        self._last_packet_at = now
 
     def watch_bus(self) -> None:
-        """Stop when nothing was on the bus for as long as Bus Watchdog says."""
+        """Stops after the time of Bus Watchdog without packets."""
         limit = self.table["bus_watchdog"]
-        if not 0 < limit < BITTEN or not self.table["torque_enable"]:
+        if not 0 < limit < WATCHDOG_EXPIRED or not self.table["torque_enable"]:
             return
-        if self._time - self._heard > limit * WATCHDOG_UNIT:
-            self.table.put("bus_watchdog", BITTEN)
+        if self._time - self._last_packet_at > limit * WATCHDOG_UNIT:
+            self.table.put("bus_watchdog", WATCHDOG_EXPIRED)
             self.motion.stop()
 
     def protect(self, dt: float) -> None:
-        """Note what is wrong, and give way if Shutdown says so."""
+        """Updates errors, and shuts down if Shutdown says so."""
         found, table = self.errors(dt), self.table
         if found:
             table.put("hardware_error_status", table["hardware_error_status"] | found)
@@ -152,7 +154,7 @@ class Servo:
                 table.put("torque_enable", 0)
 
     def errors(self, dt: float) -> int:
-        """What is wrong now, as bits of the hardware error status."""
+        """Present errors, as bits of the hardware error status."""
         table, motor = self.table, self.motion.motor
         strained = abs(motor.current) > OVERLOAD_SHARE * motor.strength.stall_current
         self._strained = self._strained + dt if strained else 0.0
@@ -164,13 +166,13 @@ class Servo:
         return found | (ENCODER_ERROR if self.encoder_fault else 0)
 
     def facts(self) -> Facts:
-        """What it writes into its log; `goals` are those of position, velocity and current, in counts."""
+        """Its log entries; `goals` are those of position, velocity and current, in counts."""
         goals = ("goal_position", "goal_velocity", "goal_current")
         return {
             "torque": bool(self.table["torque_enable"]),
             "goals": ",".join(str(self.table[name]) for name in goals if name in self.table),
             "moving": abs(self.motion.motor.speed) > STILL,
-            "watchdog_bit": "bus_watchdog" in self.table and self.table["bus_watchdog"] == BITTEN,
+            "watchdog_bit": "bus_watchdog" in self.table and self.table["bus_watchdog"] == WATCHDOG_EXPIRED,
         }
 
     # ---- instructions -------------------------------------------------------------------------------
@@ -180,30 +182,30 @@ class Servo:
         return self.model.number.to_bytes(2, "little") + bytes([self.table["firmware_version"]])
 
     def read(self, address: int, length: int) -> bytes:
-        """Registers as they are now. Raises Refused."""
+        """Registers with present values. Raises InstructionRefused."""
         if self._stale:
             self.motion.publish(self._time - self._born)
             self._stale = False
         return self.table.read(address, length)
 
     def write(self, address: int, data: bytes, *, secondary: bool = False) -> None:
-        """Set registers: all that the bytes cover, or none. Raises Refused."""
+        """Sets all registers of the bytes, or none. Raises InstructionRefused."""
         self._apply(self._allowed(address, data, secondary))
 
     def register(self, address: int, data: bytes, *, secondary: bool = False) -> None:
-        """Keep a write for `act`. Raises Refused."""
+        """Stores a write for `act`. Raises InstructionRefused."""
         self._registered = self._allowed(address, data, secondary)
         self.table.put("registered_instruction", 1)
 
     def act(self) -> None:
-        """Carry out what was registered. Raises Refused."""
+        """Executes the registered write. Raises InstructionRefused."""
         if not self.table["registered_instruction"]:
-            raise Refused(Refusal.RESULT_FAIL)
+            raise InstructionRefused(RefusalCode.RESULT_FAIL)
         self.table.put("registered_instruction", 0)
         self._apply(self._registered)
 
     def reboot(self) -> None:
-        """Start anew: the RAM area as it was delivered, errors forgotten (they come back if they must)."""
+        """Restarts: the RAM area with initial values, errors cleared (persisting ones return)."""
         self.table.reset(eeprom=False)
         self._shut = False
         self.restart()
@@ -211,7 +213,7 @@ class Servo:
             self.table.put("torque_enable", 1)
 
     def restart(self) -> None:
-        """As after its power came back: nothing registered, goals anew, silent while it boots."""
+        """Power-up: nothing registered, new goals, silent while it boots."""
         self._registered = []
         self._strained = self._starved = 0.0
         self._awake = self._time + BOOT
@@ -220,50 +222,50 @@ class Servo:
         self._stale = True
 
     def factory_reset(self, option: int) -> None:
-        """As it was delivered; `option` says what stays. Raises Refused."""
+        """Factory reset; `option` says what is kept. Raises InstructionRefused."""
         if option not in KEPT:
-            raise Refused(Refusal.RANGE)
+            raise InstructionRefused(RefusalCode.RANGE)
         self.table.reset(KEPT[option])
         self.reboot()
 
     def clear(self, parameters: bytes) -> None:
-        """Forget the turns. Raises Refused: only that can be cleared, and only while it stands still."""
+        """Clears the turns. Raises InstructionRefused for anything else, or while it moves."""
         if parameters != CLEAR_TURNS:
-            raise Refused(Refusal.RANGE)
+            raise InstructionRefused(RefusalCode.RANGE)
         if self.motion.moving:
-            raise Refused(Refusal.RESULT_FAIL)
+            raise InstructionRefused(RefusalCode.RESULT_FAIL)
         self.motion.single_turn()
         self.motion.hold()
         self._stale = True
 
     # ---- writing ------------------------------------------------------------------------------------
 
-    def _allowed(self, address: int, data: bytes, secondary: bool) -> list[tuple[Item, int]]:
+    def _allowed(self, address: int, data: bytes, secondary: bool) -> list[tuple[Register, int]]:
         changes = self.table.changes(address, data)
         for item, value in changes:
             self.check(item, value, secondary)
         return changes
 
-    def check(self, item: Item, value: int, secondary: bool) -> None:
-        """Raises Refused: a register that cannot be written, or not with this value."""
+    def check(self, item: Register, value: int, secondary: bool) -> None:
+        """Raises InstructionRefused: a register is read-only, or the value is invalid."""
         if not item.writable or (item.eeprom and (secondary or self.table["torque_enable"])):
-            raise Refused(Refusal.ACCESS)
+            raise InstructionRefused(RefusalCode.ACCESS)
         if not item.low <= value <= item.high or (item.choices and value not in item.choices):
-            raise Refused(Refusal.RANGE)
-        bitten = self.table["bus_watchdog"] == BITTEN
+            raise InstructionRefused(RefusalCode.RANGE)
+        bitten = self.table["bus_watchdog"] == WATCHDOG_EXPIRED
         if bitten and (item.name in GOALS or (item.name == "bus_watchdog" and value)):
-            raise Refused(Refusal.RANGE)
+            raise InstructionRefused(RefusalCode.RANGE)
         if item.limit and abs(value) > self.table[item.limit]:
-            raise Refused(Refusal.LIMIT)
+            raise InstructionRefused(RefusalCode.LIMIT)
         if item.name == "goal_position" and not self.allows_goal(value):
-            raise Refused(Refusal.LIMIT)
+            raise InstructionRefused(RefusalCode.LIMIT)
 
     def allows_goal(self, place: int) -> bool:
         """Whether a goal is allowed; the limits are those of position mode."""
         limits = self.table["min_position_limit"], self.table["max_position_limit"]
         return self.table["operating_mode"] != POSITION or limits[0] <= place <= limits[1]
 
-    def _apply(self, changes: list[tuple[Item, int]]) -> None:
+    def _apply(self, changes: list[tuple[Register, int]]) -> None:
         for item, value in changes:
             before = self.table[item.name]
             self.table.put(item.name, value)
@@ -272,7 +274,7 @@ class Servo:
         self._stale = True
 
     def follow_up(self, name: str, before: int, value: int) -> None:
-        """What a register's new value sets going."""
+        """Applies the effects of a register's new value."""
         if name == "torque_enable" and self._shut:
             self.table.put("torque_enable", 0)
         elif name == "torque_enable" and value and not before:

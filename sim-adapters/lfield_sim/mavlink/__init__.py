@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.frame import Placement
 from lfield.errors import PluginError, UsageError
-from lfield.text.numbers import real_above_0, real_between
+from lfield.text.number_arguments import real_above_0, real_between
 from lfield_sim.faults import add_fault_option
 from lfield_sim.mavlink.options import (
     APART,
@@ -31,7 +31,7 @@ from lfield_sim.mavlink.options import (
     vehicle,
     vehicles,
 )
-from lfield_sim.mavlink.set_up import STATES, set_up, station
+from lfield_sim.mavlink.setup_parameters import STATES, setup_parameters, station
 from lfield_sim.state_log import add_log_option
 
 #: A speed, an acceleration, a charge.
@@ -39,13 +39,13 @@ _POSITIVE = real_above_0(1e6)
 
 
 class MavlinkSim:
-    """Copters and rovers on a desk (see `lfield.driver.sims.Sim`)."""
+    """Simulated copters and rovers (see `lfield.driver.sims.Sim`)."""
 
     name = "mavlink"
     help = "MAVLink copters and rovers that answer like ArduPilot or PX4."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """What it models can be set; the speeds are those of the autopilot's parameters."""
+        """Adds the options; speeds are those of the autopilot's parameters."""
         parser.add_argument(
             "--listen",
             default="udp:127.0.0.1:14550",
@@ -102,7 +102,7 @@ class MavlinkSim:
         )
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """One fake with the vehicles of all devices of a bus, set up as their bindings need them.
+        """One fake with the vehicles of all devices of a bus, configured as their bindings require.
 
         Devices of one vehicle share it.
         """
@@ -126,22 +126,22 @@ class MavlinkSim:
         return ["--listen", "udp:127.0.0.1:0", *words, *parameters]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end; 0."""
+        """Serves until it is stopped; returns 0."""
         asyncio.run(self.serve(args))
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on the running loop."""
+        """As `run`, on the running loop."""
         where, wanted = parse_listen(args.listen), vehicles(args)
         given, limits = settings(args), speeds(args)
         try:
-            from lfield_sim.mavlink.geo import Place
-            from lfield_sim.mavlink.run import Setup, serve
+            from lfield_sim.mavlink.geo import GeoOrigin
+            from lfield_sim.mavlink.link_setup import LinkSetup, serve
         except ImportError:
             raise PluginError("the fake 'mavlink' needs pymavlink: pip install 'lfield[mavlink]'") from None
         number = secrets.randbits(BOARD_BITS) if args.board is None else args.board
-        field = Place(*args.origin).truly if args.origin else None
-        setup = Setup(
+        field = GeoOrigin(*args.origin).on_ellipsoid if args.origin else None
+        setup = LinkSetup(
             wanted,
             args.battery,
             args.capacity,
@@ -163,9 +163,9 @@ class MavlinkSim:
 
 
 def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
-    """Where a vehicle of a team with a frame is switched on: at its pose, else where nobody else is.
+    """Where a vehicle of a team with a frame is switched on: at its pose, else at a free position.
 
-    What its binding says of its fake goes from there, and from the origin where it says where that is.
+    Positions of its fake in the binding are relative to that, and to the origin if it is given.
     """
     if placement.pose is not None:
         pose = placement.pose
@@ -177,13 +177,13 @@ def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
 def _set_up(device: DeviceBinding, vehicle: VehicleOption) -> dict[str, float]:
     state = device.safe_state if device.safe_state in STATES else STATES[0]
     number = int(str(device.options.get("station", 0))) or station(vehicle.system)
-    return set_up(
+    return setup_parameters(
         vehicle.flavour, vehicle.kind, state, device.ttl, device.limits.get("speed"), station=number
     )
 
 
 def _add_places(parser: argparse.ArgumentParser) -> None:
-    """Where the vehicles stand at power-on."""
+    """Adds options for the positions of vehicles at power-on."""
     parser.add_argument(
         "--origin",
         type=origin,

@@ -1,4 +1,4 @@
-"""Where a thing is and how it lies, as MAVLink tells it: the local frame on Earth, frames, quaternions."""
+"""Positions and attitudes in MAVLink: the local frame on the Earth, frames, quaternions."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from dataclasses import dataclass, replace
 from lfield_sim.autopilot.body.goals import Vector
 
 EARTH_RADIUS = 6378137.0
-#: Of the sphere on which PX4 counts, as recorded (px4-copter.e-gcs-loss); ArduPilot's is within 40 m of ours.
+#: Radius of PX4's sphere, as recorded (px4-copter.e-gcs-loss); ArduPilot's is within 40 m of ours.
 PX4_RADIUS = 6371000.0
 #: The square of the first eccentricity of the ellipsoid (WGS 84).
 ECCENTRICITY = 6.69437999014e-3
 #: MAV_FRAMEs whose height is above home; the other global ones are above mean sea level.
 ABOVE_HOME = frozenset({3, 6, 10, 11})
-#: Farther from the origin than this (m) nothing is flown to.
+#: Maximum distance of a goal from the origin in metres.
 FARTHEST = 1e6
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class GeoOrigin:
     """The origin of the local frame: degrees, and metres above mean sea level. Flat around it.
 
-    `radii` are those of the Earth along the meridian and across it, as they are counted with here, in metres.
+    `radii` are the radii of curvature along the meridian and across it, in metres.
     """
 
     latitude: float = 47.3977420
@@ -31,20 +31,20 @@ class Place:
     radii: tuple[float, float] = (EARTH_RADIUS, EARTH_RADIUS)
 
     @property
-    def truly(self) -> Place:
-        """The same on the ellipsoid, as a tape measures."""
+    def on_ellipsoid(self) -> GeoOrigin:
+        """The same on the ellipsoid."""
         bulge = 1.0 - ECCENTRICITY * math.sin(math.radians(self.latitude)) ** 2
         across = EARTH_RADIUS / math.sqrt(bulge)
         return replace(self, radii=(across * (1.0 - ECCENTRICITY) / bulge, across))
 
     def at(self, north: float, east: float) -> tuple[int, int]:
-        """Latitude and longitude of a place near the origin, in 1e-7 degrees."""
+        """Latitude and longitude of a position near the origin, in 1e-7 degrees."""
         latitude = self.latitude + math.degrees(north / self.radii[0])
         longitude = self.longitude + math.degrees(east / (self.radii[1] * self._shrink))
         return round(latitude * 1e7), round(longitude * 1e7)
 
-    def moved(self, north: float, east: float) -> Place:
-        """The place so many metres from this one."""
+    def moved(self, north: float, east: float) -> GeoOrigin:
+        """The position at an offset in metres."""
         latitude, longitude = self.at(north, east)
         return replace(self, latitude=latitude / 1e7, longitude=longitude / 1e7)
 
@@ -60,12 +60,12 @@ class Place:
 
 
 def is_near(vector: Vector) -> bool:
-    """Whether a place is one that can be flown to; NaN is not."""
+    """Whether a position can be flown to; NaN cannot."""
     return all(abs(part) < FARTHEST for part in vector)
 
 
 def turned(vector: Vector, yaw: float) -> Vector:
-    """Forward, right, down of a nose at `yaw` as north, east, down."""
+    """Converts forward, right, down at heading `yaw` to north, east, down."""
     forward, right, down = vector
     cos, sin = math.cos(yaw), math.sin(yaw)
     return cos * forward - sin * right, sin * forward + cos * right, down

@@ -1,4 +1,4 @@
-"""The command line of the fake as data: doors, vehicles, what can be set. Imports no vendor library."""
+"""Command line of the fake as data: endpoints, vehicles, settings. Imports no vendor library."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from dataclasses import dataclass
 
 from lfield.errors import UsageError
 
-#: What an integer parameter cannot hold any more.
+#: Beyond the range of an integer parameter.
 LARGEST = 2.0**31
-#: Metres between the places where vehicles are switched on that nobody has put anywhere.
+#: Metres between vehicles without a given position.
 APART = 5.0
-#: Metres: no vehicle stands farther from where all are switched on.
+#: Maximum distance in metres from the common starting point.
 FARTHEST = 1e6
-#: The number of a board is drawn in so many bits.
+#: Bits of a random board id.
 BOARD_BITS = 95
 KINDS, FLAVOURS = ("copter", "rover", "rover_skid"), ("ardupilot", "px4")
-#: The rover that turns on the spot; that of plain `rover` has wheels that steer.
+#: The rover that turns on the spot; a plain `rover` has steered wheels.
 SKID = "rover_skid"
-#: Options that are a limit of motion: the option, the limit (see `flavours.Kind.speeds`), unit, meaning.
+#: Options of motion limits: the option, the limit (see `flavours.VehicleKind.speeds`), unit, meaning.
 SPEEDS = (
     ("--cruise", "M/S", "ground speed (default: 10; PX4 and rovers 5)"),
     ("--climb", "M/S", "climb speed (default: 2.5; PX4 3)"),
@@ -29,13 +29,13 @@ SPEEDS = (
 )
 
 
-#: What may hang on a vehicle (see `autopilot.equipment.HARDWARE`).
+#: Optional payload (see `autopilot.payload.HARDWARE`).
 HARDWARE = ("camera", "gimbal", "gripper", "winch")
 
 
 @dataclass(frozen=True, slots=True)
 class VehicleOption:
-    """One vehicle of the link; `name` is what the mission's binding calls it, or ''."""
+    """One vehicle of the link; `name` is that of its binding, or ''."""
 
     system: int
     kind: str = "copter"
@@ -48,9 +48,9 @@ class VehicleOption:
 
 @dataclass(frozen=True, slots=True)
 class Stand:
-    """Where a vehicle is switched on: metres north, east and down of where all are.
+    """Where a vehicle is switched on: metres north, east and down of the common starting point.
 
-    `heading` (rad, clockwise) is where its own north points: of one that finds none by satellites or compass.
+    `heading` (rad, clockwise) is where its own north points, for one without satellites or compass.
     """
 
     north: float = 0.0
@@ -94,7 +94,7 @@ def system(text: str) -> int:
 
 
 def board(text: str) -> int:
-    """The number of a board, in hexadecimal; those of all vehicles of a link fit 96 bits."""
+    """A board id in hexadecimal; those of all vehicles of a link fit 96 bits."""
     try:
         value = int(text, 16)
     except ValueError:
@@ -105,7 +105,7 @@ def board(text: str) -> int:
 
 
 def fitted(text: str) -> frozenset[str]:
-    """What hangs on the vehicles: `all`, `none`, or some of HARDWARE, by commas."""
+    """Payload of the vehicles: `all`, `none`, or some of HARDWARE, separated by commas."""
     if text in ("all", "none"):
         return frozenset(HARDWARE if text == "all" else ())
     names = frozenset(text.split(","))
@@ -138,7 +138,7 @@ def vehicles(args: argparse.Namespace) -> list[VehicleOption]:
 
 
 def parse_listen(text: str) -> tuple[str, str, int]:
-    """`udp:HOST:PORT`, `tcp:HOST:PORT` or `pty` as its parts. Raises UsageError."""
+    """Splits `udp:HOST:PORT`, `tcp:HOST:PORT` or `pty`. Raises UsageError."""
     if text == "pty":
         return "pty", "", 0
     transport, _, rest = text.partition(":")
@@ -151,7 +151,7 @@ def parse_listen(text: str) -> tuple[str, str, int]:
 
 
 def settings(args: argparse.Namespace) -> dict[int, dict[str, float]]:
-    """`--param NAME[@SYSTEM]=VALUE` as names and values by system, 0 for all of them. Raises UsageError."""
+    """`--param NAME[@SYSTEM]=VALUE` as names and values by system, 0 for all. Raises UsageError."""
     found: dict[int, dict[str, float]] = {}
     for text in args.param:
         names, _, value = text.partition("=")
@@ -167,6 +167,6 @@ def settings(args: argparse.Namespace) -> dict[int, dict[str, float]]:
 
 
 def speeds(args: argparse.Namespace) -> Mapping[str, float]:
-    """The limits of motion that were given, in SI units."""
+    """The given motion limits, in SI units."""
     named = {option.removeprefix("--"): getattr(args, option.removeprefix("--")) for option, *_ in SPEEDS}
     return {limit: value for limit, value in named.items() if value is not None}

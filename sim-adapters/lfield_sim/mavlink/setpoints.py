@@ -1,4 +1,4 @@
-"""Setpoint messages to what the autopilot is to do.
+"""Converts setpoint messages to goals.
 
 SET_POSITION_TARGET_LOCAL_NED 84, SET_POSITION_TARGET_GLOBAL_INT 86, SET_ATTITUDE_TARGET 82.
 """
@@ -10,9 +10,9 @@ from typing import Any
 
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
 from lfield_sim.autopilot.body.goals import ZERO, Goal, Keep, Lean, Reach, Track, Vector
-from lfield_sim.autopilot.flavours import Control
+from lfield_sim.autopilot.flavours import SetpointControl
 from lfield_sim.autopilot.wind import GRAVITY
-from lfield_sim.mavlink.geo import ABOVE_HOME, Place, angles, is_near, turned
+from lfield_sim.mavlink.geo import ABOVE_HOME, GeoOrigin, angles, is_near, turned
 
 # type_mask bits of a position target: set means "ignore".
 IGNORE_POSITION, IGNORE_VELOCITY, IGNORE_ACCELERATION = 0x7, 0x38, 0x1C0
@@ -22,12 +22,12 @@ IGNORE_BODY_YAW_RATE, IGNORE_THRUST, IGNORE_ATTITUDE = 0x4, 0x40, 0x80
 # MAV_FRAMEs of local targets; BODY_NED has velocities by the nose and offsets from here, as has BODY_FRD.
 LOCAL, LOCAL_OFFSET, BODY, BODY_OFFSET, BODY_FRD = 1, 7, 8, 9, 12
 LOCAL_FRAMES = frozenset({LOCAL, LOCAL_OFFSET, BODY, BODY_OFFSET, BODY_FRD})
-#: Steepest lean that is followed, in rad, and the climb of full thrust in m/s (half thrust holds the height).
+#: Maximum lean in rad, and climb at full thrust in m/s (half thrust holds the height).
 STEEPEST, CLIMB = math.radians(45.0), 2.5
 
 
 def local_target(pilot: Autopilot, message: Any) -> Setpoint | None:
-    """What message 84 asks for; None when nothing can be made of it."""
+    """The setpoint of message 84; None if invalid."""
     frame, vehicle = message.coordinate_frame, pilot.vehicle
     if frame not in LOCAL_FRAMES:
         return None
@@ -41,8 +41,8 @@ def local_target(pilot: Autopilot, message: Any) -> Setpoint | None:
     return _setpoint(pilot, message, place, velocity, lean)
 
 
-def global_target(pilot: Autopilot, origin: Place, message: Any) -> Setpoint | None:
-    """What message 86 asks for; None when nothing can be made of it."""
+def global_target(pilot: Autopilot, origin: GeoOrigin, message: Any) -> Setpoint | None:
+    """The setpoint of message 86; None if invalid."""
     north, east = origin.local(message.lat_int, message.lon_int)
     top = pilot.home[2] if message.coordinate_frame in ABOVE_HOME else origin.altitude
     velocity = (message.vx, message.vy, message.vz)
@@ -51,7 +51,7 @@ def global_target(pilot: Autopilot, origin: Place, message: Any) -> Setpoint | N
 
 
 def attitude_target(message: Any) -> Setpoint | None:
-    """What message 82 asks for: a lean is an acceleration, thrust above a half climbs."""
+    """The setpoint of message 82: a lean is an acceleration, thrust above a half climbs."""
     values = (*message.q, message.thrust, message.body_yaw_rate)
     if not all(map(math.isfinite, values)):
         return None
@@ -72,23 +72,23 @@ def _setpoint(
 ) -> Setpoint | None:
     mask = message.type_mask
     goal: Goal | None = None
-    control = Control.VELOCITY
+    control = SetpointControl.VELOCITY
     if not mask & IGNORE_POSITION:
         goal = _place(pilot, place, ZERO if mask & IGNORE_VELOCITY else velocity)
-        control = Control.PLACE if mask & IGNORE_VELOCITY else Control.BOTH
+        control = SetpointControl.PLACE if mask & IGNORE_VELOCITY else SetpointControl.BOTH
     elif not mask & IGNORE_VELOCITY:
         goal = Keep(velocity) if is_near(velocity) else None
     elif not mask & IGNORE_ACCELERATION:
         goal = Lean(*lean) if is_near(lean) else None
     yaw = None if mask & IGNORE_YAW or not math.isfinite(message.yaw) else message.yaw
     rate = None if mask & IGNORE_YAW_RATE or not math.isfinite(message.yaw_rate) else message.yaw_rate
-    # A heading goes before a rate when both are given.
+    # A heading has priority over a rate.
     setpoint = Setpoint(goal, yaw, None if yaw is not None else rate, control)
     return None if setpoint == Setpoint() else setpoint
 
 
 def _place(pilot: Autopilot, place: Vector, velocity: Vector) -> Goal | None:
-    """A place as a goal: a copter with PX4 follows it, and shapes nothing."""
+    """A position as a goal: a PX4 copter follows it without shaping."""
     if not (is_near(place) and is_near(velocity)):
         return None
     return Track(place, velocity) if pilot.flavour.needs_stream and pilot.flies else Reach(place)

@@ -16,7 +16,11 @@ from harness.figure import GROWTH, Figure, Opener
 from harness.processes import Processes
 from harness.samples import Contender, timed
 
-from lfield.capability.matching.expression import Scope, check, compile_constraint, parse
+from lfield.capability.condition_compiler import compile_constraint, parse_expression
+from lfield.capability.matching.condition_checker import (
+    NameScope,
+    check_expression,
+)
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import (
     Attribute,
@@ -27,10 +31,10 @@ from lfield.capability.model import (
     Primitive,
     Provider,
     Registry,
-    Served,
+    ServedPrimitive,
 )
 from lfield.capability.offer import Candidate
-from lfield.text.source import Source, Span
+from lfield.text.source_text import Source, Span
 
 RULES, PRIMITIVES, AGENTS = 200, 40, 20
 #: How many agents the growth is measured from, and to.
@@ -98,7 +102,7 @@ def _registry(compositions: float) -> Registry:
     providers = [
         Provider(
             f"T{i}",
-            {name: Served(name, {}, _HERE) for name in chance.sample(_NAMES[PRIMITIVES // 2 :], 4)},
+            {name: ServedPrimitive(name, {}, _HERE) for name in chance.sample(_NAMES[PRIMITIVES // 2 :], 4)},
             _HERE,
             attributes={"payload": chance.uniform(0.5, 9.0)},
         )
@@ -136,9 +140,9 @@ def _rule(number: int, chance: random.Random, compositions: float) -> Equivalenc
 
 
 def _over_parts(text: str) -> Expression:
-    expression, _ = parse(text)
+    expression, _ = parse_expression(text)
     assert expression is not None
-    assert not check(expression, Scope.of_parts(_PAYLOAD, ["a", "b"]), "any")
+    assert not check_expression(expression, NameScope.of_parts(_PAYLOAD, ["a", "b"]), "any")
     return expression
 
 

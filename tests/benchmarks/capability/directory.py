@@ -12,10 +12,10 @@ from pathlib import Path
 
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import PERCENT, RATE
 from harness.paced import Round
 from harness.processes import ChildError, Processes, free_port
 from harness.samples import Contender
-from harness.words import PERCENT, RATE
 
 HOSTS, AGENTS, SECONDS = 50, 5, 15.0
 PROCESSOR, BYTES = "processor of a host", "bytes on each link"

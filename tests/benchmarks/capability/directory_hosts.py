@@ -18,25 +18,27 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from lfield.capability.directory.directory import Directory
-from lfield.capability.directory.news import Condition, Sample
+from lfield.capability.directory.agent_directory import AgentDirectory
+from lfield.capability.directory.directory_delta import AgentCondition, AttributeSample
 from lfield.clock import SystemClock
-from lfield.devices.guards import Guards
-from lfield.host.directory import LOOK_EVERY
+from lfield.devices.device_guards import DeviceGuards
+from lfield.event_loop import run
+from lfield.host.directory_updates.directory_codec import DirectoryCodec
+from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.surroundings import Options
-from lfield.host.telling.reports import Reports
-from lfield.loop import run
+from lfield.host.team_directory import SAMPLE_EVERY
+from lfield.hybrid_clock import HybridClock
 from lfield.manifest import Observation
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.net import framed
-from lfield.net.framed import FramedLink
-from lfield.net.peers import Peers
-from lfield.net.tcp import TcpTransport
+from lfield.net import framed_link
+from lfield.net.framed_link import FramedLink
+from lfield.net.link_manager import LinkManager
+from lfield.net.link_owner import TeamAddresses
+from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import Link
-from lfield.wire.coordinators import Transfer
+from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello, Message
 
 #: Seconds between the last link and the measurement.
@@ -51,17 +53,17 @@ def telemetry(swing: float) -> float:
 async def measured_host(mission: Mission, swing: float, seconds: float) -> None:
     """The first host of the mission, with devices that only report."""
 
-    async def opened(self: Guards, devices: Any) -> None:
+    async def opened(self: DeviceGuards, devices: Any) -> None:
         pass
 
-    def last(self: Guards, device: str, quantity: str) -> Observation:
+    def last(self: DeviceGuards, device: str, quantity: str) -> Observation:
         number = telemetry(swing)
         value = number if quantity == "battery" else (number, number, number)
         return Observation(value, time.monotonic() - 0.05)
 
-    with mock.patch.multiple(Guards, open=opened, last=last, trouble=lambda self, device: None):
+    with mock.patch.multiple(DeviceGuards, open=opened, last=last, trouble=lambda self, device: None):
         team = mission.team
-        options = Options(team.addresses[0])
+        options = HostOptions(team.addresses[0])
         host = Host(mission, team.hosts[0], TcpTransport(mission.max_block), Logbook(), options)
         await host.start()
         while len(host.peers.incarnations) < len(team.hosts) - 1:
@@ -70,7 +72,9 @@ async def measured_host(mission: Mission, swing: float, seconds: float) -> None:
         processor, start = time.process_time(), time.monotonic()
         await asyncio.sleep(seconds)
         print(time.process_time() - processor, time.monotonic() - start, flush=True)
-        known = sum(len(candidate.unknown) == 0 for candidate in host.core.directory.directory.everybody())
+        known = sum(
+            len(candidate.unknown) == 0 for candidate in host.core.directory.directory.all_candidates()
+        )
         print(known, flush=True)
 
 
@@ -80,18 +84,18 @@ class Other:
     def __init__(self, mission: Mission, number: int, swing: float) -> None:
         team, self._mission, self._swing = mission.team, mission, swing
         self._name, self._first = team.hosts[number], team.hosts[0]
-        self._clock = SystemClock()
-        self._phase = LOOK_EVERY * number / len(team.hosts)
+        self._clock, self.hybrid_clock = SystemClock(), HybridClock(0.0, 0.0)
+        self._phase = SAMPLE_EVERY * number / len(team.hosts)
         addresses = [team.addresses[0], team.addresses[number]]
         transport = TcpTransport(mission.max_block)
         hosts = [self._first, self._name]
-        self.peers = Peers(
-            self, transport, self._clock, random.Random(number), hosts, addresses, 1, hosts[:1]
+        self.peers = LinkManager(
+            self, transport, self._clock, random.Random(number), TeamAddresses(hosts, addresses, 1, hosts[:1])
         )
         assert mission.registry is not None
         agents = mission.team.deployed
-        self._directory = Directory(mission.registry, agents, self._name, self.peers, self._clock)
-        self._reports = Reports(mission.registry, agents)
+        self._directory = AgentDirectory(mission.registry, agents, self._name, self.peers, self._clock)
+        self._reports = DirectoryCodec(mission.registry, agents)
 
     async def start(self) -> None:
         """Listen, and report from now on."""
@@ -101,12 +105,12 @@ class Other:
     def _tell(self) -> None:
         for agent in self._directory.own_agents:
             value, now = telemetry(self._swing), self._clock.monotonic()
-            samples = {name: Sample(value, now - 0.05, now) for name in self._directory.live(agent)}
-            self._directory.own(agent, Condition(samples=samples))
-        news = self._directory.news()
+            samples = {name: AttributeSample(value, now - 0.05, now) for name in self._directory.live(agent)}
+            self._directory.set_own(agent, AgentCondition(samples=samples))
+        news = self._directory.next_delta()
         if news is not None:
-            self.peers.send(self._first, self._reports.write(news, self._clock.monotonic()))
-        asyncio.get_running_loop().call_later(LOOK_EVERY, self._tell)
+            self.peers.send(self._first, self._reports.encode(news, self._clock.monotonic()))
+        asyncio.get_running_loop().call_later(SAMPLE_EVERY, self._tell)
 
     def hello(self) -> Hello:
         """As a host of the mission says it."""
@@ -115,26 +119,26 @@ class Other:
         program, team = mission.program.digest, mission.team.deployment
         return Hello("host", self._name, 1, program, team, mission.max_block, [], mission.registry.digest)
 
-    def linked(self, hello: Hello) -> None:
+    def on_linked(self, hello: Hello) -> None:
         """The measured host knows all there is."""
-        news = self._directory.everything()
+        news = self._directory.full_delta()
         if news is not None:
-            self.peers.send(hello.host, self._reports.write(news, self._clock.monotonic()))
+            self.peers.send(hello.host, self._reports.encode(news, self._clock.monotonic()))
 
-    def unlinked(self, host: str, *, quietly: bool) -> None:
+    def on_unlinked(self, host: str, *, quietly: bool) -> None:
         """Nothing is to be done."""
 
-    def wanted(self) -> list[str]:
+    def desired_hosts(self) -> list[str]:
         """It has a link with the measured host only."""
         return [self._first]
 
-    def received(self, host: str, message: Control, link: Link) -> None:
+    def on_message(self, host: str, message: Control, link: Link) -> None:
         """What the measured host reports is not looked at."""
 
-    def arrived(self, host: str, header: Transfer, block: memoryview) -> None:
+    def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
         """No coordinator ever comes."""
 
-    def too_large(self, host: str, header: Transfer, size: int) -> None:
+    def on_oversize(self, host: str, header: Transfer, size: int) -> None:
         """No coordinator ever comes."""
 
     def note(self, text: str) -> None:
@@ -145,7 +149,7 @@ class Other:
 async def other_hosts(mission: Mission, swing: float, seconds: float) -> None:
     """All hosts but the first, which count what comes and goes."""
     came = went = 0
-    receive, encoded = FramedLink.received, framed.encode
+    receive, encoded = FramedLink.received, framed_link.encode
 
     def received(self: FramedLink, data: Any) -> None:
         nonlocal came
@@ -158,7 +162,10 @@ async def other_hosts(mission: Mission, swing: float, seconds: float) -> None:
         went += len(data)
         return data
 
-    with mock.patch.object(FramedLink, "received", received), mock.patch.object(framed, "encode", encode):
+    with (
+        mock.patch.object(FramedLink, "received", received),
+        mock.patch.object(framed_link, "encode", encode),
+    ):
         others = [Other(mission, number, swing) for number in range(1, len(mission.team.hosts))]
         for other in others:
             await other.start()

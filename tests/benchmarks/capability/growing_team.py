@@ -15,23 +15,31 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from lfield.capability.directory.news import Condition, News, Sample, Trouble
-from lfield.capability.matching.expression import compile_wish
+from lfield.capability.condition_compiler import compile_query
+from lfield.capability.directory.directory_delta import (
+    AgentCondition,
+    AttributeSample,
+    DirectoryDelta,
+    Unavailability,
+)
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.model import ANYBODY
+from lfield.capability.model import ANY_OFFER
 from lfield.clock import ManualClock
-from lfield.host.directory import TeamDirectory
-from lfield.host.offers import Offers
+from lfield.host.context import HostContext
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.host.offer_queries import CapabilityQueries
+from lfield.host.team_directory import TeamDirectory
 from lfield.manifest import Observation
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.operator.query import from_hosts
-from lfield.testing.golden import Desk
-from lfield.vm.agent import Agent
-from lfield.vm.contract import Limits
+from lfield.operator.team_query import roster_from_hosts
+from lfield.replication.membership.overlay import Overlay
+from lfield.testing.golden import GoldenWorld
+from lfield.vm.agent import Agent, MachineTeam
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory.collector import collect
-from lfield.vm.offers import Found
+from lfield.vm.offer_objects import FoundOffer
 
 #: How an offer comes about, with the resource types that a team needs for it; and proxies, without offers.
 KINDS: Mapping[str, Sequence[str]] = {
@@ -48,7 +56,7 @@ PROXIES, TEAMS = "Crane", "Team"
 CONDITION = "payload >= 4.0 && battery >= 0.1 && mass < 99.0"
 PER_HOST = 10
 #: Nobody is in the middle of anything: what is measured may take as long as it does.
-_LIMITS = Limits(heap=1 << 24)
+_LIMITS = AgentLimits(heap=1 << 24)
 
 _RESOURCE = """
 resource %s {
@@ -164,37 +172,39 @@ class Nearby:
 
     clock: ManualClock
     chance: random.Random
-    away: Mapping[str, float] = field(default_factory=dict)
+    down_since: Mapping[str, float] = field(default_factory=dict)
 
     def last(self, device: str, quantity: str) -> Observation:
         """A value of this moment."""
         number = self.chance.uniform(0.2, 1.0)
         return Observation(number if quantity == "battery" else (number,) * 3, self.clock.monotonic())
 
-    def trouble(self, device: str) -> Trouble | None:
+    def trouble(self, device: str) -> Unavailability | None:
         """None has any."""
         return None
 
-    def last_heard(self, host: str) -> float:
+    def last_contact(self, host: str) -> float:
         """This moment."""
         return self.clock.monotonic()
 
 
 @dataclass
-class Answering(Desk):
+class Answering(GoldenWorld):
     """What a host answers; its output is kept."""
 
-    offering: Offers | None = None
+    offering: CapabilityQueries | None = None
 
-    def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[Found]:
+    def offers(self, agent: Agent, capability: str, constraint: str | None) -> list[FoundOffer]:
         """As the world of a host does."""
         assert self.offering is not None
-        return self.offering.offers(agent.id, capability, constraint)
+        return self.offering.find_offers(agent.id, capability, constraint)
 
-    def teams(self, agent: Agent, capability: str, constraint: str | None, size: int) -> list[list[Found]]:
+    def teams(
+        self, agent: Agent, capability: str, constraint: str | None, size: int
+    ) -> list[list[FoundOffer]]:
         """The same of teams."""
         assert self.offering is not None
-        return self.offering.teams(agent.id, capability, constraint, size)
+        return self.offering.find_teams(agent.id, capability, constraint, size)
 
 
 class FirstHost:
@@ -206,19 +216,34 @@ class FirstHost:
         self._clock, self._chance = ManualClock(), random.Random(2)
         self._desk, self._reported = Answering(), 0
         members = mission.team.members
-        self._machine = Machine(mission.program, members, 0, 1, self._desk, self._clock, random.Random(3))
+        self._machine = Machine(
+            mission.program, MachineTeam(members, 0, 1), self._desk, self._clock, random.Random(3)
+        )
         here = mission.team.hosts[0]
         nearby = Nearby(self._clock, self._chance)
-        self._directory = TeamDirectory(mission, here, 1, self._machine, nearby, self._clock)
-        self._desk.machine, self._desk.offering = self._machine, Offers(self._directory, mission)
+        overlay = Overlay(mission.team.hosts, 0, is_full_mesh=True)
+        recorder = EventRecorder(self._clock)
+        context = HostContext(
+            mission,
+            here,
+            1,
+            self._clock,
+            nearby,
+            random.Random(4),
+            10.0,
+            overlay,
+            recorder,  # type: ignore[arg-type]
+        )
+        self._directory = TeamDirectory(context, self._machine, lambda agent: None, nearby)
+        self._desk.machine, self._desk.offering = self._machine, CapabilityQueries(self._directory, mission)
         self._others: dict[str, list[str]] = {}
         for agent in mission.team.deployed:
             if agent.host != here and agent.type in self._directory.registry.providers:
                 self._others.setdefault(agent.host, []).append(agent.id)
         for host in self._others:
-            self._directory.directory.linked(host, 1)
+            self._directory.directory.on_link_up(host, 1)
         self._tell()
-        for member in mission.team.on(0):
+        for member in mission.team.members_on(0):
             if member.kind == "resource" or member.id == self._boss:
                 self._machine.start(member, _LIMITS, generation=1)
                 self._machine.run()
@@ -250,11 +275,11 @@ class FirstHost:
         if self._lively:
             self._tell()
         registry = self._directory.registry
-        views = {self._mission.team.hosts[0]: {told.agent: told for told in self._directory.told()}}
-        wish = compile_wish(self._condition, registry.attributes) if self._condition else ANYBODY
+        views = {self._mission.team.hosts[0]: {told.agent: told for told in self._directory.entries()}}
+        wish = compile_query(self._condition, registry.attributes) if self._condition else ANY_OFFER
         primitive = "Direct" if kind == TEAMS else kind
         start = time.process_time()
-        matcher = Matcher(registry, from_hosts(registry, self._mission.team.deployed, views, ()))
+        matcher = Matcher(registry, roster_from_hosts(registry, self._mission.team.deployed, views, ()))
         assert matcher.find(primitive, wish).count
         matcher.explain(primitive, wish.condition)
         if kind == TEAMS:
@@ -267,10 +292,10 @@ class FirstHost:
         self._reported += 1
         for host, agents in self._others.items():
             conditions = {agent: self._told(agent, now) for agent in agents}
-            self._directory.directory.take(host, News(1, before, self._reported, conditions))
+            self._directory.directory.on_delta(host, DirectoryDelta(1, before, self._reported, conditions))
 
-    def _told(self, agent: str, now: float) -> Condition:
+    def _told(self, agent: str, now: float) -> AgentCondition:
         live = self._directory.directory.live(agent)
-        return Condition(
-            samples={name: Sample(self._chance.uniform(0.2, 1.0), now - 0.05, now) for name in live}
+        return AgentCondition(
+            samples={name: AttributeSample(self._chance.uniform(0.2, 1.0), now - 0.05, now) for name in live}
         )

@@ -14,9 +14,9 @@ from itertools import pairwise
 from capability.growing_team import PROXIES, TEAMS, FirstHost, growing_mission
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import TIMES
 from harness.processes import Processes
 from harness.samples import Contender
-from harness.words import TIMES
 
 SIZES = 10, 100, 1_000, 3_000
 _SAID = {

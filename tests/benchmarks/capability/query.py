@@ -42,7 +42,7 @@ def asking(*words: str, running: bool) -> Opener:
 
         def ask() -> Round:
             with Processes() as own:
-                return whole_run(checkout.lfield(own, "query", _QUERY, *mission.words, *words), "Lift")
+                return whole_run(checkout.lfield(own, "query", _QUERY, *mission.arguments, *words), "Lift")
 
         return ask
 

@@ -13,12 +13,16 @@ from pathlib import Path
 
 from harness.checkout import Checkout
 from harness.figure import GROWTH, Figure
+from harness.number_text import PERCENT
 from harness.processes import Processes
 from harness.samples import Contender, timed
-from harness.words import PERCENT
 from msgspec import structs
 
-from lfield.capability.matching.expression import Scope, check, compile_wish, parse
+from lfield.capability.condition_compiler import compile_query, parse_expression
+from lfield.capability.matching.condition_checker import (
+    NameScope,
+    check_expression,
+)
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import (
     Attribute,
@@ -29,7 +33,7 @@ from lfield.capability.model import (
     Primitive,
     Provider,
     Registry,
-    Served,
+    ServedPrimitive,
     Value,
     Weights,
 )
@@ -105,7 +109,7 @@ def _found(matcher: Matcher) -> Sequence[Offer]:
 
 
 def _provider(type: str, serves: str, names: Sequence[str], drawn: random.Random) -> Provider:
-    return Provider(type, {serves: Served(serves, {})}, attributes=_facts(names, drawn))
+    return Provider(type, {serves: ServedPrimitive(serves, {})}, attributes=_facts(names, drawn))
 
 
 def _facts(names: Sequence[str], drawn: random.Random) -> dict[str, Value]:
@@ -127,9 +131,9 @@ def stability(checkout: Checkout, processes: Processes) -> Contender:
 
 
 def _over_parts(text: str, parts: Sequence[str]) -> Expression:
-    expression, _ = parse(text)
+    expression, _ = parse_expression(text)
     assert expression is not None
-    assert not check(expression, Scope.of_parts(_ATTRIBUTES, parts), "any")
+    assert not check_expression(expression, NameScope.of_parts(_ATTRIBUTES, parts), "any")
     return expression
 
 
@@ -176,8 +180,8 @@ def _members(count: int, age: float) -> list[Candidate]:
 def growing(case: str, lively: bool) -> Contender:
     """The seconds of a question in teams of all sizes."""
     primitive, rules, text = _GROWN[case]
-    made = _registry([Provider(t, {p: Served(p, {})}) for t, p in _TYPES], *rules)
-    wish = compile_wish(text, _ATTRIBUTES) if text else None
+    made = _registry([Provider(t, {p: ServedPrimitive(p, {})}) for t, p in _TYPES], *rules)
+    wish = compile_query(text, _ATTRIBUTES) if text else None
 
     def ask(count: int) -> list[float]:
         teams = [_Team(_members(count, 0.1 * turn)) for turn in range(8)]

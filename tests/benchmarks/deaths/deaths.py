@@ -29,9 +29,9 @@ from deaths.devices import DEVICES, Device
 from deaths.trial import DEATHS, Outcome, Subject, Trial, Wave, together
 from harness.checkout import Checkout
 from harness.figure import Figure, Row
+from harness.number_text import COUNT
 from harness.processes import Processes
 from harness.samples import Tick
-from harness.words import COUNT
 
 TRIALS = int(os.environ.get("TRIALS", "30"))
 SIDE = int(os.environ.get("SIDE", "2"))
@@ -60,13 +60,13 @@ class Fleet:
         self._subjects = {
             d.name: [Subject(checkout, processes, d, silences) for _ in range(side)] for d in devices
         }
-        self._side, self._dice = side, random.Random(1)
+        self._side, self._rng = side, random.Random(1)
 
     def round(self, number: int, silence: float) -> Iterator[list[Outcome]]:
         """Every death of every device once; yields what becomes of those that die side by side."""
         for first in range(0, len(DEATHS), self._side):
             with Processes() as processes:
-                yield self._try(number, first, Wave(processes, silence, self._dice))
+                yield self._try(number, first, Wave(processes, silence, self._rng))
 
     def _try(self, number: int, first: int, wave: Wave) -> list[Outcome]:
         """Some deaths of every device. All begin before the first dies: starts shall not disturb."""
@@ -78,7 +78,7 @@ class Fleet:
             way = ways[-1] if number % SECOND_WAY == SECOND_WAY - 1 else ways[0]
             trials += [Trial(*pair, way, wave) for pair in zip(subjects, deaths, strict=True)]
         try:
-            for phase in (Trial.begin, Trial.die, Trial.end):
+            for phase in (Trial.start, Trial.die, Trial.end):
                 together(phase(trial) for trial in trials)
         finally:
             for trial in trials:

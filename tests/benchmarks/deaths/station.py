@@ -1,4 +1,5 @@
-"""python station.py ENDPOINT: the heartbeats of a ground station, as QGroundControl sends them by default.
+"""python station.py ENDPOINT: the heartbeats of a ground station, as QGroundControl sends them by
+default.
 
 System 255, component 190, once a second, on a link of its own, until it is ended.
 """

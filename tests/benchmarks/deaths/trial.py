@@ -21,14 +21,14 @@ from harness.processes import Child, Processes
 
 #: Seconds between two looks, from the start of a host until its device moves, and until a guard that is left
 #: alone has ended.
-LOOK, MOVES_WITHIN, ENDS_WITHIN = 0.02, 30.0, 20.0
+POLL_INTERVAL, MOVES_WITHIN, ENDS_WITHIN = 0.02, 30.0, 20.0
 #: Seconds from a death to the safe state and to rest, at most, and for which the rest is watched.
 SAFE_WITHIN, REST_WITHIN, WATCHED = 15.0, 30.0, 0.3
 #: Death comes at a random moment in so many seconds after the device was first seen to move.
 EARLIEST, LATEST = 0.3, 1.8
 #: So often a host is started whose device does not move, or had stopped before its death came; and how much
 #: of what it said is kept.
-STARTS, LAST_WORDS = 10, 6
+STARTS, LAST_LINES = 10, 6
 #: So many hosts start at a time: most of it is a second in which each measures how late it is.
 STARTING = 5
 _STATION = Path(__file__).with_name("station.py")
@@ -58,7 +58,7 @@ class Outcome:
     """What became of a trial.
 
     `why` it failed, '' when it did not; `starts` of hosts until death found the device moving, `before` what
-    those said that did not keep it moving; `told` is what the device's log said after the death.
+    those said that did not keep it moving; `lines` is what the device's log said after the death.
     """
 
     device: str
@@ -67,7 +67,7 @@ class Outcome:
     verdict: Verdict = field(default_factory=Verdict)
     why: str = ""
     starts: int = 0
-    told: Sequence[str] = ()
+    lines: Sequence[str] = ()
     before: list[str] = field(default_factory=list)
 
 
@@ -97,7 +97,7 @@ class Subject:
         self._checkout.lfield(processes, "build", str(mission.deploy), merged=True).wait()
         bundle, memory = mission.deploy.with_suffix(".lfm"), self._checkout.keeping_nothing
         sign(bundle)
-        return [str(bundle), "--host", "here", *memory, *mission.words[2:]]
+        return [str(bundle), "--host", "here", *memory, *mission.arguments[2:]]
 
     def start_host(self, processes: Processes, way: str, silence: float) -> Child:
         """A host that keeps the device moving."""
@@ -113,23 +113,23 @@ class Wave:
 
     processes: Processes
     silence: float
-    dice: random.Random
+    rng: random.Random
     starting: set[int] = field(default_factory=set)
 
 
 class Trial:
-    """One death. `begin`, `die` and `end` are to be gone through in this order."""
+    """One death. `start`, `die` and `end` are to be gone through in this order."""
 
     def __init__(self, subject: Subject, death: Death, way: str, wave: Wave) -> None:
         self._subject, self._death, self._way, self._wave = subject, death, way, wave
         self._guards: dict[int, str] = {}
         self._host: Child | None = None
-        self._told: list[str] = []
+        self._lines: list[str] = []
         self.outcome = Outcome(subject.device.name, str(death), way)
 
     # -- before ---------------------------------------------------------------------------------------
 
-    def begin(self) -> Iterator[None]:
+    def start(self) -> Iterator[None]:
         """Until the device moves."""
         while not self._gives_up():
             if (yield from self._moves_by_a_host()):
@@ -147,17 +147,17 @@ class Trial:
         while len(wave.starting) >= STARTING:
             yield
         self.outcome.starts += 1
-        self._told = []
+        self._lines = []
         self._host = self._subject.start_host(wave.processes, self._way, wave.silence)
         start = time.monotonic()
         wave.starting.add(id(self))
         while not self._moves():
-            stopped = any(line.startswith("stopped") for line in self._told) or not _born(self._host.pid)
+            stopped = any(line.startswith("stopped") for line in self._lines) or not _born(self._host.pid)
             if stopped or time.monotonic() > start + MOVES_WITHIN:
                 self._complain()
                 wave.starting.discard(id(self))
                 return False
-            if any("is up " in line for line in self._told):
+            if any(" listening " in line for line in self._lines):
                 wave.starting.discard(id(self))
             yield
         wave.starting.discard(id(self))
@@ -166,19 +166,19 @@ class Trial:
     def _complain(self) -> None:
         """Keep why the device does not move: no death can be tried on it."""
         self._listen()
-        self.outcome.before.append(" | ".join(self._told[-LAST_WORDS:]))
+        self.outcome.before.append(" | ".join(self._lines[-LAST_LINES:]))
 
     def _moves(self) -> bool:
         """Whether it does as its program wants."""
         self._listen()
         now = self._subject.log.now
-        moves = "moves" in self._told and now["moving"] == "yes" and not self._subject.device.safe(now, now)
+        moves = "moves" in self._lines and now["moving"] == "yes" and not self._subject.device.safe(now, now)
         return moves and self._host is not None and len(_children(self._host.pid)) == 1
 
     def _listen(self) -> None:
         self._subject.log.read()
         if self._host is not None:
-            self._told += self._host.lines()
+            self._lines += self._host.lines()
 
     # -- the death ------------------------------------------------------------------------------------
 
@@ -192,14 +192,14 @@ class Trial:
         try:
             death = self._kill()
         except (ValueError, ProcessLookupError):
-            self.outcome.why = f"somebody was dead before: {self._told[-1]}"
+            self.outcome.why = f"somebody was dead before: {self._lines[-1]}"
             return
         while not _over(verdict, time.monotonic() - death):
             yield
             self._listen()
             verdict = judge(device, start, log.changes, death)
         self.outcome.verdict = verdict
-        self.outcome.told = [f"{change.at - death:.3f} {change}" for change in log.changes]
+        self.outcome.lines = [f"{change.at - death:.3f} {change}" for change in log.changes]
         if verdict.safe is None:
             self.outcome.why = f"not safe within {SAFE_WITHIN:g} s"
         elif "guard" in self._death.who and verdict.safe > device.bound:
@@ -210,14 +210,14 @@ class Trial:
     def _until_the_moment(self) -> Iterator[None]:
         """A random while. A device that somebody has stopped meanwhile is made to move again."""
         while not self.outcome.why:
-            moment = time.monotonic() + self._wave.dice.uniform(EARLIEST, LATEST)
+            moment = time.monotonic() + self._wave.rng.uniform(EARLIEST, LATEST)
             while time.monotonic() < moment:
                 yield
             if self._moves():
                 return
             self._complain()
             yield from self.end()
-            yield from self.begin()
+            yield from self.start()
 
     def _kill(self) -> float:
         """Send the signals; when, on CLOCK_MONOTONIC."""
@@ -225,7 +225,7 @@ class Trial:
         (guard,) = _children(self._host.pid)
         self._guards[guard] = _born(guard)
         victims = [{"host": self._host.pid, "guard": guard}[who] for who in self._death.who]
-        self._wave.dice.shuffle(victims)
+        self._wave.rng.shuffle(victims)
         death = time.monotonic()
         for victim in victims:
             os.kill(victim, self._death.number)
@@ -280,7 +280,7 @@ def together(works: Iterable[Iterator[None]]) -> None:
     going = list(works)
     while going:
         going = [work for work in going if next(work, work) is None]
-        time.sleep(LOOK)
+        time.sleep(POLL_INTERVAL)
 
 
 def _children(pid: int) -> list[int]:

@@ -16,8 +16,8 @@ from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender, timed
 
-from lfield import loop
-from lfield_can.bus.bus import Bus
+from lfield import event_loop
+from lfield_can.bus.can_bus import Bus
 from lfield_can.bus.frames import Frame
 
 FLYING = 8
@@ -77,7 +77,7 @@ def _echoes(bus: can.BusABC, flying: int, count: int) -> None:
 def driver(checkout: Checkout, processes: Processes) -> Contender:
     """The driver's bus."""
     endpoint = _bus_with_echo(checkout, processes)
-    return lambda: {SINGLE: loop.run(_singles(endpoint)), SEVERAL: loop.run(_several(endpoint))}
+    return lambda: {SINGLE: event_loop.run(_singles(endpoint)), SEVERAL: event_loop.run(_several(endpoint))}
 
 
 async def _opened(endpoint: str, on_echo: Callable[[], None]) -> Bus:

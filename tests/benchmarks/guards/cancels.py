@@ -22,7 +22,7 @@ from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
 
-from lfield import loop
+from lfield import event_loop
 from lfield.driver.kit import cancelled
 from lfield.driver.plugin import Plugin
 from lfield.testing.driver_bench import bind, guarded
@@ -47,7 +47,7 @@ def _opener(
     def open(checkout: Checkout, processes: Processes) -> Contender:
         path = processes.folder() / "log"
         endpoint = checkout.fake(processes, *fake.split(), "--log", str(path))
-        return lambda: loop.run(_round(path, story, plugin, kind, {"endpoint": endpoint, **given}))
+        return lambda: event_loop.run(_round(path, story, plugin, kind, {"endpoint": endpoint, **given}))
 
     return open
 
@@ -141,7 +141,7 @@ def _limited(checkout: Checkout) -> Round:
             late = float(host.line().removeprefix("over "))
             over = time.monotonic() - late
             found[ANSWERED].append(late)
-            found[STANDING].append(loop.run(_stood(log, over)) - over)
+            found[STANDING].append(event_loop.run(_stood(log, over)) - over)
     return found
 
 

@@ -23,10 +23,10 @@ from pathlib import Path
 from guards.copters import bindings, fake_copters
 from harness.checkout import Checkout, Mission
 from harness.figure import Figure, Opener
+from harness.number_text import number_text
 from harness.paced import Round
 from harness.processes import Child, ChildError, Processes
 from harness.samples import Contender
-from harness.words import words
 
 TTL, SILENCE, GRACE, LATE = 0.5, 0.2, 0.050, 0.010
 VEHICLES, BUSY = 8, 4
@@ -101,27 +101,27 @@ class Flights:
             self.late.append(at - sent - TTL)
 
 
-def expire(flights: Flights, dice: random.Random) -> None:
+def expire(flights: Flights, rng: random.Random) -> None:
     """Setpoints that are not renewed: the delays since the last look."""
     time.sleep(0.05)
     flights.delays += [at - flights.last_sent[vehicle] for vehicle, at in flights.look()]
 
 
-def stop(flights: Flights, dice: random.Random) -> None:
+def stop(flights: Flights, rng: random.Random) -> None:
     """A host that hangs, and goes on later."""
-    _let_fly(flights, dice)
+    _let_fly(flights, rng)
     _signal(flights, signal.SIGSTOP)
     flights.tell_host(signal.SIGCONT)
 
 
-def kill(flights: Flights, dice: random.Random) -> None:
+def kill(flights: Flights, rng: random.Random) -> None:
     """A host that is gone, and started anew."""
-    _let_fly(flights, dice)
+    _let_fly(flights, rng)
     _signal(flights, signal.SIGKILL)
     flights.start_host()
 
 
-def _let_fly(flights: Flights, dice: random.Random) -> None:
+def _let_fly(flights: Flights, rng: random.Random) -> None:
     """Until every vehicle has had a setpoint of this trial, and for a random moment more."""
     flights.look()
     begun = time.time()
@@ -130,7 +130,7 @@ def _let_fly(flights: Flights, dice: random.Random) -> None:
             raise ChildError("a copter was not flown again within 60 s")
         time.sleep(0.02)
         flights.look()
-    time.sleep(dice.uniform(0.0, 0.3))
+    time.sleep(rng.uniform(0.0, 0.3))
 
 
 def _signal(flights: Flights, number: signal.Signals) -> None:
@@ -171,7 +171,7 @@ FIGURE = Figure(
     {way.__name__: trials(way) for way in (expire, stop, kill)},
     rounds=1,
     one_size="one busy computer with the same copters all the time",
-    targets={SAFE: words(TTL + GRACE, "s"), SETPOINT: words(LATE, "s")},
+    targets={SAFE: number_text(TTL + GRACE, "s"), SETPOINT: number_text(LATE, "s")},
     notes=(
         f"{TRIALS} trials of each; {BUSY} busy processes; {VEHICLES} copters; time-to-live {TTL * 1000:g} ms",
         "the targets are for MAX; make bench ONLY=deadman TRIALS=1000 makes more",

@@ -12,9 +12,9 @@ from harness.figure import Figure
 from harness.processes import Processes
 from harness.samples import Contender
 
-from lfield import loop
-from lfield_dynamixel.bus.bus import Bus
-from lfield_dynamixel.bus.chain import Chain, Node
+from lfield import event_loop
+from lfield_dynamixel.bus.half_duplex_bus import Bus
+from lfield_dynamixel.bus.servo_chain import Chain, Node
 from lfield_dynamixel.driver import serial_port
 
 SERVOS = tuple(range(1, 7))
@@ -57,7 +57,7 @@ def _vendor_reads(endpoint: str) -> list[float]:
 def driver(checkout: Checkout, processes: Processes) -> Contender:
     """The driver's bus."""
     endpoint = _fake(checkout, processes)
-    return lambda: {CASE: loop.run(_driver_reads(endpoint))}
+    return lambda: {CASE: event_loop.run(_driver_reads(endpoint))}
 
 
 async def _driver_reads(endpoint: str) -> list[float]:

@@ -15,11 +15,11 @@ from harness.paced import Paced, Round
 from harness.processes import Processes
 from harness.samples import Contender
 
-from lfield import loop
+from lfield import event_loop
 from lfield.clock import SystemClock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.plugins import Plugins
-from lfield.testing.reports import KeptReports
+from lfield.testing.kept_reports import KeptReports
 
 COMMANDS = 200
 RAW = str(Path(__file__).with_name("mavlink_raw.py"))
@@ -34,7 +34,7 @@ def pymavlink(checkout: Checkout, processes: Processes) -> Contender:
 def driver(checkout: Checkout, processes: Processes) -> Contender:
     """The driver in this process, without a guard."""
     port = fake_copters(checkout, processes)
-    return lambda: loop.run(_driver_commands(port))
+    return lambda: event_loop.run(_driver_commands(port))
 
 
 async def _driver_commands(port: str) -> Round:

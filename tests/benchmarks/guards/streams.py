@@ -10,10 +10,10 @@ from guards.copters import bindings, fake_copters
 from guards.mavlink import RAW
 from harness.checkout import Checkout, Mission
 from harness.figure import Figure
+from harness.number_text import PERCENT
 from harness.paced import Round, read_round
 from harness.processes import Processes
 from harness.samples import Contender
-from harness.words import PERCENT
 
 SYSTEMS, RATE, SECONDS = (1, 2, 3, 4), 200, 3.0
 

@@ -18,7 +18,7 @@ from harness.paced import Paced
 from harness.processes import Child, Processes, free_port
 
 from lfield.errors import BundleError
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 #: Python keeps compiled modules here, as it does after the first start of an installed program.
 _KEPT = tempfile.TemporaryDirectory(prefix="lfield-bench-")
@@ -148,7 +148,7 @@ class Mission:
         return self.folder / "mission.dL"
 
     @property
-    def words(self) -> tuple[str, ...]:
+    def arguments(self) -> tuple[str, ...]:
         """The options that say which mission, and where its hosts are."""
         maps = [word for host, at in self.addresses.items() for word in ("--map", f"{host}={at}")]
         return "--deploy", str(self.deploy), *maps
@@ -160,7 +160,7 @@ class Mission:
     def host(self, checkout: Checkout, processes: Processes, host: str, *, merged: bool = False) -> Child:
         """Start the process of one; with `merged` its log is read, too."""
         memory = ("--state", str(self.folder / "state")) if self.kept else checkout.keeping_nothing
-        words = *self.words, *memory, *self.options
+        words = *self.arguments, *memory, *self.options
         return checkout.lfield(processes, "up", *words, "--host", host, merged=merged)
 
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from harness.checkout import Checkout
+from harness.number_text import SECONDS, TIMES
 from harness.processes import Processes
 from harness.samples import Contender, Samples, Tick, flat, in_turns, median, pair_ratios, percentile
 from harness.tenfold import series, tenfold
-from harness.words import SECONDS, TIMES
 
 #: Makes a contender of a checkout ready; what it starts ends with `Processes`.
 Opener = Callable[[Checkout, Processes], Contender]

@@ -12,7 +12,7 @@ from html import escape
 from typing import Any, NamedTuple
 
 from harness.figure import GROWTH
-from harness.words import SECONDS, times, words
+from harness.number_text import SECONDS, number_text, times
 
 #: Pixels: of a field with its texts, of what is drawn in it, of a line of text; and fields in a row.
 FIELD, PLOT_WIDTH, PLOT_HEIGHT, LINE, ACROSS = 470.0, 330.0, 190.0, 16.0, 2
@@ -143,7 +143,7 @@ def _field(field: Field, left: float, top: float) -> str:
 def _cost(cost: float, unit: str) -> str:
     """A number of an axis: a round one."""
     if unit != SECONDS:
-        return words(cost, unit)
+        return number_text(cost, unit)
     for least, factor, name in ((1.0, 1.0, "s"), (1e-3, 1e3, "ms"), (0.0, 1e6, "µs")):
         if cost >= least * 0.999:
             return f"{cost * factor:.3g} {name}"

@@ -35,16 +35,16 @@ class Child:
     """
 
     def __init__(
-        self, words: Sequence[str], environment: Mapping[str, str], folder: Path, merged: bool
+        self, arguments: Sequence[str], environment: Mapping[str, str], folder: Path, merged: bool
     ) -> None:
-        self._words, self._unread = words, b""
-        self._told: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the child
+        self._arguments, self._unread = arguments, b""
+        self._stderr: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  # open as long as the child
         self.started = time.perf_counter()
         self._process = subprocess.Popen(
-            words,
+            arguments,
             stdin=subprocess.DEVNULL,
             stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT if merged else self._told,
+            stderr=subprocess.STDOUT if merged else self._stderr,
             cwd=folder,
             env=environment,
             preexec_fn=_die_with_parent,
@@ -109,7 +109,7 @@ class Child:
         self._process.wait()
         assert self._process.stdout is not None
         self._process.stdout.close()
-        self._told.close()
+        self._stderr.close()
 
     def _read(self, patience: float) -> bool:
         """Take in what there is; False when there is nothing."""
@@ -121,12 +121,12 @@ class Child:
         return bool(data)
 
     def _obituary(self, what: str) -> str:
-        self._told.seek(0)
-        told = (self._told.read() + self._unread).decode(errors="replace").split("\n")
+        self._stderr.seek(0)
+        told = (self._stderr.read() + self._unread).decode(errors="replace").split("\n")
         lines = [line.strip() for line in told if line.strip()] or ["without a word"]
         # A refusal begins with what is wrong; a traceback or a log ends with it.
         refused = "error" in lines[0]
-        command = " ".join(Path(word).name for word in self._words[:6])
+        command = " ".join(Path(word).name for word in self._arguments[:6])
         return f"{command} {what}: {lines[0 if refused else -1]}"
 
 

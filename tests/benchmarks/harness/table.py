@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Self
 
 from harness.figure import Row
-from harness.words import times, words
+from harness.number_text import number_text, times
 from rich.console import Console
 from rich.progress import Progress as Bar
 from rich.progress import SpinnerColumn, TextColumn
@@ -80,7 +80,7 @@ def print_figure(out: Console, name: str, title: str, rows: Sequence[Row], notes
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    numbers = [words(number, row.unit) for number in row.numbers().values()] or [""] * 5
+    numbers = [number_text(number, row.unit) for number in row.numbers().values()] or [""] * 5
     count = str(len(row.samples) or "")
     ratio = "" if row.ratio is None else times(row.ratio)
     return row.case, row.measured, count, *numbers, ratio, row.target

@@ -16,9 +16,9 @@ from pathlib import Path
 
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import COUNT
 from harness.processes import Processes
 from harness.samples import Contender
-from harness.words import COUNT
 from hops.memory_team import carry_out
 
 SIZES = (2, 4, 8, 16, 32, 64)
@@ -75,7 +75,7 @@ FIGURE = Figure(
     "Messages for N resources to agree, counted; ratio to a broadcast",
     {
         "lfield: hops": counted("Transfer"),
-        "lfield: confirmations of hops": counted("Accepted"),
+        "lfield: confirmations of hops": counted("TransferAccepted"),
         "broadcast: N(N-1) messages": broadcasting,
     },
     base=("broadcast: N(N-1) messages",),

@@ -1,4 +1,5 @@
-"""Counts the function calls of one hop: from the `pcall` to the first instruction of the portal.
+"""Counts the function calls of one hop, from the `pcall` to the first instruction of the portal, and of a
+device instruction, from the thread that gives it to the first byte on the wire of the device.
 
     .venv/bin/python tests/benchmarks/hops/call_count.py            # without and with journals
     .venv/bin/python tests/benchmarks/hops/call_count.py --list     # also each call, in order
@@ -27,28 +28,45 @@ from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
 
+import pytest
+
 import lfield
-from lfield import loop
-from lfield.authority.minted import Minted
+from lfield import event_loop
+from lfield.authority.ephemeral_ca import EphemeralCa
+from lfield.bytecode.opcodes import BY_NAME
 from lfield.clock import SystemClock
+from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.surroundings import Options
-from lfield.journal.file import FileJournal
-from lfield.journal.opening import Owner
-from lfield.mission.load import load_mission
+from lfield.journal.file_journal import FileJournal
+from lfield.journal.journal_loader import JournalOwner
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.net.local import reserve
-from lfield.net.tcp import TcpTransport
-from lfield.net.tls import Tls
-from lfield.simulate.fleet import Fleet
-from lfield.vm import portals
-from lfield.vm.outside import Outsiders
+from lfield.net.local_addresses import open_listening_socket
+from lfield.net.tcp_transport import TcpTransport
+from lfield.net.tls import TlsIdentity
+from lfield.simulate.hardware import Hardware
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.vm import portal_calls
+from lfield.vm.agent import Agent
+from lfield.vm.engine_interface import HostCall
+from lfield.vm.host_calls import HostCallDispatcher
 
 HOPS, WARM_UP = 60, 40
 #: Seconds of virtual time that these hops take at most.
 PATIENCE = 60.0
 _PACKAGE = str(Path(lfield.__file__).parent)
+#: A portal that commands a vehicle, for the device instruction.
+_DEVICE_PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { fc.release(); }
+    portal go() { fc.setVelocity(1.0, 0.0, 0.0); }
+}
+coordinator Pilot {
+    init(string[] arg) { Post post = findPost("a"); while (true) { post.go(); sleep(0.1); } }
+}
+"""
 _PROGRAM = """
 resource Post { init(string[] arg) { } portal visit() { } }
 coordinator Traveller {
@@ -59,6 +77,10 @@ coordinator Traveller {
     }
 }
 """
+
+
+_AGENTS = "//Post:near@a\n//Post:far@b\n//Traveller:traveller@a\n"
+_DEVICE = BY_NAME["device"].code
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,9 +161,9 @@ FIGURES = {
 @contextmanager
 def recording() -> Iterator[Recorder]:
     """Record hops for the duration."""
-    recorder, carry_out, begin = Recorder(), Outsiders.carry_out, portals.begin
+    recorder, carry_out, begin = Recorder(), HostCallDispatcher.dispatch, portal_calls.start_call
 
-    def recorded(self: Outsiders, *args: Any) -> None:
+    def recorded(self: HostCallDispatcher, *args: Any) -> None:
         recorder.on_departure()
         carry_out(self, *args)
 
@@ -151,27 +173,58 @@ def recording() -> Iterator[Recorder]:
         finally:
             recorder.on_begin()
 
-    Outsiders.carry_out, portals.begin = recorded, begun  # type: ignore[method-assign]
+    HostCallDispatcher.dispatch, portal_calls.start_call = recorded, begun  # type: ignore[method-assign]
     try:
         yield recorder
     finally:
         sys.setprofile(None)
-        Outsiders.carry_out, portals.begin = carry_out, begin  # type: ignore[method-assign]
+        HostCallDispatcher.dispatch, portal_calls.start_call = carry_out, begin  # type: ignore[method-assign]
 
 
-def _written(folder: Path) -> Path:
+def _written(folder: Path, program: str = _PROGRAM, agents: str = _AGENTS) -> Path:
     """The mission's deployment."""
-    (folder / "mission.L").write_text(_PROGRAM, encoding="utf-8")
+    (folder / "mission.L").write_text(program, encoding="utf-8")
     deploy = folder / "mission.dL"
-    deploy.write_text("//Post:near@a\n//Post:far@b\n//Traveller:traveller@a\n", encoding="utf-8")
+    deploy.write_text(agents, encoding="utf-8")
     return deploy
+
+
+def device_call(folder: Path) -> Walk:
+    """The device instruction with the fewest calls, without the calls of the simulation.
+
+    The hardware is a model of one that is commanded by one write; a driver of a real device adds the calls
+    that encode its protocol.
+    """
+    mission = load_mission(_written(folder, _DEVICE_PROGRAM, "//Post:a@a\n//Pilot:pilot@a\n"), simulate=True)
+    recorder, dispatch, command = Recorder(), HostCallDispatcher.dispatch, Hardware.command
+
+    def dispatched(self: HostCallDispatcher, agent: Agent, thread: int, leave: HostCall) -> None:
+        if leave.op == _DEVICE:
+            recorder.on_departure()
+        dispatch(self, agent, thread, leave)
+
+    def commanded(self: Hardware, *given: Any, **named: Any) -> None:
+        recorder.on_begin()
+        command(self, *given, **named)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(HostCallDispatcher, "dispatch", dispatched)
+        patch.setattr(Hardware, "command", commanded)
+        fleet = Fleet(mission, options=FleetOptions(keeps=False))
+        while len(recorder.walks) < WARM_UP + HOPS and fleet.now < PATIENCE:
+            fleet.run(1.0)
+        sys.setprofile(None)
+    fleet.close()
+    walks = recorder.walks[WARM_UP:]
+    own = [Walk(tuple(call for call in walk.calls if not call[0].startswith("simulate/"))) for walk in walks]
+    return min(own, key=lambda walk: len(walk.calls))
 
 
 def simulated_hops(folder: Path, *, journals: bool) -> list[Walk]:
     """The walks of some hops in a simulated team, after a warm-up, without the calls of the simulation."""
     mission = load_mission(_written(folder))
     with recording() as recorder:
-        fleet = Fleet(mission, keeps=journals)
+        fleet = Fleet(mission, options=FleetOptions(keeps=journals))
         while len(recorder.walks) < WARM_UP + HOPS and fleet.now < PATIENCE:
             fleet.run(1.0)
     fleet.close()
@@ -182,15 +235,18 @@ def simulated_hops(folder: Path, *, journals: bool) -> list[Walk]:
 async def recorded_hops(folder: Path, *, journals: bool) -> list[Walk]:
     """The walks of some hops over TCP, after a warm-up."""
     deploy = _written(folder)
-    ports = {host: reserve("127.0.0.1:0") for host in "ab"}
+    ports = {host: open_listening_socket("127.0.0.1:0") for host in "ab"}
     mission = load_mission(deploy, maps=[f"{host}={address}" for host, (_, address) in ports.items()])
-    keys = Minted.for_hosts("ab", time.time()).hosts
+    keys = EphemeralCa.for_hosts("ab", time.time()).hosts
     for listening, _ in ports.values():
         listening.close()
     with recording() as recorder:
         hosts = [
             _host(
-                mission, host, TcpTransport(mission.max_block, Tls(keys[host])), folder if journals else None
+                mission,
+                host,
+                TcpTransport(mission.max_block, TlsIdentity(keys[host])),
+                folder if journals else None,
             )
             for host in "ab"
         ]
@@ -207,10 +263,10 @@ async def recorded_hops(folder: Path, *, journals: bool) -> list[Walk]:
 def _host(mission: Mission, name: str, transport: TcpTransport, folder: Path | None) -> Host:
     journal = None
     if folder is not None:
-        owner = Owner("bench", name, "")
+        owner = JournalOwner("bench", name, "")
         journal = FileJournal(folder / name / "host.journal", owner, print, SystemClock())
     address = mission.team.addresses[mission.team.number(name)]
-    options = Options(address, engine="reference", journal=journal, first_start=True)
+    options = HostOptions(address, engine="reference", journal=journal, first_start=True)
     return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), options)
 
 
@@ -221,7 +277,7 @@ def shortest(*, simulated: bool, journals: bool) -> Walk:
         if simulated:
             walks = simulated_hops(folder, journals=journals)
         else:
-            walks = loop.run(recorded_hops(folder, journals=journals))
+            walks = event_loop.run(recorded_hops(folder, journals=journals))
     return min(walks, key=lambda walk: len(walk.calls))
 
 
@@ -239,6 +295,11 @@ def main() -> None:
         )
         for file, function in least.calls if listed else ():
             print(f"    {file:<32} {function}")
+    with tempfile.TemporaryDirectory(prefix="lfield-calls-") as name:
+        walk = device_call(Path(name))
+    print(f"{'device':<21}{len(walk.calls):>7}{walk.files:>7}{walk.moves:>7}{walk.returns:>9}")
+    for file, function in walk.calls if listed else ():
+        print(f"    {file:<32} {function}")
 
 
 if __name__ == "__main__":

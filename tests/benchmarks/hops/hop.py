@@ -18,7 +18,7 @@ from harness.processes import Processes
 from harness.samples import Contender
 from hops.rpc import CLIENTS, Echo
 
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 SIZES = (64, 1 << 10, 8 << 10, 64 << 10)
 CALLS, WARM_UP = 300, 20

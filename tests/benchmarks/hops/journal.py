@@ -17,9 +17,9 @@ from harness.processes import Processes
 from harness.samples import Contender, timed
 
 from lfield.clock import SystemClock
-from lfield.journal.file import FileJournal
-from lfield.journal.opening import Owner
-from lfield.journal.pages import CopyPage
+from lfield.journal.file_journal import FileJournal
+from lfield.journal.journal_loader import JournalOwner
+from lfield.journal.records import CoordinatorRecord
 
 SIZES = (64, 4 << 10, 64 << 10)
 COMMITS, AT_ONCE = 40, 16
@@ -36,14 +36,14 @@ def keeping(at_once: int) -> Opener:
 
 async def _keep(folder: Path, at_once: int) -> dict[str, list[float]]:
     clock = SystemClock()
-    journal = FileJournal(folder / "host.journal", Owner("bench", "here", ""), print, clock)
+    journal = FileJournal(folder / "host.journal", JournalOwner("bench", "here", ""), print, clock)
     taken: dict[str, list[float]] = {}
     for size in SIZES:
         block = bytes(size)
         for count in range(COMMITS):
-            pages = [CopyPage(f"agent{n}", 1, "RUN", count, block=block) for n in range(at_once)]
+            pages = [CoordinatorRecord(f"agent{n}", 1, "RUN", count, block=block) for n in range(at_once)]
             start = clock.monotonic()
-            await asyncio.gather(*(journal.keep([page]) for page in pages))
+            await asyncio.gather(*(journal.persist([page]) for page in pages))
             taken.setdefault(_case(size), []).append((clock.monotonic() - start) / at_once)
     journal.close()
     return taken

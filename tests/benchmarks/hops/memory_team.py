@@ -7,14 +7,15 @@ import io
 from collections import Counter
 from pathlib import Path
 
+from memory_network import MemoryNetwork
+
 from lfield.clock import SystemClock
+from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.process.until_done import until_done
-from lfield.host.surroundings import Options
-from lfield.mission.load import load_mission
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.network import MemoryNetwork
 
 #: Seconds without a link after which a host counts as gone; none goes here.
 _LOST_AFTER = 30.0
@@ -39,7 +40,7 @@ async def _carry_out(mission: Mission) -> tuple[Counter[str], list[str]]:
     try:
         # At once: a host with coordinators waits for the others' greetings before it starts them.
         await asyncio.gather(*(host.start() for host in hosts))
-        (fate,) = await until_done(hosts[-1], _LOST_AFTER)
+        (fate,) = await wait_until_done(hosts[-1], _LOST_AFTER)
         if fate.outcome != "done":
             raise RuntimeError(f"{fate.agent} {fate.outcome}: {fate.detail}")
         sent: Counter[str] = network.sent.copy()
@@ -51,4 +52,4 @@ async def _carry_out(mission: Mission) -> tuple[Counter[str], list[str]]:
 
 def _host(mission: Mission, name: str, network: MemoryNetwork, out: io.StringIO) -> Host:
     address = mission.team.addresses[mission.team.number(name)]
-    return Host(mission, name, network.transport(name), Logbook(out, io.StringIO()), Options(address))
+    return Host(mission, name, network.transport(name), Logbook(out, io.StringIO()), HostOptions(address))

@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 
-from lfield.authority.keys import AUTHORITY, certificate_name, key_name
+from lfield.authority.key_material import AUTHORITY, certificate_name, key_name
 
 #: Sends bytes, returns the same bytes as they came back.
 Echo = Callable[[bytes], bytes]

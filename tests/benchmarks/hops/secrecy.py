@@ -10,8 +10,8 @@ from harness.processes import Processes
 from harness.samples import Contender
 from hops.stages import travel
 
-from lfield import loop
-from lfield.vm.wasm.choice import has_wasm
+from lfield import event_loop
+from lfield.vm.wasm.engine_selection import has_wasm
 
 #: Bytes of live state, on top of the coordinator itself.
 SIZES = (64, 1 << 10, 8 << 10, 64 << 10)
@@ -31,7 +31,7 @@ def hops(*, plain: bool) -> Opener:
 def _wholes(size: int, *, plain: bool) -> list[float]:
     engine = "wasm" if has_wasm() else "reference"
     with Processes() as processes:
-        taken = loop.run(travel(processes.folder(), size, HOPS, engine, plain=plain))
+        taken = event_loop.run(travel(processes.folder(), size, HOPS, engine, plain=plain))
     return [_whole(hop) for hop in taken]
 
 

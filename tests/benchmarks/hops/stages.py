@@ -20,29 +20,29 @@ from harness.processes import Processes, free_port
 from harness.samples import Tick, median
 from hops.taps import ENDS, READ, Stages, Tap, tapping
 
-from lfield import loop
-from lfield.authority.identity import ALL as EVERY_RIGHT
+from lfield import event_loop
+from lfield.authority.ephemeral_ca import EphemeralCa
+from lfield.authority.identity import ALL_RIGHTS as EVERY_RIGHT
 from lfield.authority.identity import Identity
-from lfield.authority.keys import Keys
-from lfield.authority.minted import Minted
+from lfield.authority.key_material import Keys
 from lfield.host.core import HostCore
+from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.logbook import Logbook
-from lfield.host.surroundings import Options
-from lfield.host.team.world import HostWorld
-from lfield.mission.load import load_mission
+from lfield.host.team.host_services import HostServices
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.net import framed
-from lfield.net.framed import FramedLink
-from lfield.net.peers import Peers
-from lfield.net.tcp import TcpTransport
-from lfield.net.tls import Tls
-from lfield.vm import machine
+from lfield.net import framed_link
+from lfield.net.framed_link import FramedLink
+from lfield.net.link_manager import LinkManager
+from lfield.net.tcp_transport import TcpTransport
+from lfield.net.tls import TlsIdentity
+from lfield.vm.host_calls import HostCallDispatcher
 from lfield.vm.machine import Machine
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.block_verifier import BlockVerifier
 from lfield.vm.memory.liveness import Liveness
-from lfield.vm.memory.soundness import Soundness
-from lfield.vm.outside import Outsiders
-from lfield.vm.wasm.choice import has_wasm
+from lfield.vm.wasm.engine_selection import has_wasm
 
 #: Bytes of live state, on top of the coordinator itself.
 SIZES = (64, 8 << 10)
@@ -52,18 +52,18 @@ ALL, TURNS, BEGINS, REST = "all of it", "the host's turn", "first instruction", 
 
 #: In the order in which they pass.
 TAPS = (
-    Tap("freeze", Outsiders, "carry_out", there=BEGINS),
-    Tap("decide to go", HostWorld, "depart"),
+    Tap("freeze", HostCallDispatcher, "dispatch", there=BEGINS),
+    Tap("decide to go", HostServices, "depart"),
     Tap("seal", Machine, "pack"),
     Tap("clear dead", Liveness, "clear_dead"),
-    Tap("collect, copy", machine, "compact"),
-    Tap("write", Peers, "send_transfer", behind=ENDS),
-    Tap("encode", framed, "encode_transfer"),
-    Tap("decode", FramedLink, "received", behind=READ),
-    Tap("decide to take", HostCore, "arrived"),
-    Tap("inject", Machine, "admit"),
-    Tap("check", Soundness, "check"),
-    Tap(TURNS, Host, "arrived"),
+    Tap("collect, copy", Block, "image"),
+    Tap("write", LinkManager, "send_transfer", behind=ENDS),
+    Tap("encode", framed_link, "encode_transfer"),
+    Tap("decode", FramedLink, "receive_frame", behind=READ),
+    Tap("decide to take", HostCore, "on_transfer"),
+    Tap("inject", Machine, "inject"),
+    Tap("check", BlockVerifier, "check"),
+    Tap(TURNS, Host, "on_transfer"),
     Tap(TURNS, HostCore, "run"),
     Tap("run", Machine, "run"),
 )
@@ -97,7 +97,7 @@ def measured(checkout: Checkout, rounds: int, tick: Tick) -> Iterator[Row]:
         case = f"{size} B: {engine} engine"
         tick(case)
         with Processes() as processes:
-            hops = loop.run(travel(processes.folder(), size, rounds * HOPS, engine))
+            hops = event_loop.run(travel(processes.folder(), size, rounds * HOPS, engine))
         yield from rows(case, hops)
 
 
@@ -121,7 +121,7 @@ async def travel(
     mission = load_mission(deploy, maps=[f"{host}=127.0.0.1:{free_port()}" for host in "ab"])
     stages = Stages()
     with tapping(stages, TAPS):
-        keys = Minted.for_hosts("ab", time.time()).hosts
+        keys = EphemeralCa.for_hosts("ab", time.time()).hosts
         carried = {host: _plain(mission, host) if plain else _in_tls(mission, keys[host]) for host in "ab"}
         hosts = [_host(mission, host, engine, transport) for host, transport in carried.items()]
         try:
@@ -136,17 +136,17 @@ async def travel(
 
 
 def _in_tls(mission: Mission, keys: Keys) -> TcpTransport:
-    return TcpTransport(mission.max_block, Tls(keys))
+    return TcpTransport(mission.max_block, TlsIdentity(keys))
 
 
 def _plain(mission: Mission, name: str) -> TcpTransport:
     """Of two hosts: whoever calls is the other."""
     other = Identity("host", "b" if name == "a" else "a", EVERY_RIGHT)
-    return TcpTransport(mission.max_block, resident=lambda _: other)
+    return TcpTransport(mission.max_block, identify=lambda _: other)
 
 
 def _host(mission: Mission, name: str, engine: str, transport: TcpTransport) -> Host:
-    options = Options(mission.team.addresses[mission.team.number(name)], engine=engine)
+    options = HostOptions(mission.team.addresses[mission.team.number(name)], engine=engine)
     return Host(mission, name, transport, Logbook(io.StringIO(), io.StringIO()), options)
 
 

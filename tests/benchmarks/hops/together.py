@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import COUNT
 from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
-from harness.words import COUNT
 from hops.memory_team import carry_out
 
 SIZES = (2, 4, 8, 16)

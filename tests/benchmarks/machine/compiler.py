@@ -19,7 +19,7 @@ from harness.processes import Processes
 from harness.samples import Contender
 
 from lfield.driver.plugins import discover
-from lfield.mission.load import compile_file
+from lfield.mission.loader import compile_file
 
 LINES = (500, 1_500, 5_000)
 _PIECE = Path(__file__).with_suffix(".L").read_text(encoding="utf-8")

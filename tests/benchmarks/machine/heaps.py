@@ -17,11 +17,11 @@ from lfield.bytecode.program import ARRAY, INT
 from lfield.testing.golden import compile_text
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
+from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR, BlockAllocator
+from lfield.vm.memory.block_verifier import BlockVerifier
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.memory.layout import HEADER_WORDS, Layouts
-from lfield.vm.memory.soundness import Soundness
-from lfield.vm.memory.space import SEPARATE, Space
 
 PROGRAM = compile_text(
     """
@@ -52,7 +52,7 @@ def array(block: Block) -> int:
     return block.allocate(layout.ARRAY, INTS, block.end - block.top)
 
 
-def filled(space: Space, size: int, fill: Callable[[Block], int]) -> Block:
+def filled(space: BlockAllocator, size: int, fill: Callable[[Block], int]) -> Block:
     """A heap of so many bytes, full of what is alive."""
     block = Block.empty(PROGRAM.digest, size // 8, space)
     collect(block, LAYOUTS, size // 8)
@@ -65,9 +65,9 @@ def string(block: Block) -> int:
     return block.new_string("copter 1")
 
 
-def cases(space: Space) -> Iterator[tuple[str, Callable[[], object]]]:
+def cases(space: BlockAllocator) -> Iterator[tuple[str, Callable[[], object]]]:
     """What is measured, by name."""
-    sound = Soundness(PROGRAM, LAYOUTS, (), space)
+    sound = BlockVerifier(PROGRAM, LAYOUTS, (), space)
     heaps = [(said, size, fill) for said, size in SIZES.items() for fill in (objects, array)]
     for said, size, fill in (*heaps, ("alone", 1 << 12, string)):
         block, target = filled(space, size, fill), filled(space, 1 << 21, string)
@@ -84,24 +84,24 @@ def copied(source: Block, target: Block) -> None:
     deep_copy(source, [source.w[layout.W_SELF]], target, LAYOUTS)
 
 
-def checked(sound: Soundness, image: bytes) -> None:
+def checked(sound: BlockVerifier, image: bytes) -> None:
     """What comes from a peer is copied and walked through; it is whole."""
-    assert sound.is_parcel(image, thrown=False)
+    assert sound.is_result(image, thrown=False)
 
 
 def in_python(checkout: Checkout, processes: Processes) -> Contender:
     """Blocks with bytes of their own."""
-    return in_space(SEPARATE)
+    return in_space(HEAP_ALLOCATOR)
 
 
 def in_wasm(checkout: Checkout, processes: Processes) -> Contender:
     """Blocks in an arena."""
-    from lfield.vm.wasm.heaps import Heaps
+    from lfield.vm.wasm.heap_arena import HeapArena
 
-    return in_space(Heaps())
+    return in_space(HeapArena())
 
 
-def in_space(space: Space) -> Contender:
+def in_space(space: BlockAllocator) -> Contender:
     """All cases in one space; a sample is the mean of a few milliseconds."""
     made = dict(cases(space))
     return lambda: {name: [timed(work, 5e-3)] for name, work in made.items()}

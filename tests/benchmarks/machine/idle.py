@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 from harness.checkout import Checkout
 from harness.figure import Figure
+from harness.number_text import PERCENT
 from harness.paced import Round
 from harness.processes import Processes
-from harness.words import PERCENT
 from machine.small import processor_seconds, settled, small_host
 
 SECONDS = 2.0

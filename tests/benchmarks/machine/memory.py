@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import BYTES
 from harness.paced import Round
 from harness.processes import Processes
-from harness.words import BYTES
 from machine.small import settled, small_host
 
 _KINDS = {"resident": "Rss:", "proportional": "Pss:"}

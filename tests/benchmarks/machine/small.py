@@ -46,7 +46,7 @@ def small_host(measure: Measure, loop: str = "parked", compiled: bool = False, e
     def opener(checkout: Checkout, processes: Processes) -> Contender:
         agents = "//Part:part@here", "//First:first@here"
         mission = Mission(processes.folder(), _PROGRAM % _LOOPS[loop], agents)
-        words = [*mission.words, *checkout.keeping_nothing, "--host", "here"]
+        words = [*mission.arguments, *checkout.keeping_nothing, "--host", "here"]
         if compiled:
             built = mission.folder / "mission.lb"
             checkout.lfield(processes, "build", str(mission.source), "-o", str(built)).wait()
@@ -61,7 +61,7 @@ def started(checkout: Checkout, processes: Processes, words: Sequence[str]) -> t
     """A host after its first portal call, and the seconds that it took from its start."""
     host, took = checkout.lfield(processes, "up", *words, merged=True), {}
     while (line := host.line()) != "called":
-        if " is up " in line:
+        if " listening " in line:
             took["until it is up"] = [time.perf_counter() - host.started]
     took["to the first portal call"] = [time.perf_counter() - host.started]
     return host, took | {"the same, processor": [processor_seconds(Path(f"/proc/{host.pid}"))]}

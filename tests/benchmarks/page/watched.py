@@ -10,10 +10,10 @@ from urllib.parse import urlsplit
 
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import BYTES, PERCENT, SECONDS
 from harness.paced import Round
 from harness.processes import Child, Processes
 from harness.samples import Contender
-from harness.words import BYTES, PERCENT, SECONDS
 from machine.small import processor_seconds
 
 #: How many vehicles, each told of 5 times a second.

@@ -1,8 +1,8 @@
 """The hosts of so many vehicles, one each, at Unix sockets of a folder: `watched_hosts.py FOLDER N`.
 
-They greet, take a `Watch`, and tell as often as it says, in the bytes of real hosts over real links; nothing
-but a vehicle's telemetry is behind them. What they send beyond what was seen is bounded as theirs is. Says
-`ready`, and then a line for each latch: device, whether it is held, monotonic time.
+They greet, take a `Subscribe`, and tell as often as it says, in the bytes of real hosts over real links;
+nothing but a vehicle's telemetry is behind them. What they send beyond what was seen is bounded as theirs is.
+Says `ready`, and then a line for each latch: device, whether it is held, monotonic time.
 """
 
 from __future__ import annotations
@@ -14,12 +14,19 @@ import sys
 import time
 
 from lfield.errors import LfieldError
-from lfield.net.tcp import TcpTransport
+from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import Link
-from lfield.wire.coordinators import Transfer
-from lfield.wire.events import Came, Event, Latched, Measured, Released, Standing
+from lfield.wire.coordinator_messages import Transfer
+from lfield.wire.events import (
+    AgentActivity,
+    DeviceLatched,
+    DeviceReleased,
+    DeviceTelemetry,
+    Event,
+    MigrationArrived,
+)
 from lfield.wire.messages import Hello, Message
-from lfield.wire.watching import WINDOW, Events, Seen, Watch
+from lfield.wire.subscription_messages import WINDOW, EventAck, EventBatch, Subscribe
 
 RATE = 5.0
 #: Seconds between two latches of the team, on average.
@@ -36,7 +43,7 @@ class Host:
         self._link: Link | None = None
         self._batches = self._seen = self._states = self._sent = 0
         self._due: list[Event] = []
-        self._dice = random.Random(number)
+        self._rng = random.Random(number)
         self.latched = False
 
     @property
@@ -48,12 +55,12 @@ class Host:
         """A greeting, a watch, or that something was seen."""
         match message:
             case Hello():
-                link.greeted(message.role)
+                link.accept_role(message.role)
                 link.send(Hello("host", f"h{self.number}", 1))
-            case Watch():
+            case Subscribe():
                 self._link, self._batches, self._seen = link, 0, 0
                 self._send()
-            case Seen(batch):
+            case EventAck(batch):
                 self._seen = batch
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
@@ -71,18 +78,20 @@ class Host:
         if self._batches - self._seen >= WINDOW:
             return
         self._tell(self._measured())
-        if self._dice.random() < 0.1:
-            self._tell(Standing("pilot", "running", "mission.L", 12, "v1.fly"))
+        if self._rng.random() < 0.1:
+            self._tell(AgentActivity("pilot", "running", "mission.L", 12, "v1.fly"))
         self._send()
 
-    async def state(self, what: Latched | Released | Came) -> None:
+    async def state(self, what: DeviceLatched | DeviceReleased | MigrationArrived) -> None:
         """Something that no watcher may miss."""
         self._states += 1
         self._tell(what)
-        await asyncio.sleep(self._dice.uniform(0.0, GATHERED))
+        await asyncio.sleep(self._rng.uniform(0.0, GATHERED))
         self._send()
 
-    def _tell(self, what: Measured | Standing | Latched | Released | Came) -> None:
+    def _tell(
+        self, what: DeviceTelemetry | AgentActivity | DeviceLatched | DeviceReleased | MigrationArrived
+    ) -> None:
         up = time.monotonic() - self._began
         self._due.append(Event(self._states, time.time(), up, 0, what))
 
@@ -92,10 +101,10 @@ class Host:
         self._batches += 1
         up = time.monotonic() - self._began
         due, self._due = self._due, []
-        self._link.send(Events(1, self._batches, time.time(), up, self._sent, self._states, due))
+        self._link.send(EventBatch(1, self._batches, time.time(), up, self._sent, self._states, due))
         self._sent = self._states
 
-    def _measured(self) -> Measured:
+    def _measured(self) -> DeviceTelemetry:
         host = self.number
         angle = (time.monotonic() - self._began) / 5 + host
         north, east = (8 + 2 * host) * math.cos(angle), (8 + 2 * host) * math.sin(angle)
@@ -116,7 +125,7 @@ class Host:
             "satellites": 14,
             "ready": True,
         }
-        return Measured(f"v{host}.fc", values, 0.05)
+        return DeviceTelemetry(f"v{host}.fc", values, 0.05)
 
 
 async def latches(hosts: list[Host]) -> None:
@@ -127,11 +136,11 @@ async def latches(hosts: list[Host]) -> None:
         number += 1
         host = dice.choice(hosts)
         device, host.latched = f"v{host.number}.fc", not host.latched
-        what = Latched(device, "land", "somebody wants it") if host.latched else Released(device)
+        what = DeviceLatched(device, "land", "somebody wants it") if host.latched else DeviceReleased(device)
         print(device, int(host.latched), time.monotonic(), flush=True)
         await host.state(what)
         of = f"h{(number - 1) % len(hosts)}"
-        await hosts[number % len(hosts)].state(Came("pilot", 1, number, of, 620))
+        await hosts[number % len(hosts)].state(MigrationArrived("pilot", 1, number, of, 620))
 
 
 async def main(folder: str, count: int) -> None:

@@ -10,38 +10,38 @@ import asyncio
 import sys
 
 from lfield.clock import SystemClock
-from lfield.operator.ask import observer
-from lfield.operator.sight.following.follower import Follower
-from lfield.operator.sight.picture.places import Instruments
-from lfield.operator.sight.picture.roll import Enrolled, Roll
-from lfield.operator.sight.watched import RATE, Watched
-from lfield.operator.web.server import Served, serve
-from lfield.operator.web.site import on_this_computer
+from lfield.operator.client import observer_transport
+from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
+from lfield.operator.dashboard.team_watch import RATE, TeamWatch
+from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.vehicle_readings import Instruments
+from lfield.operator.web.page_server import ServedPage, serve
+from lfield.operator.web.page_site import local_site
 
 
 class NobodyActs:
     """No button is pressed."""
 
-    barred: dict[str, str] = {}
+    denied_orders: dict[str, str] = {}
 
 
 async def main(folder: str, count: int) -> None:
     """Serve until killed."""
     hosts = tuple(f"h{number}" for number in range(count))
-    agents = {f"v{n}": Enrolled(f"v{n}", "Copter", f"h{n}", "resource") for n in range(count)}
-    agents["pilot"] = Enrolled("pilot", "Pilot", "h0", "coordinator")
-    roll = Roll("bench", hosts, agents, {f"v{n}.fc": Instruments(moves=True) for n in range(count)})
+    agents = {f"v{n}": InventoryEntry(f"v{n}", "Copter", f"h{n}", "resource") for n in range(count)}
+    agents["pilot"] = InventoryEntry("pilot", "Pilot", "h0", "coordinator")
+    roll = Inventory("bench", hosts, agents, {f"v{n}.fc": Instruments(moves=True) for n in range(count)})
     clock = SystemClock()
-    shown = Watched(roll, clock)
+    shown = TeamWatch(roll, clock)
 
     async def reach(host: str) -> str:
         return f"unix:{folder}/{host}.sock"
 
-    page = Served("bench", shown, NobodyActs(), clock)  # type: ignore[arg-type]
+    page = ServedPage("bench", shown, NobodyActs(), clock)  # type: ignore[arg-type]
     await asyncio.gather(
-        serve(page, await on_this_computer(0, print), lambda link: print(link, flush=True)),
+        serve(page, await local_site(0, print), lambda link: print(link, flush=True)),
         shown.tick(),
-        Follower(observer(), hosts, reach, shown, clock, telemetry=RATE).run(),
+        EventFollower(observer_transport(), hosts, reach, shown, clock, FollowOptions(telemetry=RATE)).run(),
     )
 
 

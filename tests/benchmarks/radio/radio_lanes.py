@@ -12,7 +12,7 @@ from harness.processes import Child, ChildError
 from radio.radio_team import DESK
 
 #: Seconds between two looks at what processes have printed, without a sample before a lane has failed.
-LOOK, PATIENCE = 0.005, 240.0
+POLL_INTERVAL, PATIENCE = 0.005, 240.0
 
 
 @dataclass
@@ -22,22 +22,22 @@ class Lane:
     radio: Radio
     child: Child
     key: str
-    #: Seconds of each sample since `begin`, and when it came (monotonic, s).
+    #: Seconds of each sample since `start`, and when it came (monotonic, s).
     samples: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     #: The last other line.
     said: str = ""
     _skip: int = 0
 
-    def begin(self, cell: str, skip: int = 0) -> None:
+    def start(self, cell: str, skip: int = 0) -> None:
         """Set the radio and measure from here, without the next samples: the cell was another in them."""
         self.radio.set(CELLS[cell])
-        self.look()
+        self.read_output()
         self.samples.clear()
         self.times.clear()
         self._skip = 1 + skip
 
-    def look(self) -> None:
+    def read_output(self) -> None:
         """Take what the process has printed. Raises ChildError for a line `error: ...`."""
         for line in self.child.lines():
             key, equals, value = line.partition(" = ")
@@ -74,8 +74,8 @@ class StopLane(Lane):
     again: list[str] = field(default_factory=list)
     _since: float = 0.0
 
-    def begin(self, cell: str, skip: int = 0) -> None:
-        super().begin(cell, skip)
+    def start(self, cell: str, skip: int = 0) -> None:
+        super().start(cell, skip)
         for kept in (self.sizes, self.idle, self.again):
             kept.clear()
 
@@ -100,20 +100,20 @@ def watch(lanes: Sequence[Lane], done: Callable[[], bool], patience: float = PAT
     last, count = time.monotonic(), 0
     while not done():
         for lane in lanes:
-            lane.look()
+            lane.read_output()
         found = sum(len(lane.samples) for lane in lanes)
         if found != count:
             last, count = time.monotonic(), found
         elif time.monotonic() - last > patience:
             raise ChildError(f"no sample within {patience:g} s; the last line was: {lanes[0].said}")
-        time.sleep(LOOK)
+        time.sleep(POLL_INTERVAL)
 
 
 def collect(lanes: Sequence[Lane], cell: str, count: int, skip: int = 0) -> list[float]:
     """So many samples of a cell: of every lane the same number, lest slow ones be left out at the end."""
     each = -(-count // len(lanes))
     for lane in lanes:
-        lane.begin(cell, skip)
+        lane.start(cell, skip)
     watch(lanes, lambda: all(len(lane.samples) >= each for lane in lanes))
     return [sample for lane in lanes for sample in lane.samples[:each]]
 
@@ -144,7 +144,7 @@ def address_changes(lanes: Sequence[Lane], robot: str, address: str, within: flo
 def _move(lane: Lane, robot: str, address: str) -> float:
     lane.radio[robot].move(address)
     # What was complete before is not taken for what comes after.
-    lane.look()
+    lane.read_output()
     return time.monotonic()
 
 

@@ -12,14 +12,14 @@ from emulator.cells import CELLS
 from emulator.radio import Radio
 from harness.checkout import Checkout
 from harness.figure import Row
+from harness.number_text import COUNT
 from harness.processes import Child, ChildError, Processes
 from harness.samples import Tick, chosen, sentence
-from harness.words import COUNT
 from radio.radio_lanes import Lane, StopLane, address_changes, collect, watch
 from radio.radio_lanes import outages as outages_of
 from radio.radio_team import DESK, Prepared, RadioTeam
 
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 #: Lanes that are measured at a time: of long round trips and of short ones.
 LANES, FAST_LANES = 20, 8

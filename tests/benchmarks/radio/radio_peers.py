@@ -21,7 +21,7 @@ from pathlib import Path
 from threading import Event, Thread
 from typing import Any, Protocol
 
-from lfield.authority.keys import AUTHORITY, certificate_name, key_name
+from lfield.authority.key_material import AUTHORITY, certificate_name, key_name
 
 PORT = 9000
 #: Seconds that a client waits for a new connection, and between two attempts.

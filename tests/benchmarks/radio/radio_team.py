@@ -9,7 +9,7 @@ from emulator.radio import Radio
 from harness.checkout import Checkout
 from harness.processes import Child, Processes
 
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 DESK = "desk"
 PORT = 8181

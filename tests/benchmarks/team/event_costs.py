@@ -13,17 +13,17 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from lfield.clock import ManualClock, SystemClock
-from lfield.host.sight.stream import Stream, size_of
-from lfield.host.sight.teller import Teller
-from lfield.host.sight.watcher import LEAST, Sample, Watcher
-from lfield.host.watching.standing import sample
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet
+from lfield.host.events.event_log import EventLog, size_of
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.host.events.event_subscription import MIN_INTERVAL, EventSubscription, TelemetrySample
+from lfield.host.subscriptions.telemetry_snapshot import snapshot
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet
 from lfield.wire import events
 from lfield.wire.codec import encode
-from lfield.wire.events import Event, Measured, State
-from lfield.wire.observing import Status
-from lfield.wire.watching import Watch
+from lfield.wire.events import DeviceTelemetry, Event, StateEvent
+from lfield.wire.observer_messages import Status
+from lfield.wire.subscription_messages import Subscribe
 
 #: Units of samples, as the harness has them.
 SECONDS, PERCENT, COUNT = "s", "%", "messages"
@@ -31,25 +31,25 @@ SECONDS, PERCENT, COUNT = "s", "%", "messages"
 VEHICLES, RATE = 50, 5.0
 _PROGRAM = "resource Post { Mavlink fc; init(string[] arg) { } }\n"
 #: What happens when a coordinator visits a portal that commands a device, and goes on.
-VISIT: Sequence[State] = (
-    events.Came("Patrol:one", 3, 120, "alpha", 1424),
-    events.Began(240, "Patrol:one", "copter7", "surveyField"),
-    events.Asked(90, "copter7", "copter7.fc", "goTo"),
-    events.Answered(90, "copter7", "copter7.fc", "goTo", 4.125731),
+VISIT: Sequence[StateEvent] = (
+    events.MigrationArrived("Patrol:one", 3, 120, "alpha", 1424),
+    events.PortalCallStarted(240, "Patrol:one", "copter7", "surveyField"),
+    events.DeviceCallStarted(90, "copter7", "copter7.fc", "goTo"),
+    events.DeviceCallEnded(90, "copter7", "copter7.fc", "goTo", 4.125731),
     events.Printed("copter7", "field 3 of 8 is surveyed"),
-    events.Ended(240, "Patrol:one", "copter7", "surveyField", 4.126102, "done"),
-    events.Left("Patrol:one", 3, 121, "charlie", "copter9", "surveyField", 1436),
-    events.Hopped("Patrol:one", 3, 121, "charlie", 0.001804),
+    events.PortalCallEnded(240, "Patrol:one", "copter7", "surveyField", 4.126102, "done"),
+    events.MigrationStarted("Patrol:one", 3, 121, "charlie", "copter9", "surveyField", 1436),
+    events.MigrationConfirmed("Patrol:one", 3, 121, "charlie", 0.001804),
 )
 STATUS = Status("alpha", "a:1", 0.5, b"", b"", [], [], [], [], [])
 
 
-def telemetry(step: int) -> Sample:
+def telemetry(step: int) -> TelemetrySample:
     """How the vehicles are at a step, as a driver of copters tells it."""
     return {
         f"device copter{n}.fc": (
             step,
-            Measured(
+            DeviceTelemetry(
                 f"copter{n}.fc",
                 {
                     "mode": "GUIDED",
@@ -82,19 +82,19 @@ def per_call(work: Callable[[], object], count: int, rounds: int = 20) -> list[f
 
 def told(cases: dict[str, tuple[str, list[float]]]) -> None:
     """A state with its causes, what is sent of it, and its bytes."""
-    teller = Teller(SystemClock())
+    teller = EventRecorder(SystemClock())
     visit = iter(VISIT * 10**6)
     cases["an event told, nobody watches"] = (
         SECONDS,
-        per_call(lambda: teller.by("Patrol:one", next(visit)), 4000),
+        per_call(lambda: teller.emit_for_agent("Patrol:one", next(visit)), 4000),
     )
-    stream = Stream()
+    stream = EventLog()
     for _ in range(64):
         for what in VISIT:
-            stream.tell(what, 1.7e9, 5.0, stream.latest)
+            stream.append(what, 1.7e9, 5.0, stream.latest)
 
     def batch() -> None:
-        made = Watcher(stream, 1, Watch(1), 0.0).batch(1.7e9, 0.0, lambda: STATUS)
+        made = EventSubscription(stream, 1, Subscribe(1), 0.0).next_batch(1.7e9, 0.0, lambda: STATUS)
         assert made is not None
         encode(made)
 
@@ -114,19 +114,19 @@ def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
         fleet = Fleet(load_mission(Path(folder) / "mission.dL", simulate=True), 1)
     fleet.run(10.0)
     host = fleet.lives["alpha"].host
-    watcher, step = Watcher(Stream(), 1, Watch(1, 0, RATE), 0.0), 0
+    watcher, step = EventSubscription(EventLog(), 1, Subscribe(1, 0, RATE), 0.0), 0
 
     def turn() -> None:
         nonlocal step
         # A little later than asked, as timers are.
         up = step * (1 / RATE + 1e-6)
-        now = sample(host.core, host.guards, host.peers.watch.latest, host.clock.monotonic())
-        watcher.sample({key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, up)
-        made = watcher.batch(1.7e9, up + LEAST, lambda: STATUS)
+        now = snapshot(host.core, host.guards, host.peers.monitor.latest, host.clock.monotonic())
+        watcher.on_sample({key: ((step, version), what) for key, (version, what) in now.items()}, 1.7e9, up)
+        made = watcher.next_batch(1.7e9, up + MIN_INTERVAL, lambda: STATUS)
         assert made is not None
         assert len(made.events) >= VEHICLES
         encode(made)
-        watcher.seen(step + 1, up)
+        watcher.on_ack(step + 1, up)
         step += 1
 
     name = f"{VEHICLES} vehicles at {RATE:g} Hz, one watcher"
@@ -135,20 +135,20 @@ def watched(cases: dict[str, tuple[str, list[float]]]) -> None:
 
 def lost(cases: dict[str, tuple[str, list[float]]]) -> None:
     """Ten minutes of a watcher that reads a batch every second: by kind what it never hears of."""
-    clock, stream = ManualClock(), Stream()
-    watcher = Watcher(stream, 1, Watch(1, 0, RATE), 0.0)
+    clock, stream = ManualClock(), EventLog()
+    watcher = EventSubscription(stream, 1, Subscribe(1, 0, RATE), 0.0)
     unread, count, step, missing = list[int](), 0, 0, Counter[str]()
     for tick in range(600 * 20):
-        up = tick * LEAST
+        up = tick * MIN_INTERVAL
         if tick % 4 == 0:
             step += 1
-            watcher.sample(telemetry(step), clock.time(), up)
+            watcher.on_sample(telemetry(step), clock.time(), up)
         if tick % 10 == 0:
             for what in VISIT:
-                stream.tell(what, clock.time(), up)
+                stream.append(what, clock.time(), up)
         if tick % 20 == 0 and unread:
-            watcher.seen(unread.pop(0), up)
-        if made := watcher.batch(clock.time(), up, lambda: STATUS):
+            watcher.on_ack(unread.pop(0), up)
+        if made := watcher.next_batch(clock.time(), up, lambda: STATUS):
             unread.append(made.batch)
             missing.update(made.lost)
             count += sum(event.kind not in events.TELEMETRY for event in made.events)

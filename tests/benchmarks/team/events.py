@@ -8,10 +8,10 @@ from pathlib import Path
 
 from harness.checkout import Checkout, Mission
 from harness.figure import Figure, Row
+from harness.number_text import TIMES
 from harness.paced import Paced
 from harness.processes import Processes
 from harness.samples import Contender, Tick, flat, in_turns, pair_ratios
-from harness.words import TIMES
 
 CALLS, WARM_UP, SIZE = 300, 20, 64
 _HERE = Path(__file__).parent

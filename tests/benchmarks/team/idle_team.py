@@ -15,17 +15,17 @@ import time
 from pathlib import Path
 from unittest import mock
 
-from lfield.mission.bindings import MOST_MEMBERS
-from lfield.mission.load import load_mission
+from lfield.mission.bindings import MAX_MEMBERS
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.net import framed
-from lfield.simulate.fleet import Fleet
+from lfield.net import framed_link
+from lfield.simulate.host_fleet import Fleet
 from lfield.wire.messages import Message
 
 #: Seconds of virtual time in which a team comes up.
 SETTLE = 10.0
 _PROGRAM = "resource Post { init(string[] arg) { } portal stay() { } }\n"
-_MEMBERS = [f"host{n}" for n in range(MOST_MEMBERS)]
+_MEMBERS = [f"host{n}" for n in range(MAX_MEMBERS)]
 _FENCED = """coordinator Waits {
     init(string[] arg) {
         heartbeatInterval(3.0);
@@ -54,7 +54,7 @@ def main() -> None:
     hosts, seconds = int(sys.argv[1]), float(sys.argv[2])
     team = mission(hosts, fenced="fenced" in sys.argv[3:])
     messages = sent = 0
-    encoded = framed.encode
+    encoded = framed_link.encode
 
     def encode(message: Message) -> bytes:
         nonlocal messages, sent
@@ -62,7 +62,7 @@ def main() -> None:
         messages, sent = messages + 1, sent + len(data)
         return data
 
-    with mock.patch.object(framed, "encode", encode):
+    with mock.patch.object(framed_link, "encode", encode):
         began = time.process_time()
         fleet = Fleet(team, 1)
         fleet.run(SETTLE)

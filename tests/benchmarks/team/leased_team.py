@@ -16,12 +16,12 @@ from pathlib import Path
 from unittest import mock
 
 from lfield.journal.journal import Change
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.net import framed
-from lfield.simulate.disk import JournalDisk
-from lfield.simulate.fleet import Fleet
-from lfield.wire.coordinators import Transfer
+from lfield.net import framed_link
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.simulate.journal_disk import JournalDisk
+from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.framing import Buffer
 from lfield.wire.messages import Message
 
@@ -31,7 +31,7 @@ MEMBERS = 9
 #: Seconds of virtual time from the last hop until a team is at rest.
 SETTLE = 15.0
 #: What a coordinator costs on its way. All else is sent whether it moves or not.
-OF_HOPS = ("Transfer", "Accepted", "Refused", "Inquire")
+OF_HOPS = ("Transfer", "TransferAccepted", "TransferRefused", "TransferQuery")
 _PROGRAM = """
 resource Post { init(string[] arg) { } portal visit() { } portal say(string what) { write(what + "\\n"); } }
 coordinator Traveller {
@@ -58,7 +58,11 @@ class Counted:
     def __init__(self) -> None:
         self.messages: Counter[str] = Counter()
         self.sent = self.commits = 0
-        self._encode, self._transfer, self._write = framed.encode, framed.encode_transfer, JournalDisk.write
+        self._encode, self._transfer, self._write = (
+            framed_link.encode,
+            framed_link.encode_transfer,
+            JournalDisk.write,
+        )
 
     def begin(self) -> None:
         """Count from here."""
@@ -109,11 +113,11 @@ def main() -> None:
     kind, hosts, seconds = sys.argv[1], int(sys.argv[2]), float(sys.argv[3])
     counted, team = Counted(), mission(hosts, kind == "leased")
     with (
-        mock.patch.object(framed, "encode", counted.encode),
-        mock.patch.object(framed, "encode_transfer", counted.transfer),
+        mock.patch.object(framed_link, "encode", counted.encode),
+        mock.patch.object(framed_link, "encode_transfer", counted.transfer),
         mock.patch.object(JournalDisk, "write", lambda *words: counted.write(*words)),
     ):
-        fleet = Fleet(team, 1, keeps=kind != "volatile")
+        fleet = Fleet(team, 1, options=FleetOptions(keeps=kind != "volatile"))
         run_until(fleet, "begins")
         counted.begin()
         run_until(fleet, "rests")

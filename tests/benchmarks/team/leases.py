@@ -6,10 +6,10 @@ from pathlib import Path
 
 from harness.checkout import Checkout
 from harness.figure import Figure, Opener
+from harness.number_text import COUNT, RATE
 from harness.paced import Round
 from harness.processes import Processes
 from harness.samples import Contender
-from harness.words import COUNT, RATE
 
 #: How many hosts, and for how many seconds of virtual time they are measured.
 TEAMS = {3: 60.0, 9: 30.0, 30: 30.0}

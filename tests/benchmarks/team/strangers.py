@@ -16,10 +16,10 @@ from pathlib import Path
 
 from harness.checkout import Checkout, Mission
 from harness.figure import Figure, Opener
+from harness.number_text import BYTES
 from harness.paced import Round
 from harness.processes import Child, Processes
 from harness.samples import Contender
-from harness.words import BYTES
 
 #: Connections that are open at a time, and made in all.
 MANY, IN_ALL = 2000, 4000
@@ -52,7 +52,7 @@ def _round(checkout: Checkout, start: bytes) -> Round:
     with Processes() as processes:
         mission = Mission(processes.folder(), _PROGRAM, ("//Post:near@a", "//Post:far@b"))
         host = mission.host(checkout, processes, "a", merged=True)
-        while " is up " not in host.line():
+        while " listening " not in host.line():
             pass
         before = _peak(host)
         _flood(int(mission.addresses["a"].rpartition(":")[2]), start)

@@ -6,12 +6,12 @@ import sys
 import time
 from pathlib import Path
 
-from lfield.testing.mission.team import Team
+from lfield.testing.mission.mission_team import MissionTeam
 
 
 def main() -> None:
     """Open it first: that is compiling, mostly."""
-    team = Team(Path(sys.argv[1]).resolve())
+    team = MissionTeam(Path(sys.argv[1]).resolve())
     began, clock = team.now, time.process_time()
     team.run(until_done=True)
     took = time.process_time() - clock

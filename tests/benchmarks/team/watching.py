@@ -11,9 +11,9 @@ import asyncio
 import sys
 
 from lfield.clock import SystemClock
-from lfield.operator.ask import observer, own_keys
-from lfield.operator.sight.following.follower import Follower
-from lfield.wire.watching import Events
+from lfield.operator.client import observer_transport, own_keys
+from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
+from lfield.wire.subscription_messages import EventBatch
 
 #: How often a second each agent and device is told of.
 RATE = 5.0
@@ -25,29 +25,31 @@ class Reader:
     def __init__(self, hosts: int) -> None:
         self._missing = hosts
 
-    def linked(self, host: str) -> None:
+    def on_linked(self, host: str) -> None:
         """A host is heard."""
         self._missing -= 1
         if not self._missing:
             print("watching", flush=True)
 
-    def unlinked(self, host: str, why: str) -> None:
+    def on_unlinked(self, host: str, why: str) -> None:
         """It is tried again."""
 
-    def told(self, host: str, batch: Events, took: float | None) -> None:
+    def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
         """What happens is read, and that is all."""
 
 
 async def main(words: list[str]) -> None:
     """Watch until the end."""
     addresses = dict(word.split("=", 1) for word in words)
-    transport = observer(own_keys(addresses.values(), None))
+    transport = observer_transport(own_keys(addresses.values(), None))
 
     async def reach(host: str) -> str:
         return addresses[host]
 
     hearer = Reader(len(addresses))
-    await Follower(transport, list(addresses), reach, hearer, SystemClock(), telemetry=RATE).run()
+    await EventFollower(
+        transport, list(addresses), reach, hearer, SystemClock(), FollowOptions(telemetry=RATE)
+    ).run()
 
 
 if __name__ == "__main__":

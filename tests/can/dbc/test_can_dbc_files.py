@@ -351,8 +351,8 @@ def test_a_short_frame_has_the_signals_that_are_in_it(read):
     file = read(ARM)
     frame = Frame(291, bytes([10, 0, 0]))
     assert file.decode(frame) == ("Arm", {"speed": 1.0})
-    assert file.problem(frame) == "frame 0x123 has 3 bytes, the file says 8: signals angle, heat absent"
-    assert file.problem(Frame(291, bytes(6))) == "frame 0x123 has 6 bytes, the file says 8"
+    assert file.problem(frame) == "frame 0x123 has 3 bytes, the file specifies 8: signals angle, heat absent"
+    assert file.problem(Frame(291, bytes(6))) == "frame 0x123 has 6 bytes, the file specifies 8"
     assert file.problem(Frame(291, bytes(8))) == file.problem(Frame(291, bytes(12), fd=True)) == ""
     assert file.decode(Frame(291)) == ("Arm", {})
 

@@ -122,7 +122,7 @@ def test_a_drive_that_only_positions(rig):
             await axis.execute("setVelocity", [1.0])
 
     b.run(mission)
-    assert any("it does not take velocities" in note for note in b.notes)
+    assert any("the drive does not take velocities" in note for note in b.notes)
 
 
 @pytest.mark.parametrize("without", [set(), {0x1402, 0x1602, 0x60FF}], ids=["velocities", "positions_only"])
@@ -149,7 +149,7 @@ def test_a_halt_stands_on_the_way_enabled_and_its_old_goal_is_over(rig, without)
 
 
 def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
-    monkeypatch.setattr("lfield_can.axis.HALTS_BY", 0.3)
+    monkeypatch.setattr("lfield_can.axis.HALT_TIMEOUT", 0.3)
     b = rig()
 
     async def mission(axis):
@@ -158,7 +158,7 @@ def test_an_axis_that_does_not_halt_is_an_exception(rig, monkeypatch):
         await b.until(lambda: b.values["velocity"] == pytest.approx(3.0, abs=0.01))
         b.drive.deaf_to_halt = True
         with pytest.raises(
-            DeviceError, match=r"halt: it does not stand after 0.3 s \(operation enabled, 3 rad/s\)"
+            DeviceError, match=r"halt: it is still moving after 0.3 s \(operation enabled, 3 rad/s\)"
         ):
             await axis.execute("halt", [])
 
@@ -242,13 +242,13 @@ def test_safe_states_are_seen(rig, state, control, status):
 
 
 def test_a_safe_state_that_does_not_come_is_told(rig, monkeypatch):
-    monkeypatch.setattr("lfield_can.axis.SAFE_BY", 0.5)
+    monkeypatch.setattr("lfield_can.axis.SAFE_TIMEOUT", 0.5)
     b = rig()
 
     async def mission(axis):
         await axis.execute("enable", [])
         b.drive.on_control = lambda word: None
-        with pytest.raises(DeviceError, match=r"does not show the safe state brake \(operation enabled"):
+        with pytest.raises(DeviceError, match=r"the safe state brake is not confirmed \(operation enabled"):
             async with asyncio.timeout(8.0):
                 await axis.make_safe()
 
@@ -276,14 +276,14 @@ def test_a_fault_is_told_in_words_and_reset(rig):
 
 
 def test_a_travel_that_is_stuck_ends(rig, monkeypatch):
-    monkeypatch.setattr("lfield_can.axis.STUCK", 0.4)
+    monkeypatch.setattr("lfield_can.axis.STUCK_TIME", 0.4)
     b = rig()
 
     async def mission(axis):
         await axis.execute("enable", [])
         b.drive.stuck = True
         with pytest.raises(
-            DeviceError, match=r"moveTo gave up: no progress for 0.4 s, 3.000 rad from its goal"
+            DeviceError, match=r"moveTo failed: no progress for 0.4 s, 3.000 rad from its goal"
         ):
             await axis.execute("moveTo", [3.0, 5.0])
 
@@ -347,7 +347,7 @@ def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
         await axis.make_safe()
 
     b.run(mission)
-    assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
+    assert [note.code for note in b.notes if "responding" in note] == ["can-silent", "can-responding"]
 
 
 def test_two_devices_with_one_id_are_seen(rig):
@@ -375,7 +375,7 @@ def test_two_bindings_of_one_node_are_refused(rig, binding):
         raise AssertionError("it must not be opened")
 
     with pytest.raises(
-        DeviceError, match=r"winch.other and winch.axis have the same frames \(id 0x\w+\); give every device"
+        DeviceError, match=r"winch.other and winch.axis have the same frames \(id 0x\w+\); give each device"
     ):
         b.run(mission)
 
@@ -383,9 +383,9 @@ def test_two_bindings_of_one_node_are_refused(rig, binding):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"counts": 0}, "needs 'counts'"),
+        ({"counts": 0}, "requires 'counts'"),
         ({"node": 0}, "node id is 1 to 127"),
-        ({"eds": "/nonexistent.eds"}, "is not an EDS file that can be read"),
+        ({"eds": "/nonexistent.eds"}, "is not a readable EDS file"),
     ],
 )
 def test_options_that_make_no_sense(rig, options, words):
@@ -401,7 +401,7 @@ def test_something_else_that_answers_is_no_drive(rig):
 
     async def mission(axis):
         b.drive.node.data_store[0x1000] = {0: (0x191).to_bytes(4, "little")}
-        with pytest.raises(DeviceError, match="is no CiA 402 drive: its device type 0x1000 is 0x00000191"):
+        with pytest.raises(DeviceError, match="is not a CiA 402 drive: its device type 0x1000 is 0x00000191"):
             await axis.open()
 
     b.run(mission, opened=False)
@@ -413,7 +413,7 @@ def test_nobody_there_is_an_error_within_its_bound(rig):
 
     async def mission(axis):
         start = b.driver.clock.monotonic()
-        with pytest.raises(DeviceError, match=r"nothing heard from node 5 .* within 0.5 s") as error:
+        with pytest.raises(DeviceError, match=r"no message from node 5 .* within 0.5 s") as error:
             await axis.open()
         assert error.value.kind == "DeviceTimeoutException"
         assert b.driver.clock.monotonic() - start < 1.5

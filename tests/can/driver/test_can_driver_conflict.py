@@ -14,7 +14,13 @@ from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
-from lfield_can.protocols.conflict import ASKED, PROOF, RETURNS, Alternation, RollCall
+from lfield_can.protocols.id_conflict import (
+    MIN_SURPLUS,
+    PROBED_OBJECTS,
+    RETURNS,
+    Alternation,
+    IdConflictProbe,
+)
 
 NODE = 5
 TWO = r"two devices answer to this node id \(5\)"
@@ -342,10 +348,13 @@ def test_a_request_of_another_client_is_no_sign_of_life(rig):
     b.run(mission)
 
 
-@given(st.lists(st.integers(0, 2), max_size=12), st.lists(st.sampled_from(ASKED), max_size=PROOF - 1))
+@given(
+    st.lists(st.integers(0, 2), max_size=12),
+    st.lists(st.sampled_from(PROBED_OBJECTS), max_size=MIN_SURPLUS - 1),
+)
 def test_a_roll_call_ends_and_single_frames_prove_nothing(lost, foreign):
     """An answer that was asked for again counts for its question."""
-    roll_call, rounds = RollCall(), 0
+    roll_call, rounds = IdConflictProbe(), 0
     for key in foreign:
         roll_call.on_answer(key)
     while (key := roll_call.next_key()) is not None:
@@ -355,7 +364,7 @@ def test_a_roll_call_ends_and_single_frames_prove_nothing(lost, foreign):
             roll_call.on_request(key)
         for _ in range(1 if times == 3 else times):
             roll_call.on_answer(key)
-    assert rounds <= len(ASKED)
+    assert rounds <= len(PROBED_OBJECTS)
     assert not roll_call.is_doubled
 
 
@@ -400,7 +409,7 @@ def test_two_odrives_with_one_id_are_named_and_stopped(wheel):
         with pytest.raises(DeviceError, match="setVelocity refused: two axes have node id 3"):
             await axis.execute("setVelocity", [1.0])
         second.cancel()
-        await wheel.until(lambda: any("one device has its id again" in note for note in wheel.notes))
+        await wheel.until(lambda: any("the id is unique" in note for note in wheel.notes))
         await axis.execute("setVelocity", [1.0])
 
     wheel.run(mission)

@@ -9,10 +9,10 @@ import struct
 import pytest
 
 from lfield.driver import DeviceError
-from lfield.simulate.computers.loop import ProcessLoop
-from lfield.simulate.computers.machines import Machine
-from lfield.simulate.computers.timeline import Timeline
-from lfield.simulate.time import run_jumping
+from lfield.simulate.computers.event_queue import EventQueue
+from lfield.simulate.computers.process_loop import ProcessLoop
+from lfield.simulate.computers.simulated_machine import SimulatedMachine
+from lfield.simulate.jumping_loop import run_jumping
 from lfield_can.protocols.canopen_node import CanopenNode
 from lfield_can.protocols.sdo import ABORT, ANSWER, TRIES
 
@@ -112,7 +112,7 @@ def test_a_value_that_the_drive_takes_and_does_not_hold_is_seen():
         node.client.on_written = lambda *what: written.append(what)
         await node.client.write(*SPEED, 500)
         node.highest = 300
-        with pytest.raises(DeviceError, match="max profile velocity 0x607F:0 was set to 400 and is 300"):
+        with pytest.raises(DeviceError, match="max profile velocity 0x607F:0 was set to 400 but is 300"):
             await node.client.write(*SPEED, 400)
         assert written == [(*SPEED, struct.pack("<I", value)) for value in (500, 400)]
 
@@ -137,8 +137,8 @@ def test_when_the_driver_ends_nobody_waits_and_nothing_is_left_on_the_loop():
 
 def test_it_is_at_home_on_the_loop_of_a_simulated_computer():
     """Its time only goes on when nobody has anything to do: whoever waits in a thread waits for ever."""
-    timeline = Timeline()
-    simulated = ProcessLoop(Machine("barn", timeline, random.Random(1)))
+    timeline = EventQueue()
+    simulated = ProcessLoop(SimulatedMachine("barn", timeline, random.Random(1)))
     told = []
 
     async def story():

@@ -163,7 +163,7 @@ def test_a_velocity_that_leads_out_of_the_bounds_is_stopped(rig):
         assert b.values["position"] < 2.0
 
     b.run(mission)
-    assert b.notes.count("it was leaving its bounds and is stopped") == 1
+    assert b.notes.count("stopped: it was leaving its bounds") == 1
 
 
 def test_nothing_moves_that_is_not_enabled(rig):
@@ -274,7 +274,7 @@ def test_what_is_not_seen_did_not_happen(rig):
 
     async def mission(axis):
         b.axis.refuses = True
-        with pytest.raises(DeviceError, match=r"did not go to 'closed loop' within 1 s \(it is idle"):
+        with pytest.raises(DeviceError, match=r"did not enter 'closed loop' within 1 s \(it is idle"):
             await axis.execute("enable", [])
 
     b.run(mission)
@@ -368,7 +368,7 @@ def test_a_lost_axis_is_told_and_comes_back_standing(rig):
         assert b.axis.rate == 0.0
 
     b.run(mission)
-    assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
+    assert [note.code for note in b.notes if "responding" in note] == ["can-silent", "can-responding"]
 
 
 def test_a_bus_that_takes_no_frames_is_an_exception(rig):

@@ -11,7 +11,7 @@ from lfield.driver import DeviceError
 from lfield_can.protocols import cia402_setup
 from lfield_can.protocols import cia402_tables as t
 from lfield_can.protocols.canopen_node import SdoRefused
-from lfield_can.protocols.pdo_setup import agree
+from lfield_can.protocols.pdo_setup import configure_pdos
 
 NODE = 9
 OLD, UNUSED = 0x1E5, 1 << 31
@@ -25,8 +25,8 @@ class Records:
         self.values = {(entry >> 16, 0): 0 for entry in t.NUMBERS}
         self.values |= {(int(name[1:], 16), 0): value for name, value in objects.items()}
         for record, mapping, first, ours in (
-            (0x1800, 0x1A00, 0x180, t.TOLD.ours),
-            (0x1400, 0x1600, 0x200, t.TAKEN.ours),
+            (0x1800, 0x1A00, 0x180, t.TPDO.ours),
+            (0x1400, 0x1600, 0x200, t.RPDO.ours),
         ):
             for number, entries in enumerate(ours):
                 self.values |= {
@@ -56,7 +56,7 @@ def agreed(records):
     """What is agreed on, and the notes."""
     notes = []
     error = lambda text: DeviceError("axis", text)  # noqa: E731
-    return asyncio.run(agree(records, NODE, error, notes.append)), notes
+    return asyncio.run(configure_pdos(records, NODE, error, notes.append)), notes
 
 
 def fixed(*subindexes):
@@ -82,12 +82,12 @@ def test_every_transmission_type_that_cannot_be_changed(kind, timer, by_sync, by
     """Of type 0 a change is told at the next SYNC: without one it would never be told."""
     found, notes = agreed(Records(fixed(1, 2, 5), kind=kind, timer=timer))
     assert (found.by_sync, found.by_changes) == (by_sync, by_changes)
-    assert any("only when it changes" in note for note in notes) is by_changes
+    assert any("only on change" in note for note in notes) is by_changes
 
 
 @pytest.mark.parametrize("kind", [252, 253])
 def test_one_that_waits_for_remote_frames_does_not_fit(kind):
-    with pytest.raises(DeviceError, match=f"TPDO 1 comes only when a remote frame .* type {kind}"):
+    with pytest.raises(DeviceError, match=f"TPDO 1 is sent only on a remote frame .* type {kind}"):
         agreed(Records(fixed(1, 2, 5), kind=kind, timer=20))
 
 
@@ -99,7 +99,7 @@ def test_an_id_is_changed_while_it_is_not_in_use_and_used_afterwards():
 
     records = Records(refuses)
     records.values[0x1800, 1] = OLD
-    assert agreed(records)[0].data.tells(0x180 + NODE)
+    assert agreed(records)[0].data.is_tpdo(0x180 + NODE)
     assert records.values[0x1800, 1] == 0x180 + NODE
 
 
@@ -118,7 +118,7 @@ def test_dummies_in_what_a_drive_takes_are_gaps():
 
 @pytest.mark.parametrize(
     ("present", "words"),
-    [(50, ""), (200, ""), (0, "it sends no heartbeat"), (1000, "comes every 1000 ms, too seldom")],
+    [(50, ""), (200, ""), (0, "it sends no heartbeat"), (1000, "period of 1000 ms is too long")],
 )
 def test_a_heartbeat_that_cannot_be_changed_counts_if_it_comes_often_enough(present, words):
     records = Records(lambda *write: True, x1017=present)

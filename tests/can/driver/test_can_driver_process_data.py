@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield_can.bus.frames import Frame
 from lfield_can.protocols.cia402_tables import CONTROL, POSITION, STATUS, TO_POSITION, VELOCITY, name_of
-from lfield_can.protocols.process_data import Pdo, ProcessData, choose
+from lfield_can.protocols.process_data import Pdo, ProcessData, select_pdos
 from lfield_can.timing import Sync
 
 MODE, DIGITAL = 0x60600008, 0x60FE0120
@@ -20,19 +20,22 @@ MODE, DIGITAL = 0x60600008, 0x60FE0120
 
 def test_each_object_is_taken_from_where_least_else_is():
     lone, shared, crowd = Pdo(4, 0, (CONTROL,)), Pdo(1, 0, (CONTROL, TO_POSITION)), Pdo(2, 0, (CONTROL, MODE))
-    assert choose([shared, crowd, lone], [CONTROL]) == [lone]
-    assert choose([shared, crowd, lone], [CONTROL, TO_POSITION]) == [lone, shared]
-    assert choose([crowd], [TO_POSITION]) == []
+    assert select_pdos([shared, crowd, lone], [CONTROL]) == [lone]
+    assert select_pdos([shared, crowd, lone], [CONTROL, TO_POSITION]) == [lone, shared]
+    assert select_pdos([crowd], [TO_POSITION]) == []
     # Bits, and more than a frame holds, cannot be packed here.
-    assert choose([Pdo(1, 0, (CONTROL, 0x60FE0101)), Pdo(2, 0, (CONTROL, *3 * (DIGITAL,)))], [CONTROL]) == []
+    assert (
+        select_pdos([Pdo(1, 0, (CONTROL, 0x60FE0101)), Pdo(2, 0, (CONTROL, *3 * (DIGITAL,)))], [CONTROL])
+        == []
+    )
 
 
 def test_a_frame_carries_the_newest_of_all_its_objects():
     pdo = Pdo(1, 0x209, (CONTROL, MODE, TO_POSITION))
     data = ProcessData((), (pdo,), {0x604000: b"\6\0", 0x606000: b"\1", 0x607A00: struct.pack("<i", -5)})
     assert data.frame(CONTROL, 0x0F) == (0x209, b"\x0f\0\1" + struct.pack("<i", -5))
-    data.written(0x6060, 0, b"\x08")
-    data.written(0x607A, 0, struct.pack("<i", 7))
+    data.on_written(0x6060, 0, b"\x08")
+    data.on_written(0x607A, 0, struct.pack("<i", 7))
     assert data.frame(CONTROL, 0x2)[1] == b"\2\0\x08" + struct.pack("<i", 7)
     assert data.frame(TO_POSITION, 9)[1] == b"\2\0\x08" + struct.pack("<i", 9)
 
@@ -68,15 +71,15 @@ def test_one_sync_for_all_who_need_it():
 
     async def story():
         sync = Sync(LoopClock(), sent.append, 0.1)
-        sync.want(5, 0x80)
-        sync.want(6, 0x80)
+        sync.require(5, 0x80)
+        sync.require(6, 0x80)
         await asyncio.sleep(1.05)
         assert sent == 10 * [Frame(0x80)]
-        sync.leave(5)
+        sync.release(5)
         await asyncio.sleep(1.0)
         assert len(sent) == 20
-        sync.leave(6)
-        sync.leave(6)
+        sync.release(6)
+        sync.release(6)
         await asyncio.sleep(1.0)
         assert len(sent) == 20
 

@@ -12,10 +12,10 @@ from can_local_drive import LocalDrive
 
 from lfield.errors import DeviceError
 from lfield_can.bus.frames import Frame
-from lfield_sim.can import bus as fake
+from lfield_sim.can import can_bus as fake
+from lfield_sim.can.bus_world import TICK, BusWorld
 from lfield_sim.can.canopen.pdo import Tpdo
-from lfield_sim.can.specs import build, parse
-from lfield_sim.can.world import TICK, World
+from lfield_sim.can.device_specs import build, parse
 from lfield_sim.faults import Faults
 
 NODE = 3
@@ -30,14 +30,14 @@ class FakeBus:
         specs = [parse(text) for text in devices]
         self.faults = Faults(fake.FAULTS, {spec.id: spec.name for spec in specs})
         self.devices = build(specs, self.faults)
-        self.world = World(self.devices, self.faults, bitrate=1_000_000)
-        self.port = fake.Port(lambda frame, _: bus.say(frame.identifier, frame.data))
+        self.world = BusWorld(self.devices, self.faults, bitrate=1_000_000)
+        self.port = fake.BusPort(lambda frame, _: bus.say(frame.identifier, frame.data))
         self.world.bus.attach(self.port)
         bus.device = self.on_frame
 
     def on_frame(self, frame: Frame) -> None:
         now = asyncio.get_running_loop().time()
-        self.world.bus.send(self.port, fake.Frame(frame.id, frame.data), now)
+        self.world.bus.send(self.port, fake.CanFrame(frame.id, frame.data), now)
 
     async def live(self) -> None:
         while True:
@@ -47,7 +47,7 @@ class FakeBus:
     def command(self, command: int, layout: str, *values) -> None:
         """A frame of another master, which the driver does not see."""
         now = asyncio.get_running_loop().time()
-        self.world.bus.send(self.port, fake.Frame(NODE << 5 | command, struct.pack(layout, *values)), now)
+        self.world.bus.send(self.port, fake.CanFrame(NODE << 5 | command, struct.pack(layout, *values)), now)
 
 
 @pytest.fixture
@@ -126,7 +126,7 @@ def test_a_quick_stop_that_lets_go_is_no_brake(drive, state):
             await axis.open()
             assert b.drive.node.objects.get(0x605A) == 6
             return
-        with pytest.raises(DeviceError, match=r"quick stop lets it run out \(0x605A is 0\).* set it to 2"):
+        with pytest.raises(DeviceError, match=r"quick stop coasts \(0x605A is 0\).* set it to 2"):
             await axis.open()
 
     b.run(mission, opened=False)
@@ -138,7 +138,7 @@ def test_option_codes_that_only_the_manual_explains_are_told(drive):
     keep(b, 0x605E, 0)
 
     async def mission(axis):
-        assert [note for note in b.notes if "0x605" in note] == ["a fault lets it run out (0x605E is 0)"]
+        assert [note for note in b.notes if "0x605" in note] == ["coasts after a fault: 0x605E is 0"]
 
     b.run(mission)
 
@@ -149,7 +149,9 @@ def test_what_comes_only_by_changes_holds_while_the_heartbeat_is_heard(drive):
 
     async def mission(axis):
         await axis.execute("enable", [])
-        axis.protocol.agreed = dataclasses.replace(axis.protocol.agreed, by_changes=True)
+        axis.protocol.pdo_configuration = dataclasses.replace(
+            axis.protocol.pdo_configuration, by_changes=True
+        )
         b.world.faults.apply(["lost_tpdo=true"])
         await asyncio.sleep(0.1)
         for _ in range(4):
@@ -167,7 +169,7 @@ def test_an_answer_that_process_data_have_overtaken_is_no_news(drive):
     async def mission(axis):
         await axis.execute("enable", [])
         protocol = axis.protocol
-        protocol.agreed = dataclasses.replace(protocol.agreed, by_changes=True)
+        protocol.pdo_configuration = dataclasses.replace(protocol.pdo_configuration, by_changes=True)
         b.world.faults.apply(["lost_tpdo=true"])
         await asyncio.sleep(0.1)
         objects, say = b.drive.node.objects, b.bus.say
@@ -258,7 +260,7 @@ def test_one_that_another_master_leads_out_of_its_safe_state_is_not_at_rest(rig)
         assert axis.moving() == ""
         b.world.command(0x07, "<I", 8)
         await asyncio.sleep(0.5)
-        assert axis.moving().startswith("not in torque_off any more (closed loop")
+        assert axis.moving().startswith("no longer in torque_off (closed loop")
 
     b.run(mission)
 

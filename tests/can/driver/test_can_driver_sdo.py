@@ -24,7 +24,7 @@ from lfield_can.protocols.sdo import (
     SdoClient,
     Send,
 )
-from lfield_sim.can.canopen.sdo import Abort, SdoServer
+from lfield_sim.can.canopen.sdo import SdoAbort, SdoServer
 
 KEY, OTHER = (0x6064, 0), (0x6041, 0)
 #: Lengths of the objects of the server; what is not here it does not have.
@@ -55,7 +55,7 @@ class Objects:
     def _count(self, key):
         self.serial += 1
         if self.refuses or key not in LENGTHS:
-            raise Abort(0x0800_0000 + self.serial)
+            raise SdoAbort(0x0800_0000 + self.serial)
 
 
 class Line:
@@ -77,7 +77,7 @@ class Line:
             assert (effect.within is None) == (effect.data[0] == ABORT)
             if effect.within is not None:
                 self.asked += 1
-                assert self.client.answered(nonsense(effect.data, noise)) == []
+                assert self.client.on_response(nonsense(effect.data, noise)) == []
             if lost == "request":
                 continue
             answer = self.server.answer(effect.data)
@@ -93,13 +93,13 @@ class Line:
         while result is None:
             late, lost, noise = next(fates)
             if lost == "nobody waits":
-                return self.do(self.client.cancelled(), late, "", noise)
+                return self.do(self.client.on_cancelled(), late, "", noise)
             if self.coming and self.coming[0][0] <= self.waits:
                 frame = self.coming.popleft()[1]
-                result = self.do(self.client.answered(frame), late, lost, noise)
+                result = self.do(self.client.on_response(frame), late, lost, noise)
             else:
                 self.waits += 1
-                result = self.do(self.client.expired(), late, lost, noise)
+                result = self.do(self.client.on_timeout(), late, lost, noise)
         return result
 
 
@@ -159,7 +159,7 @@ def test_no_answer_to_an_earlier_question_is_ever_taken(transfers, drawn):
             case Failed(silent=silent):
                 assert silent
             case None:
-                assert line.client.cancelled() == []
+                assert line.client.on_cancelled() == []
 
 
 # -- answers, one by one
@@ -196,8 +196,8 @@ def refused(code, why, key=KEY):
 def test_an_answer_has_as_many_bytes_as_it_says_or_four(command, data):
     client, sent = begun()
     assert sent == [Send(about(0x40), ANSWER)]
-    assert client.answered(about(command, rest=b"\1\2\3\4")) == [Done(data)]
-    assert client.answered(about(command, rest=b"\1\2\3\4")) == []
+    assert client.on_response(about(command, rest=b"\1\2\3\4")) == [Done(data)]
+    assert client.on_response(about(command, rest=b"\1\2\3\4")) == []
 
 
 @pytest.mark.parametrize(
@@ -206,78 +206,78 @@ def test_an_answer_has_as_many_bytes_as_it_says_or_four(command, data):
 def test_a_download_says_how_many_bytes_it_has(data, command):
     client = SdoClient()
     assert client.download(KEY, data) == [Send(about(command, rest=data), ANSWER)]
-    assert client.answered(about(0x60)) == [Done()]
+    assert client.on_response(about(0x60)) == [Done()]
 
 
 def test_segments_with_and_without_their_number_before():
     for size in (9, 0):
         client, _ = begun()
         rest = size.to_bytes(4, "little") if size else b"\xff" * 4
-        assert client.answered(about(0x41 if size else 0x40, rest=rest)) == [SEGMENT]
-        assert client.answered(b"\x00abcdefg") == [Send(b"\x70".ljust(8, b"\0"), ANSWER)]
-        assert client.answered(b"\x00abcdefg") == []  # the same once more
-        assert client.answered(b"\x1bhi\0\0\0\0\0") == [Done(b"abcdefghi")]
+        assert client.on_response(about(0x41 if size else 0x40, rest=rest)) == [SEGMENT]
+        assert client.on_response(b"\x00abcdefg") == [Send(b"\x70".ljust(8, b"\0"), ANSWER)]
+        assert client.on_response(b"\x00abcdefg") == []  # the same once more
+        assert client.on_response(b"\x1bhi\0\0\0\0\0") == [Done(b"abcdefghi")]
 
 
 def test_what_is_too_long_or_of_the_wrong_length_is_refused_and_not_tried_again():
     client, _ = begun()
     long = about(0x41, rest=(LONGEST + 1).to_bytes(4, "little"))
-    assert client.answered(long) == refused(0x05040005, "65 bytes came, more than 64")
+    assert client.on_response(long) == refused(0x05040005, "received 65 bytes, more than 64")
     client.upload(KEY)
-    client.answered(about(0x40))
+    client.on_response(about(0x40))
     for n in range(LONGEST // 7):
-        assert len(client.answered(bytes([0x10 * (n % 2)]) + bytes(7))) == 1
-    assert client.answered(b"\x10" + bytes(7)) == refused(0x05040005, "more than 64 bytes came")
+        assert len(client.on_response(bytes([0x10 * (n % 2)]) + bytes(7))) == 1
+    assert client.on_response(b"\x10" + bytes(7)) == refused(0x05040005, "received more than 64 bytes")
     client.upload(KEY)
-    client.answered(about(0x41, rest=b"\5"))
-    assert client.answered(b"\x0e" + bytes(7)) == refused(0x06070010, "a segment without bytes came")
+    client.on_response(about(0x41, rest=b"\5"))
+    assert client.on_response(b"\x0e" + bytes(7)) == refused(0x06070010, "received a segment without bytes")
     client.upload(KEY)
-    client.answered(about(0x41, rest=b"\5"))
-    assert client.answered(b"\x01" + bytes(7)) == [Failed("7 bytes came, and 5 were announced")]
+    client.on_response(about(0x41, rest=b"\5"))
+    assert client.on_response(b"\x01" + bytes(7)) == [Failed("received 7 bytes of 5")]
 
 
 def test_a_refusal_is_one_only_for_the_object_that_was_asked_for():
     client, _ = begun()
-    assert client.answered(about(ABORT, OTHER, b"\0\0\2\6")) == []
-    assert client.answered(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
-    assert client.answered(about(ABORT, KEY, b"\0\0\2\6")) == []
+    assert client.on_response(about(ABORT, OTHER, b"\0\0\2\6")) == []
+    assert client.on_response(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
+    assert client.on_response(about(ABORT, KEY, b"\0\0\2\6")) == []
     client.upload(KEY)
-    client.answered(about(0x41, rest=b"\x09"))
-    assert client.answered(about(ABORT, OTHER, b"\0\0\2\6")) == []
-    assert client.answered(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
+    client.on_response(about(0x41, rest=b"\x09"))
+    assert client.on_response(about(ABORT, OTHER, b"\0\0\2\6")) == []
+    assert client.on_response(about(ABORT, KEY, b"\0\0\2\6")) == [Refused(0x06020000)]
 
 
 def test_silence_is_an_end_after_its_tries_and_doubt_is_over_with_any_answer_to_a_probe():
     client, sent = begun()
     given_up = Send(about(ABORT, rest=ABORTED.to_bytes(4, "little")))
-    assert [client.expired() for _ in range(TRIES)] == [
+    assert [client.on_timeout() for _ in range(TRIES)] == [
         [given_up, *sent],
         [given_up, *sent],
         [given_up, Failed("no answer within 0.3 s, 3 times", silent=True)],
     ]
     assert client.upload(OTHER) == [Send(about(0x40, OTHER), ANSWER)]
-    assert client.answered(about(0x43, OTHER)) == [Done(bytes(4))]
+    assert client.on_response(about(0x43, OTHER)) == [Done(bytes(4))]
     # What answers may be late.
     probe = Send(about(0x40, PROBES[0]), ANSWER)
     assert client.download(KEY, b"\1") == [probe]
     for late in (about(0x43), about(0x60), about(ABORT), about(0x60, PROBES[0])):
-        assert client.answered(late) == []
-    assert client.answered(about(ABORT, PROBES[0], b"\x11\0\x09\6")) == [
+        assert client.on_response(late) == []
+    assert client.on_response(about(ABORT, PROBES[0], b"\x11\0\x09\6")) == [
         Send(about(0x2F, rest=b"\1"), ANSWER)
     ]
-    assert client.answered(about(0x60)) == [Done()]
+    assert client.on_response(about(0x60)) == [Done()]
     assert client.upload(KEY) == sent
 
 
 def test_a_probe_in_doubt_is_followed_by_another_one_never_by_what_is_asked_for():
     client, _ = begun(PROBES[0])
     for _ in range(TRIES):
-        client.expired()
+        client.on_timeout()
     asked = []
     for _ in range(10):
         effects = client.upload(PROBES[0])
         for _ in range(TRIES):
             asked.append(effects[-1].data[1:4])
-            effects = client.expired()
+            effects = client.on_timeout()
     probes = [about(0, key)[1:4] for key in PROBES[1:]]
     assert asked == probes * 2

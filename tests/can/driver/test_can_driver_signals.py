@@ -65,7 +65,7 @@ def test_who_it_is(rig):
     async def mission(pump):
         return await pump.open()
 
-    assert rig().run(mission, opened=False) == "DBC device, heard Status"
+    assert rig().run(mission, opened=False) == "DBC device, received Status"
 
 
 def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(rig):
@@ -92,9 +92,9 @@ def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(rig):
     [
         (
             ("set", ["Command.speed", 4000.0]),
-            "speed cannot be 4000 rad/s: it is from -3276.8 to 3276.7 rad/s",
+            "speed cannot be 4000 rad/s: its range is -3276.8 to 3276.7 rad/s",
         ),
-        (("set", ["Command.valve", 101.0]), "valve cannot be 101 %: it is from 0 to 100 %"),
+        (("set", ["Command.valve", 101.0]), "valve cannot be 101 %: its range is 0 to 100 %"),
         (("set", ["Command.gain", 1e39]), "gain cannot be 1e"),
         (("set", ["Command.speed", math.nan]), "finite"),
         (
@@ -102,7 +102,7 @@ def test_a_signal_is_set_with_the_others_of_its_message_as_they_were(rig):
             "Status may not be sent: the binding's 'commands' allow only Command",
         ),
         (("set", ["Setup.page", 1.0]), "Setup may not be sent"),
-        (("set", ["Command", 1.0]), "not written as Message.Signal"),
+        (("set", ["Command", 1.0]), "does not have the form Message.Signal"),
         (("set", ["Command.spede", 1.0]), "no signal 'spede'; it has speed, valve, gain"),
         (("set", ["Comand.speed", 1.0]), "no message 'Comand'"),
         (("send", ["Command", [1.0]]), r"Command has 3 signals \(speed, valve, gain\), not 1"),
@@ -209,7 +209,7 @@ def test_old_values_are_not_answers(rig):
         assert carried(b.bus.sent[-1])["speed"] == 0.0  # it comes back into its safe state
 
     b.run(mission)
-    assert [note for note in b.notes if "heard" in note] == ["it is not heard any more", "heard again"]
+    assert [note.code for note in b.notes if "responding" in note] == ["can-silent", "can-responding"]
 
 
 def test_multiplexed_messages(rig):
@@ -246,15 +246,15 @@ def test_setting_a_multiplexed_signal_selects_it(rig):
     [
         ({"dbc": "/nonexistent.dbc"}, "cannot be read"),
         ({"dbc": __file__}, "cannot be read"),
-        ({"commands": ["Nothing"], "safe": []}, "'safe' says nothing about Nothing"),
-        ({"safe": []}, "'safe' says nothing about Command, which is among its 'commands'"),
-        ({"safe": ["Command.speed=0"]}, "Command cannot be sent: it needs valve, gain too"),
-        ({"safe": ["Command.speed 0"]}, "not written as Message.Signal=VALUE"),
+        ({"commands": ["Nothing"], "safe": []}, "'safe' has no value for Nothing"),
+        ({"safe": []}, "'safe' has no value for Command, which is among its 'commands'"),
+        ({"safe": ["Command.speed=0"]}, "Command cannot be sent without valve, gain"),
+        ({"safe": ["Command.speed 0"]}, "does not have the form Message.Signal=VALUE"),
         ({"safe": ["Command.speed=--"]}, "'--' is not a number"),
         ({"safe": ["Status.speed=0"]}, "sends Status, which is not among its 'commands'"),
         ({"safe": [*OPTIONS["safe"][:2], "Command.gain=1e39"]}, "gain cannot be"),
-        ({"confirm": []}, r"nothing would show that it is safe.*waivers: \[no_confirmation\]"),
-        ({"confirm": ["Command.speed=0"]}, "'confirm' is about what the device says"),
+        ({"confirm": []}, r"nothing would confirm that it is safe.*waivers: \[no_confirmation\]"),
+        ({"confirm": ["Command.speed=0"]}, "'confirm' requires a message from the device"),
     ],
 )
 def test_bindings_that_make_no_sense(rig, options, words):
@@ -270,7 +270,7 @@ def test_nobody_there_is_an_error_within_its_bound(rig):
     b.pump.silent = True
 
     async def mission(pump):
-        with pytest.raises(DeviceError, match="none of the messages of its DBC file was heard"):
+        with pytest.raises(DeviceError, match="none of the messages of its DBC file was received"):
             await pump.open()
 
     b.run(mission, opened=False)
@@ -306,17 +306,19 @@ def test_a_short_frame_is_used_as_far_as_it_goes_and_the_rest_grows_old(rig):
         assert await pump.execute("read", ["Status.speed"]) == 1.0
         assert await pump.execute("ageOf", ["Status"]) < 0.3
         asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([10, 0]))
-        with pytest.raises(DeviceError, match="frame 0x200 has 2 bytes, the file says 8: signal heat absent"):
+        with pytest.raises(
+            DeviceError, match="frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
+        ):
             await pump.execute("read", ["Status.heat"])
         assert b.values["malformed"] >= 20
         b.bus.say(512, bytes([10, 0, 100]))
         assert await pump.execute("read", ["Status.heat"]) == 60.0
 
     b.run(mission)
-    told = "Status: frame 0x200 has 2 bytes, the file says 8: signal heat absent"
+    told = "message Status invalid: frame 0x200 has 2 bytes, the file specifies 8: signal heat absent"
     assert [note for note in b.notes if "0x200" in note] == [
         told,
-        "Status: frame 0x200 has 3 bytes, the file says 8",
+        "message Status invalid: frame 0x200 has 3 bytes, the file specifies 8",
     ]
 
 
@@ -326,7 +328,7 @@ def test_a_device_whose_frames_are_all_short_is_heard(rig):
 
     async def mission(pump):
         asyncio.get_running_loop().call_later(0.5, b.bus.say, 512, bytes([0, 0]))
-        assert await pump.open() == "DBC device, heard Status"
+        assert await pump.open() == "DBC device, received Status"
 
     b.run(mission, opened=False)
 
@@ -338,7 +340,7 @@ def test_who_is_not_heard_while_others_are_is_told_their_ids(rig):
     async def mission(pump):
         b.bus.say(512, bytes(8), extended=True)
         b.bus.say(0x123, bytes(8))
-        with pytest.raises(DeviceError, match=r"other ids were: 0x200 \(29 bits\), 0x123;"):
+        with pytest.raises(DeviceError, match=r"other ids were received: 0x200 \(29 bits\), 0x123;"):
             await pump.open()
 
     b.run(mission, opened=False)
@@ -352,14 +354,12 @@ def test_what_of_the_file_is_not_used_is_told_at_opening(rig, tmp_path):
 
     async def mission(pump):
         assert await pump.execute("read", ["Status.heat"]) == 60.0
-        with pytest.raises(
-            DeviceError, match=r"Status\.far cannot be used: signal far lies beyond its frame"
-        ):
+        with pytest.raises(DeviceError, match=r"Status\.far cannot be used: signal far is beyond its frame"):
             await pump.execute("read", ["Status.far"])
 
     b.run(mission)
     (told,) = [note for note in b.notes if "warning" in note]
-    assert re.match(rf"{path}:\d+:6: warning\[DBC901\]: signal far lies beyond its frame", told)
+    assert re.match(rf"{path}:\d+:6: warning\[DBC901\]: signal far is beyond its frame", told)
 
 
 J1939 = """VERSION ""

@@ -121,12 +121,12 @@ def test_a_file_without_objects_is_refused_with_its_place(tmp_path, text):
     assert [finding.code for finding in error.value.findings] == ["EDS101"]
     path = tmp_path / "drive.eds"
     path.write_text(text, encoding="utf-8")
-    with pytest.raises(DeviceError, match=r"is not an EDS file that can be read: .*:1:1: error\[EDS101\]"):
+    with pytest.raises(DeviceError, match=r"is not a readable EDS file: .*:1:1: error\[EDS101\]"):
         read_eds("axis", str(path), 5)
 
 
 def test_a_file_that_is_not_there(tmp_path):
-    with pytest.raises(DeviceError, match="is not an EDS file that can be read: No such file"):
+    with pytest.raises(DeviceError, match="is not a readable EDS file: No such file"):
         read_eds("axis", str(tmp_path / "none.eds"), 5)
 
 

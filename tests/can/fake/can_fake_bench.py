@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 
-from lfield_sim.can.bus import FAULTS, Frame, Port
+from lfield_sim.can.bus_world import TICK, BusWorld
+from lfield_sim.can.can_bus import FAULTS, BusPort, CanFrame
 from lfield_sim.can.canopen.sdo import TYPES
-from lfield_sim.can.specs import build, parse
-from lfield_sim.can.world import TICK, World
+from lfield_sim.can.device_specs import build, parse
 from lfield_sim.faults import Faults
 
 
@@ -18,33 +18,33 @@ class Bench:
         specs = [parse(text) for text in devices]
         self.faults = Faults(FAULTS, {spec.id: spec.name for spec in specs})
         self.devices = build(specs, self.faults)
-        self.world = World(self.devices, self.faults, bitrate=bitrate)
+        self.world = BusWorld(self.devices, self.faults, bitrate=bitrate)
         self.now = 0.0
-        self.heard: list[Frame] = []
-        self.port = self.listen(self.heard)
+        self.received: list[CanFrame] = []
+        self.port = self.listen(self.received)
 
-    def listen(self, heard: list[Frame], **options) -> Port:
+    def listen(self, heard: list[CanFrame], **options) -> BusPort:
         """Another client."""
-        port = Port(lambda frame, _: heard.append(frame), **options)
+        port = BusPort(lambda frame, _: heard.append(frame), **options)
         self.world.bus.attach(port)
         return port
 
     def send(self, identifier: int, data: bytes = b"", **options) -> None:
-        self.world.bus.send(self.port, Frame(identifier, data, **options), self.now)
+        self.world.bus.send(self.port, CanFrame(identifier, data, **options), self.now)
 
-    def wait(self, seconds: float = TICK) -> list[Frame]:
+    def wait(self, seconds: float = TICK) -> list[CanFrame]:
         """Let time pass; what was heard meanwhile."""
-        before = len(self.heard)
+        before = len(self.received)
         for _ in range(round(seconds / TICK)):
             self.now += TICK
             self.world.advance(self.now)
-        return self.heard[before:]
+        return self.received[before:]
 
     def fault(self, *texts: str) -> None:
         self.faults.apply(texts)
 
     def last(self, identifier: int) -> bytes:
-        return next(f.data for f in reversed(self.heard) if f.identifier == identifier and not f.error)
+        return next(f.data for f in reversed(self.received) if f.identifier == identifier and not f.error)
 
 
 class DriveBench(Bench):
@@ -97,4 +97,4 @@ class DriveBench(Bench):
 
     def emergencies(self) -> list[tuple[int, int]]:
         """Error codes with error registers."""
-        return [struct.unpack_from("<HB", f.data) for f in self.heard if f.identifier == 0x85]
+        return [struct.unpack_from("<HB", f.data) for f in self.received if f.identifier == 0x85]

@@ -5,16 +5,16 @@ from __future__ import annotations
 import pytest
 from can_fake_bench import Bench
 
-from lfield_sim.can.bus import ERROR_BUS_OFF, Frame
+from lfield_sim.can.can_bus import ERROR_BUS_OFF, CanFrame
 
 
-def identifiers(frames: list[Frame]) -> list[int]:
+def identifiers(frames: list[CanFrame]) -> list[int]:
     return [frame.identifier for frame in frames]
 
 
 def test_of_the_frames_that_wait_the_lowest_identifier_goes_first():
     bench = Bench()
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     bench.listen(other)
     for identifier in (0x300, 0x200, 0x7FF, 0x100):
         bench.send(identifier)
@@ -29,12 +29,12 @@ def test_of_the_frames_that_wait_the_lowest_identifier_goes_first():
         (0x300, False, False),
         (0x7FF, False, False),
     ]
-    assert bench.heard == [], "nobody hears itself"
+    assert bench.received == [], "nobody hears itself"
 
 
 def test_a_frame_that_has_begun_is_not_interrupted():
     bench = Bench()
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     bench.listen(other)
     bench.send(0x300)
     bench.world.advance(bench.now)
@@ -46,7 +46,7 @@ def test_a_frame_that_has_begun_is_not_interrupted():
 @pytest.mark.parametrize(("bitrate", "frames"), [(1_000_000, 90), (125_000, 11)])
 def test_frames_take_their_time(bitrate, frames):
     bench = Bench(bitrate=bitrate)
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     bench.listen(other)
     for _ in range(200):
         bench.send(0x100, bytes(8))
@@ -55,19 +55,21 @@ def test_frames_take_their_time(bitrate, frames):
 
 
 def test_data_of_an_fd_frame_is_fast_when_it_switches():
-    slow, fast = (Frame(1, bytes(64), fd=True, switch=switch).seconds(5e5, 5e6) for switch in (False, True))
+    slow, fast = (
+        CanFrame(1, bytes(64), fd=True, switch=switch).seconds(5e5, 5e6) for switch in (False, True)
+    )
     assert slow > 5 * fast
-    assert Frame(1, bytes(8), extended=True).seconds(1e6, 1e6) > Frame(1, bytes(8)).seconds(1e6, 1e6)
+    assert CanFrame(1, bytes(8), extended=True).seconds(1e6, 1e6) > CanFrame(1, bytes(8)).seconds(1e6, 1e6)
 
 
 def test_a_port_with_another_bit_rate_is_alone():
     bench = Bench()
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     wrong = bench.listen(other, bitrate=500_000)
     bench.send(0x100)
-    bench.world.bus.send(wrong, Frame(0x200), bench.now)
+    bench.world.bus.send(wrong, CanFrame(0x200), bench.now)
     bench.wait()
-    assert (bench.heard, other) == ([], [])
+    assert (bench.received, other) == ([], [])
     wrong.bitrate = 1_000_000
     bench.send(0x100)
     bench.wait()
@@ -76,7 +78,7 @@ def test_a_port_with_another_bit_rate_is_alone():
 
 def test_loss_is_a_share():
     bench = Bench()
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     bench.listen(other)
     bench.fault("loss=0.3")
     for _ in range(1000):
@@ -99,7 +101,7 @@ def test_loss_of_one_device_leaves_the_others_alone():
 
 def test_a_corrupted_frame_is_told_by_an_error_frame_and_sent_again():
     bench = Bench()
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     bench.listen(other)
     bench.fault("corrupt=0.05")
     for _ in range(200):
@@ -107,17 +109,17 @@ def test_a_corrupted_frame_is_told_by_an_error_frame_and_sent_again():
     bench.wait(0.05)
     assert sum(not f.error for f in other) == 200
     assert any(f.error for f in other)
-    assert any(f.error for f in bench.heard), "the sender sees the error too"
+    assert any(f.error for f in bench.received), "the sender sees the error too"
 
 
 def test_who_never_succeeds_is_bus_off_and_recovers():
     bench = Bench()
-    other: list[Frame] = []
+    other: list[CanFrame] = []
     bench.listen(other)
     bench.fault("corrupt=1")
     bench.send(0x100)
     bench.wait(0.02)
-    assert sum(f.identifier == ERROR_BUS_OFF for f in bench.heard) == 1
+    assert sum(f.identifier == ERROR_BUS_OFF for f in bench.received) == 1
     assert sum(f.error for f in other) == 32, "transmit errors count in eights up to 256"
     bench.fault("corrupt=0")
     bench.send(0x101)
@@ -145,7 +147,7 @@ def test_a_device_off_the_bus_goes_on_and_one_without_power_starts_anew():
     bench.fault("silence@5=true")
     assert bench.wait(0.5) == []
     bench.fault("silence@5=false")
-    assert bench.wait(0.1)[0] == Frame(0x705, b"\x00"), "boot-up"
+    assert bench.wait(0.1)[0] == CanFrame(0x705, b"\x00"), "boot-up"
 
 
 def test_delay():

@@ -7,8 +7,8 @@ import struct
 import pytest
 from can_fake_bench import DriveBench
 
-from lfield_sim.can.bus import Frame
-from lfield_sim.can.cia402.table import CSP, CST, CSV, HM, INCREMENTS, PP, PT, PV, VENDOR
+from lfield_sim.can.can_bus import CanFrame
+from lfield_sim.can.cia402.cia402_table import CSP, CST, CSV, HM, INCREMENTS, PP, PT, PV, VENDOR
 
 ENABLED, QUICK_STOP, FAULT, DISABLED = 0x27, 0x07, 0x08, 0x40
 REACHED, LIMITED, ACKNOWLEDGED, HOMED = 1 << 10, 1 << 11, 1 << 12, 1 << 12
@@ -28,7 +28,7 @@ def state(bench: DriveBench) -> int:
 def test_it_boots_and_beats():
     bench = DriveBench()
     heard = bench.wait(1.05)
-    assert heard[0] == Frame(0x705, b"\x00")
+    assert heard[0] == CanFrame(0x705, b"\x00")
     assert [frame.data for frame in heard[1:]] == [b"\x7f"] * 5
     bench.operational()
     assert bench.last(0x705) == b"\x05" or bench.wait(0.2)
@@ -36,7 +36,7 @@ def test_it_boots_and_beats():
     bench.wait(0.3)
     assert bench.last(0x705) == b"\x04"
     bench.send(0x000, b"\x81\x05")
-    assert bench.wait()[0] == Frame(0x705, b"\x00")
+    assert bench.wait()[0] == CanFrame(0x705, b"\x00")
     bench.send(0x000, b"\x81\x06")
     assert bench.wait() == [], "another node's reset"
 

@@ -11,7 +11,7 @@ from can_fake_bench import Bench
 
 import lfield_sim.can
 from lfield.errors import InputFileError, UsageError
-from lfield_sim.can.dbc import load
+from lfield_sim.can.dbc_device import load
 
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
@@ -101,15 +101,15 @@ def test_the_device_may_be_told(options):
     ("text", "words"),
     [
         (f"dbc:{GRIPPER},node=Nobody", "no message"),
-        (f"dbc:{GRIPPER},command=A.b,status=C.d", "no signal"),
+        (f"dbc:{GRIPPER},command=A.b,status=C.d", "is not a signal"),
         (f"dbc:{GRIPPER},speed=1", "has no 'speed'"),
         (f"dbc:{GRIPPER},lag=0", "above 0"),
         ("cia402:128", "from 1 to 127"),
         ("cia402:5,load=heavy", "not 'heavy'"),
-        ("odrive:x", "no node id"),
-        ("vesc:1", "is no device"),
-        ("cia402:", "is no device"),
-        ("cia402:5,load", "is no device"),
+        ("odrive:x", "is not a node id"),
+        ("vesc:1", "is not a device"),
+        ("cia402:", "is not a device"),
+        ("cia402:5,load", "is not a device"),
     ],
 )
 def test_what_is_wrong_is_a_sentence(text, words):

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 
 import canopen
 import pytest
-from can_places import serial, tcp
+from can_endpoints import opened, serial, tcp
 from canopen import objectdictionary
 from canopen.profiles.p402 import BaseNode402
 
 from lfield.testing.driver_bench import running_fake
-from lfield_sim.can.cia402.table import INCREMENTS, entries
+from lfield_sim.can.cia402.cia402_table import INCREMENTS, entries
 
 pytestmark = pytest.mark.process
 TYPES = {
@@ -29,7 +29,7 @@ TYPES = {
 class Patient(BaseNode402):
     """The client, for a busy computer: what it waits for by itself is bounded by fractions of a second."""
 
-    PATIENCE = 10.0
+    PATIENCE = 60.0
     TIMEOUT_SWITCH_OP_MODE = TIMEOUT_SWITCH_STATE_FINAL = TIMEOUT_SWITCH_STATE_SINGLE = PATIENCE
     TIMEOUT_CHECK_TPDO = TIMEOUT_RESET_FAULT = PATIENCE
 
@@ -60,7 +60,8 @@ def node(request) -> Iterator[BaseNode402]:
     door, place = doors[request.param]
     with running_fake("can", "--listen", door, "--device", "cia402:5,load=0.2,brake=yes") as fake:
         network = canopen.Network()
-        network.connect(**place(fake.endpoint))
+        network.bus = opened(place(fake.endpoint))
+        network.connect()
         try:
             drive = Patient(5, dictionary())
             network.add_node(drive)
@@ -74,7 +75,7 @@ def node(request) -> Iterator[BaseNode402]:
 
 
 def until(true: Callable[[], bool]) -> None:
-    end = time.monotonic() + 10
+    end = time.monotonic() + 60
     while not true():
         assert time.monotonic() < end
         time.sleep(0.01)

@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from test_can_fake_dbc import GRIPPER
 
-from lfield_sim.can.bus import FD_LENGTHS, Frame
-from lfield_sim.can.doors import slcan, socketcand
-from lfield_sim.can.doors.slcan import Slcan
-from lfield_sim.can.doors.socketcand import Socketcand
+from lfield_sim.can.adapters import slcan, socketcand
+from lfield_sim.can.adapters.slcan import SlcanProtocol
+from lfield_sim.can.adapters.socketcand import SocketcandProtocol
+from lfield_sim.can.can_bus import FD_LENGTHS, CanFrame
 
 CHUNKS = st.lists(st.binary(max_size=400), max_size=20)
 SLCAN = st.lists(
@@ -37,7 +37,7 @@ IDENTIFIERS = st.one_of(
     st.integers(0x60, 0x7F),
 )
 FRAMES = st.builds(
-    Frame,
+    CanFrame,
     IDENTIFIERS,
     st.one_of(st.binary(max_size=8), st.sampled_from(FD_LENGTHS).map(bytes)),
     extended=st.booleans(),
@@ -48,10 +48,10 @@ FRAMES = st.builds(
 
 @given(st.one_of(CHUNKS, SOCKETCAND))
 def test_bytes_at_the_tcp_door(chunks):
-    protocol, buffer = Socketcand(), bytearray()
+    protocol, buffer = SocketcandProtocol(), bytearray()
     for chunk in chunks:
         buffer += chunk
-        while (text := socketcand.cut(buffer)) is not None:
+        while (text := socketcand.next_command(buffer)) is not None:
             answer, frame = protocol.command(text)
             assert isinstance(answer, bytes)
             assert frame is None or len(frame.data) <= 8
@@ -60,13 +60,13 @@ def test_bytes_at_the_tcp_door(chunks):
 
 @given(st.one_of(CHUNKS, SLCAN))
 def test_bytes_at_the_serial_door(chunks):
-    protocol, buffer = Slcan(), bytearray()
+    protocol, buffer = SlcanProtocol(), bytearray()
     for chunk in chunks:
         buffer += chunk
-        while (text := slcan.cut(buffer)) is not None:
+        while (text := slcan.next_command(buffer)) is not None:
             answer, frame = protocol.command(text)
             assert not answer or answer[-1:] in (b"\r", b"\a")
-            assert frame is None or Slcan.encode(frame)
+            assert frame is None or SlcanProtocol.encode(frame)
         assert len(buffer) <= slcan.LONGEST
 
 
@@ -83,8 +83,8 @@ def test_frames_into_every_device(script):
     assert len(heard) < 500
     drive, axis, _ = bench.devices
     assert all(math.isfinite(value) for value in (drive.axis.drive.position, axis.axis.position))
-    for frame in bench.heard:
-        assert Slcan.encode(frame)
+    for frame in bench.received:
+        assert SlcanProtocol.encode(frame)
         assert len(frame.data) <= 8
 
 

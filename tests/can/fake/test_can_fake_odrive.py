@@ -8,7 +8,13 @@ import struct
 import pytest
 from can_fake_bench import Bench
 
-from lfield_sim.can.odrive.table import Control, Error, Input, Result, State
+from lfield_sim.can.odrive.cansimple_table import (
+    AxisError,
+    AxisState,
+    ControlMode,
+    InputMode,
+    ProcedureResult,
+)
 
 
 class OdriveBench(Bench):
@@ -27,9 +33,9 @@ class OdriveBench(Bench):
         self.wait(0.01)
         return struct.unpack(layout, self.last(3 << 5 | number))
 
-    def closed_loop(self, control: Control, mode: Input = Input.PASSTHROUGH) -> None:
+    def closed_loop(self, control: ControlMode, mode: InputMode = InputMode.PASSTHROUGH) -> None:
         self.command(0x0B, "<II", control, mode)
-        self.command(0x07, "<I", State.CLOSED_LOOP_CONTROL)
+        self.command(0x07, "<I", AxisState.CLOSED_LOOP_CONTROL)
 
     @property
     def beat(self) -> tuple[int, int, int, int]:
@@ -47,7 +53,7 @@ def test_what_it_sends_by_itself(bench):
     heard = [frame.identifier for frame in bench.wait(1.0)]
     counts = {number: heard.count(3 << 5 | number) for number in (0x01, 0x09, 0x03, 0x14, 0x15, 0x17)}
     assert counts == pytest.approx({0x01: 10, 0x09: 100, 0x03: 10, 0x14: 10, 0x15: 2, 0x17: 2}, abs=1)
-    assert bench.beat == (0, State.IDLE, Result.SUCCESS, 1)
+    assert bench.beat == (0, AxisState.IDLE, ProcedureResult.SUCCESS, 1)
 
 
 def test_requests_are_remote_frames_or_empty_ones(bench):
@@ -61,17 +67,17 @@ def test_requests_are_remote_frames_or_empty_ones(bench):
 
 
 def test_nothing_moves_before_closed_loop(bench):
-    bench.command(0x0B, "<II", Control.VELOCITY, Input.PASSTHROUGH)
+    bench.command(0x0B, "<II", ControlMode.VELOCITY, InputMode.PASSTHROUGH)
     bench.command(0x0D, "<ff", 2.0, 0.0)
     bench.wait(0.5)
     assert bench.axis.position == 0.0
-    bench.command(0x07, "<I", State.CLOSED_LOOP_CONTROL)
+    bench.command(0x07, "<I", AxisState.CLOSED_LOOP_CONTROL)
     bench.wait(0.5)
     assert bench.axis.velocity == 0.0, "inputs start where the axis stands"
 
 
 def test_velocity_with_limits_and_ramp(bench):
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 3.0, 0.0)
     bench.wait(0.5)
     assert bench.ask(0x09, "<ff")[1] == pytest.approx(3.0)
@@ -79,14 +85,14 @@ def test_velocity_with_limits_and_ramp(bench):
     bench.command(0x0D, "<ff", 100.0, 0.0)
     bench.wait(0.5)
     assert bench.axis.velocity == pytest.approx(5.0)
-    bench.command(0x0B, "<II", Control.VELOCITY, Input.VEL_RAMP)
+    bench.command(0x0B, "<II", ControlMode.VELOCITY, InputMode.VEL_RAMP)
     bench.command(0x0D, "<ff", 0.0, 0.0)
     bench.wait(0.1)
     assert bench.axis.velocity == pytest.approx(4.0, abs=0.15), "10 turns per second squared"
 
 
 def test_position_by_trajectory(bench):
-    bench.closed_loop(Control.POSITION, Input.TRAP_TRAJ)
+    bench.closed_loop(ControlMode.POSITION, InputMode.TRAP_TRAJ)
     bench.command(0x11, "<f", 2.0)
     bench.command(0x12, "<ff", 4.0, 4.0)
     bench.command(0x0C, "<fhh", 3.0, 0, 0)
@@ -95,12 +101,12 @@ def test_position_by_trajectory(bench):
     assert bench.axis.velocity == pytest.approx(2.0, abs=0.05)
     bench.wait(1.5)
     assert bench.axis.position == pytest.approx(3.0, abs=0.01)
-    assert bench.beat == (0, State.CLOSED_LOOP_CONTROL, Result.SUCCESS, 1)
+    assert bench.beat == (0, AxisState.CLOSED_LOOP_CONTROL, ProcedureResult.SUCCESS, 1)
 
 
 def test_position_direct_is_bound_by_the_speed_limit(bench):
     bench.command(0x0F, "<ff", 4.0, 10.0)
-    bench.closed_loop(Control.POSITION)
+    bench.closed_loop(ControlMode.POSITION)
     bench.command(0x0C, "<fhh", 2.0, 0, 0)
     bench.wait(0.2)
     assert bench.axis.velocity == pytest.approx(4.0, abs=0.05)
@@ -109,7 +115,7 @@ def test_position_direct_is_bound_by_the_speed_limit(bench):
 
 
 def test_torque(bench):
-    bench.closed_loop(Control.TORQUE)
+    bench.closed_loop(ControlMode.TORQUE)
     bench.command(0x0E, "<f", 0.1)
     bench.wait(0.5)
     assert bench.axis.velocity == pytest.approx(0.1 / 0.01 * 0.5 / math.tau, abs=0.05)
@@ -118,59 +124,63 @@ def test_torque(bench):
 
 
 def test_slower_limits_while_fast_are_a_violation(bench):
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 10.0, 0.0)
     bench.wait(0.5)
     bench.command(0x0F, "<ff", 2.0, 10.0)
     errors, state, result, _ = bench.beat
-    assert (errors, state, result) == (Error.VELOCITY_LIMIT_VIOLATION, State.IDLE, Result.DISARMED)
+    assert (errors, state, result) == (
+        AxisError.VELOCITY_LIMIT_VIOLATION,
+        AxisState.IDLE,
+        ProcedureResult.DISARMED,
+    )
 
 
 def test_estop_and_errors_must_be_cleared(bench):
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 2.0, 0.0)
     bench.wait(0.3)
     bench.command(0x02)
-    assert bench.beat[:3] == (Error.ESTOP_REQUESTED, State.IDLE, Result.DISARMED)
-    assert bench.ask(0x03, "<II") == (Error.ESTOP_REQUESTED, Error.ESTOP_REQUESTED)
-    bench.command(0x07, "<I", State.CLOSED_LOOP_CONTROL)
-    assert bench.beat[1:3] == (State.IDLE, Result.DISARMED)
+    assert bench.beat[:3] == (AxisError.ESTOP_REQUESTED, AxisState.IDLE, ProcedureResult.DISARMED)
+    assert bench.ask(0x03, "<II") == (AxisError.ESTOP_REQUESTED, AxisError.ESTOP_REQUESTED)
+    bench.command(0x07, "<I", AxisState.CLOSED_LOOP_CONTROL)
+    assert bench.beat[1:3] == (AxisState.IDLE, ProcedureResult.DISARMED)
     bench.command(0x18, "<B", 0)
-    bench.command(0x07, "<I", State.CLOSED_LOOP_CONTROL)
-    assert bench.beat[:3] == (0, State.CLOSED_LOOP_CONTROL, Result.SUCCESS)
+    bench.command(0x07, "<I", AxisState.CLOSED_LOOP_CONTROL)
+    assert bench.beat[:3] == (0, AxisState.CLOSED_LOOP_CONTROL, ProcedureResult.SUCCESS)
 
 
 @pytest.mark.parametrize(
     ("fault", "error"),
     [
-        ("overcurrent", Error.CURRENT_LIMIT_VIOLATION),
-        ("overheat", Error.MOTOR_OVER_TEMP),
-        ("follow_error", Error.SPINOUT_DETECTED),
-        ("stuck", Error.SPINOUT_DETECTED),
+        ("overcurrent", AxisError.CURRENT_LIMIT_VIOLATION),
+        ("overheat", AxisError.MOTOR_OVER_TEMP),
+        ("follow_error", AxisError.SPINOUT_DETECTED),
+        ("stuck", AxisError.SPINOUT_DETECTED),
     ],
 )
 def test_faults_disarm(bench, fault, error):
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", 2.0, 0.0)
     bench.fault(f"{fault}@3=true")
     bench.wait(1.0)
-    assert bench.beat[:2] == (error, State.IDLE)
+    assert bench.beat[:2] == (error, AxisState.IDLE)
     bench.fault(f"{fault}@3=false")
     bench.command(0x18, "<B", 0)
     assert bench.beat[0] == 0
 
 
 def test_homing_and_calibration_take_time_and_end_idle(bench):
-    bench.command(0x07, "<I", State.HOMING)
-    assert bench.beat[1:3] == (State.HOMING, Result.BUSY)
+    bench.command(0x07, "<I", AxisState.HOMING)
+    assert bench.beat[1:3] == (AxisState.HOMING, ProcedureResult.BUSY)
     bench.wait(2.0)
-    assert bench.beat[1:3] == (State.IDLE, Result.SUCCESS)
+    assert bench.beat[1:3] == (AxisState.IDLE, ProcedureResult.SUCCESS)
     assert bench.axis.position == pytest.approx(0.0, abs=0.01)
     assert bench.devices[0].motor.angle < -3.0
-    bench.command(0x07, "<I", State.FULL_CALIBRATION)
-    assert bench.beat[2] == Result.BUSY
-    bench.command(0x07, "<I", State.IDLE)
-    assert bench.beat[1:3] == (State.IDLE, Result.CANCELLED)
+    bench.command(0x07, "<I", AxisState.FULL_CALIBRATION)
+    assert bench.beat[2] == ProcedureResult.BUSY
+    bench.command(0x07, "<I", AxisState.IDLE)
+    assert bench.beat[1:3] == (AxisState.IDLE, ProcedureResult.CANCELLED)
 
 
 @pytest.mark.parametrize("rest", [b"", bytes(4)])
@@ -193,22 +203,22 @@ def test_the_watchdog_is_an_endpoint_and_bites(bench):
     bench.command(0x04, "<BHB4x", 0, 2, 0)
     bench.wait(0.01)
     assert struct.unpack("<BHBf", bench.last(0x65)) == (0, 2, 0, 0.25)
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     for _ in range(10):
         bench.command(0x0D, "<ff", 1.0, 0.0)
         bench.wait(0.1)
-    assert bench.beat[1] == State.CLOSED_LOOP_CONTROL
+    assert bench.beat[1] == AxisState.CLOSED_LOOP_CONTROL
     bench.wait(0.3)
-    assert bench.beat[:2] == (Error.WATCHDOG_TIMER_EXPIRED, State.IDLE)
+    assert bench.beat[:2] == (AxisError.WATCHDOG_TIMER_EXPIRED, AxisState.IDLE)
 
 
 def test_reading_does_not_feed_the_watchdog():
     bench = OdriveBench(",watchdog=0.25")
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     for _ in range(10):
         bench.ask(0x09, "<ff")
         bench.wait(0.05)
-    assert bench.beat[0] == Error.WATCHDOG_TIMER_EXPIRED
+    assert bench.beat[0] == AxisError.WATCHDOG_TIMER_EXPIRED
 
 
 def test_without_a_brake_its_load_moves_it_when_idle():
@@ -216,31 +226,31 @@ def test_without_a_brake_its_load_moves_it_when_idle():
     bench.wait(0.3)
     assert bench.axis.position < -0.1
     bench.command(0x19, "<f", 0.0)
-    bench.closed_loop(Control.POSITION)
+    bench.closed_loop(ControlMode.POSITION)
     bench.wait(0.5)
     assert abs(bench.axis.velocity) < 0.01
     assert bench.devices[0].motor.torque == pytest.approx(0.2, abs=0.01)
 
 
 def test_a_reboot_and_a_power_cut(bench):
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x16, "<B", 0)
-    assert bench.beat[1] == State.IDLE
-    bench.closed_loop(Control.VELOCITY)
+    assert bench.beat[1] == AxisState.IDLE
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.fault("silence@3=true")
     assert bench.wait(0.5)[1:] == []
     bench.fault("silence@3=false")
-    assert bench.beat[1] == State.IDLE
+    assert bench.beat[1] == AxisState.IDLE
 
 
 def test_nan_and_short_frames_are_ignored(bench):
-    bench.closed_loop(Control.VELOCITY)
+    bench.closed_loop(ControlMode.VELOCITY)
     bench.command(0x0D, "<ff", float("nan"), 0.0)
     bench.command(0x0D, "<f", 5.0)
     bench.command(0x07, "<I", 77)
     bench.wait(0.2)
     assert bench.axis.velocity == 0.0
-    assert bench.beat[1] == State.CLOSED_LOOP_CONTROL
+    assert bench.beat[1] == AxisState.CLOSED_LOOP_CONTROL
 
 
 def test_nonsense_and_lost_messages(bench):

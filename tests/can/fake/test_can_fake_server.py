@@ -11,7 +11,7 @@ import time
 
 import can
 import pytest
-from can_places import serial, tcp
+from can_endpoints import opened, serial, tcp
 from test_can_fake_dbc import GRIPPER
 
 from lfield.driver.binding import DeviceBinding
@@ -24,7 +24,7 @@ pytestmark = pytest.mark.process
 BOTH = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
 
 
-def heard(bus: can.BusABC, identifier: int, seconds: float = 10.0) -> can.Message:
+def heard(bus: can.BusABC, identifier: int, seconds: float = 60.0) -> can.Message:
     """The next frame with an identifier."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:
@@ -41,9 +41,9 @@ def frame(identifier: int, data: bytes = b"", **options) -> can.Message:
 def test_python_can_at_both_doors():
     with contextlib.ExitStack() as stack:
         fake = stack.enter_context(running_fake("can", *BOTH))
-        places = (tcp(fake.words[0]), tcp(fake.words[0]), serial(fake.words[1]))
-        a, b, c = (stack.enter_context(can.Bus(**place)) for place in places)
-        assert c.get_version(5.0) == (10, 13)
+        places = (tcp(fake.ready_line[0]), tcp(fake.ready_line[0]), serial(fake.ready_line[1]))
+        a, b, c = (stack.enter_context(opened(place)) for place in places)
+        assert c.get_version(60.0) == (10, 13)
         a.send(frame(0x123, b"\x01\xfe"))
         for other in (b, c):
             message = heard(other, 0x123)
@@ -51,15 +51,15 @@ def test_python_can_at_both_doors():
         c.send(frame(0x1ABCDEF0, bytes(8)))
         for other in (a, b):
             assert heard(other, 0x1ABCDEF0).is_extended_id
-        assert c.get_serial_number(5.0) == "F4K3"
+        assert c.get_serial_number(60.0) == "F4K3"
 
 
 def test_fd_and_remote_frames_pass_the_serial_doors():
     with contextlib.ExitStack() as stack:
         fake = stack.enter_context(running_fake("can", "--listen", "slcan-pty", "--listen", "slcan-pty"))
-        a = stack.enter_context(can.Bus(**serial(fake.words[0]), bitrate=1_000_000))
-        b = stack.enter_context(can.Bus(**serial(fake.words[1])))
-        assert b.get_version(5.0) == (10, 13)
+        a = stack.enter_context(opened(serial(fake.ready_line[0]), bitrate=1_000_000))
+        b = stack.enter_context(opened(serial(fake.ready_line[1])))
+        assert b.get_version(60.0) == (10, 13)
         a.send(frame(0x123, bytes(range(48)), is_fd=True, bitrate_switch=True))
         message = heard(b, 0x123)
         assert (bytes(message.data), message.is_fd, message.bitrate_switch) == (bytes(range(48)), True, True)
@@ -70,24 +70,24 @@ def test_fd_and_remote_frames_pass_the_serial_doors():
 
 def test_a_dongle_with_the_wrong_bit_rate_hears_nothing():
     with running_fake("can", *BOTH, "--device", "odrive:3") as fake:
-        with can.Bus(**serial(fake.words[1]), bitrate=250_000) as wrong:
+        with opened(serial(fake.ready_line[1]), bitrate=250_000) as wrong:
             assert wrong.recv(0.5) is None
-        with can.Bus(**serial(fake.words[1]), bitrate=1_000_000) as right:
+        with opened(serial(fake.ready_line[1]), bitrate=1_000_000) as right:
             heard(right, 0x61)
 
 
 def client(endpoint: str) -> socket.socket:
     """One that has asked for all frames. Python-can's own fails when its answer and a frame come at once."""
-    joined = socket.create_connection(("127.0.0.1", tcp(endpoint)["port"]), timeout=10.0)
+    joined = socket.create_connection(("127.0.0.1", tcp(endpoint)["port"]), timeout=60.0)
     joined.sendall(b"< open can0 >< rawmode >")
     return joined
 
 
 def test_clients_come_and_go_and_a_mute_one_harms_nobody():
     with running_fake("can", "--device", "odrive:3") as fake:
-        mute = client(fake.words[0])
+        mute = client(fake.ready_line[0])
         for _ in range(5):
-            with client(fake.words[0]) as bus:
+            with client(fake.ready_line[0]) as bus:
                 said = b""
                 while b"< frame 061" not in said:
                     said += bus.recv(4096)
@@ -95,7 +95,11 @@ def test_clients_come_and_go_and_a_mute_one_harms_nobody():
 
 
 def test_many_frames_at_once_are_slowed_down_but_not_lost():
-    with running_fake("can") as fake, can.Bus(**tcp(fake.words[0])) as a, can.Bus(**tcp(fake.words[0])) as b:
+    with (
+        running_fake("can") as fake,
+        opened(tcp(fake.ready_line[0])) as a,
+        opened(tcp(fake.ready_line[0])) as b,
+    ):
         for n in range(3000):
             a.send(frame(0x100, n.to_bytes(2, "big")))
         got = [int.from_bytes(heard(b, 0x100).data, "big") for _ in range(3000)]
@@ -104,17 +108,17 @@ def test_many_frames_at_once_are_slowed_down_but_not_lost():
 
 def test_faults_while_it_runs():
     with running_fake("can", "--device", "cia402:5:alpha.winch", "--fault", "lost_heartbeat@5=true") as fake:
-        assert fake.words[1:] == ["cia402:5"]
-        with can.Bus(**tcp(fake.words[0])) as bus:
+        assert fake.ready_line[1:] == ["cia402:5"]
+        with opened(tcp(fake.ready_line[0])) as bus:
             with pytest.raises(AssertionError):
                 heard(bus, 0x705, 0.5)
             answer = fake.fault("lost_heartbeat@alpha.winch=false")
             assert answer["devices"] == {"5": "alpha.winch"}
-            assert answer["endpoint"] == fake.words[0]
+            assert answer["endpoint"] == fake.ready_line[0]
             heard(bus, 0x705)
             fake.fault("corrupt=1")
             bus.send(frame(0x100))
-            end = time.monotonic() + 10
+            end = time.monotonic() + 60
             while not (message := bus.recv(1.0)) or not message.is_error_frame:
                 assert time.monotonic() < end
             with pytest.raises(AssertionError, match="corrupt"):
@@ -123,7 +127,7 @@ def test_faults_while_it_runs():
 
 def unplugged(place: dict[str, object]) -> bool:
     """Whether a socketcand client is thrown out before it is greeted."""
-    with socket.create_connection((place["host"], place["port"]), 10) as client:
+    with socket.create_connection((place["host"], place["port"]), 60) as client:
         try:
             return client.recv(100) == b""
         except ConnectionResetError:
@@ -134,8 +138,8 @@ def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
     link = tmp_path / "dongle"
     doors = ("--listen", f"slcan-pty:{link}", "--listen", "socketcand:127.0.0.1:0")
     with running_fake("can", *doors, "--device", "odrive:3") as fake:
-        assert fake.words[0] == f"slcan:{link}@115200"
-        bus = can.Bus(**serial(fake.words[0]))
+        assert fake.ready_line[0] == f"slcan:{link}@115200"
+        bus = opened(serial(fake.ready_line[0]))
         heard(bus, 0x61)
         fake.fault("unplug=true")
         with pytest.raises(can.CanOperationError):
@@ -144,10 +148,10 @@ def test_doors_that_are_pulled_out_and_plugged_in_again(tmp_path):
             bus.shutdown()
         bus.serialPortOrig.close()
         assert not link.is_symlink()
-        assert unplugged(tcp(fake.words[1]))
+        assert unplugged(tcp(fake.ready_line[1]))
         fake.fault("unplug=false")
-        for place in (serial(fake.words[0]), tcp(fake.words[1])):
-            with can.Bus(**place) as again:
+        for place in (serial(fake.ready_line[0]), tcp(fake.ready_line[1])):
+            with opened(place) as again:
                 heard(again, 0x61)
 
 
@@ -161,7 +165,7 @@ def test_a_link_never_replaces_a_file(tmp_path, capsys):
 
 def test_it_ends_with_its_stdin(capfd):
     with running_fake("can", *BOTH) as fake:
-        out, _ = fake.process.communicate(timeout=10)
+        out, _ = fake.process.communicate(timeout=60)
         assert (out, capfd.readouterr().err, fake.process.returncode) == ("", "", 0)
 
 
@@ -169,7 +173,7 @@ def test_it_ends_with_its_stdin(capfd):
 def test_signals_end_it(number):
     with running_fake("can", "--device", "cia402:1") as fake:
         fake.process.send_signal(number)
-        assert fake.process.wait(10) == 0
+        assert fake.process.wait(60) == 0
 
 
 @pytest.mark.parametrize(
@@ -184,7 +188,7 @@ def test_signals_end_it(number):
 )
 def test_a_wrong_command_line_is_a_sentence(options, status, words):
     command = [sys.executable, "-m", "lfield.driver.sims", "lfield_sim.can:SIM", *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=20)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert (done.stdout, done.returncode) == ("", status)
     assert words in done.stderr
     assert "Traceback" not in done.stderr
@@ -222,7 +226,7 @@ def test_the_bus_of_bindings():
         *("--device", f"dbc:{GRIPPER}:a.grip,commands=GripperCommand"),
     ]
     with running_fake("can", *SIM.arguments(devices)) as fake:
-        assert fake.words[1:] == ["cia402:5", "odrive:3", "dbc:gripper"]
+        assert fake.ready_line[1:] == ["cia402:5", "odrive:3", "dbc:gripper"]
 
 
 @pytest.mark.parametrize("text", ["", "slcan", "socketcand:127.0.0.1", "socketcand::1", "socketcand:a:99999"])

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import pytest
 
-from lfield_sim.can.bus import BUS_OFF, ERROR_BUS_OFF, PASSIVE, WARNING, Frame
-from lfield_sim.can.doors import slcan, socketcand
-from lfield_sim.can.doors.slcan import Slcan
-from lfield_sim.can.doors.socketcand import Socketcand
+from lfield_sim.can.adapters import slcan, socketcand
+from lfield_sim.can.adapters.slcan import SlcanProtocol
+from lfield_sim.can.adapters.socketcand import SocketcandProtocol
+from lfield_sim.can.can_bus import BUS_OFF, ERROR_BUS_OFF, PASSIVE, WARNING, CanFrame
 
 
-def opened() -> Socketcand:
-    protocol = Socketcand()
+def opened() -> SocketcandProtocol:
+    protocol = SocketcandProtocol()
     assert protocol.command(b" open can0 ") == (b"< ok >", None)
     assert protocol.command(b" rawmode ") == (b"< ok >", None)
     return protocol
 
 
 def test_socketcand_wants_open_then_rawmode_then_frames():
-    protocol = Socketcand()
+    protocol = SocketcandProtocol()
     assert protocol.command(b" rawmode ")[0] == socketcand.UNKNOWN
     assert protocol.command(b" send 1 0 ")[0] == socketcand.UNKNOWN
     assert protocol.command(b" open vcan7 ")[0] == b"< error could not open bus >"
@@ -29,9 +29,9 @@ def test_socketcand_wants_open_then_rawmode_then_frames():
 @pytest.mark.parametrize(
     ("text", "frame"),
     [
-        (b" send 123 2 a ff ", Frame(0x123, b"\x0a\xff")),
-        (b" send 7FF 0  ", Frame(0x7FF)),
-        (b" send 00000123 1 0 ", Frame(0x123, b"\0", extended=True)),
+        (b" send 123 2 a ff ", CanFrame(0x123, b"\x0a\xff")),
+        (b" send 7FF 0  ", CanFrame(0x7FF)),
+        (b" send 00000123 1 0 ", CanFrame(0x123, b"\0", extended=True)),
         (b" send 800 0 ", None),
         (b" send FFFFFFFF 0 ", None),
         (b" send 123 3 1 2 ", None),
@@ -47,37 +47,41 @@ def test_socketcand_sends_frames_and_ignores_nonsense(text, frame):
 @pytest.mark.parametrize(
     ("frame", "text"),
     [
-        (Frame(0x5, b"\x01\xab"), b"< frame 005 12.000034 01AB >"),
-        (Frame(0x5), b"< frame 005 12.000034  >"),
-        (Frame(0x5, b"\x01", extended=True), b"< frame 00000005 12.000034 01 >"),
-        (Frame(ERROR_BUS_OFF, error=True), b"< error 20000040 12.000034 >"),
-        (Frame(0x5, remote=True), b""),
-        (Frame(0x5, bytes(12), fd=True), b""),
+        (CanFrame(0x5, b"\x01\xab"), b"< frame 005 12.000034 01AB >"),
+        (CanFrame(0x5), b"< frame 005 12.000034  >"),
+        (CanFrame(0x5, b"\x01", extended=True), b"< frame 00000005 12.000034 01 >"),
+        (CanFrame(ERROR_BUS_OFF, error=True), b"< error 20000040 12.000034 >"),
+        (CanFrame(0x5, remote=True), b""),
+        (CanFrame(0x5, bytes(12), fd=True), b""),
     ],
 )
 def test_socketcand_tells_of_frames(frame, text):
-    assert Socketcand.encode(frame, 12.000034) == text
+    assert SocketcandProtocol.encode(frame, 12.000034) == text
 
 
 def test_commands_come_in_pieces_and_together():
     buffer = bytearray(b"junk < open can0 >< raw")
-    assert socketcand.cut(buffer) == b" open can0 "
-    assert socketcand.cut(buffer) is None
+    assert socketcand.next_command(buffer) == b" open can0 "
+    assert socketcand.next_command(buffer) is None
     buffer += b"mode >"
-    assert socketcand.cut(buffer) == b" rawmode "
+    assert socketcand.next_command(buffer) == b" rawmode "
     buffer = bytearray(b"V\rt1230\rF")
-    assert [slcan.cut(buffer), slcan.cut(buffer), slcan.cut(buffer)] == [b"V", b"t1230", None]
+    assert [slcan.next_command(buffer), slcan.next_command(buffer), slcan.next_command(buffer)] == [
+        b"V",
+        b"t1230",
+        None,
+    ]
 
 
-@pytest.mark.parametrize("cut", [slcan.cut, socketcand.cut])
+@pytest.mark.parametrize("cut", [slcan.next_command, socketcand.next_command])
 def test_what_never_ends_is_thrown_away(cut):
     buffer = bytearray(b"<" + b"t" * 10_000)
     assert cut(buffer) is None
     assert not buffer
 
 
-def dongle(*commands: bytes, errors: int = 0) -> tuple[Slcan, list[bytes]]:
-    protocol = Slcan(lambda: errors)
+def dongle(*commands: bytes, errors: int = 0) -> tuple[SlcanProtocol, list[bytes]]:
+    protocol = SlcanProtocol(lambda: errors)
     return protocol, [protocol.command(command)[0] for command in commands]
 
 
@@ -98,20 +102,20 @@ def test_a_dongle_refuses(command):
 @pytest.mark.parametrize(
     ("frame", "text"),
     [
-        (Frame(0x123, b"\x01\xab"), b"t123201AB"),
-        (Frame(0x123, b"\x01", extended=True), b"T00000123101"),
-        (Frame(0x123, remote=True, dlc=8), b"r1238"),
-        (Frame(0x123, remote=True, dlc=2, extended=True), b"R000001232"),
-        (Frame(0x123, bytes(12), fd=True), b"d1239" + b"00" * 12),
-        (Frame(0x123, bytes(64), fd=True, extended=True), b"D00000123F" + b"00" * 64),
-        (Frame(0x123, bytes(48), fd=True, switch=True), b"b123E" + b"00" * 48),
-        (Frame(0x123, fd=True, switch=True, extended=True), b"B000001230"),
+        (CanFrame(0x123, b"\x01\xab"), b"t123201AB"),
+        (CanFrame(0x123, b"\x01", extended=True), b"T00000123101"),
+        (CanFrame(0x123, remote=True, dlc=8), b"r1238"),
+        (CanFrame(0x123, remote=True, dlc=2, extended=True), b"R000001232"),
+        (CanFrame(0x123, bytes(12), fd=True), b"d1239" + b"00" * 12),
+        (CanFrame(0x123, bytes(64), fd=True, extended=True), b"D00000123F" + b"00" * 64),
+        (CanFrame(0x123, bytes(48), fd=True, switch=True), b"b123E" + b"00" * 48),
+        (CanFrame(0x123, fd=True, switch=True, extended=True), b"B000001230"),
     ],
 )
 def test_a_dongle_sends_and_tells_frames_alike(frame, text):
     protocol, _ = dongle(b"O")
     assert protocol.command(text) == (b"Z\r" if frame.extended else b"z\r", frame)
-    assert Slcan.encode(frame) == text + b"\r"
+    assert SlcanProtocol.encode(frame) == text + b"\r"
 
 
 @pytest.mark.parametrize(
@@ -130,4 +134,4 @@ def test_status_flags(errors, flags):
 
 
 def test_error_frames_are_not_told_by_a_dongle():
-    assert Slcan.encode(Frame(ERROR_BUS_OFF, error=True)) == b""
+    assert SlcanProtocol.encode(CanFrame(ERROR_BUS_OFF, error=True)) == b""

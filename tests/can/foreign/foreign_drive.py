@@ -13,7 +13,7 @@ import time
 from contextlib import contextmanager
 
 import canopen
-from can_places import tcp
+from can_endpoints import opened, tcp
 from canopen.sdo.exceptions import SdoAbortedError
 from foreign_objects import MAPPABLE, NO_REMOTE, UNUSED, Variant, dictionary, entry
 
@@ -43,11 +43,11 @@ class ForeignDrive:
     def __init__(self, network: canopen.Network, node: int, variant: Variant) -> None:
         self.id, self.variant, self.network = node, variant, network
         self.lock = threading.RLock()
-        self.state, self.bits, self.word, self.mode = DISABLED, 0, 0, 0
+        self.state, self.bits, self.controlword, self.mode = DISABLED, 0, 0, 0
         self.position = self.velocity = 0.0
         self.goal: float | None = None
         self.watched_at: float | None = None
-        self.told: dict[int, tuple[float, bytes]] = {}
+        self.pdos_sent_at: dict[int, tuple[float, bytes]] = {}
         self.node = canopen.LocalNode(node, dictionary(variant, node))
         network.add_node(self.node)
         self.node.add_write_callback(self.on_write)
@@ -140,9 +140,9 @@ class ForeignDrive:
 
     def on_sync(self, identifier: int, data: bytes, when: float) -> None:
         if self.variant.sync:
-            self.tell(lambda number: 1 <= self.get(0x1800 + number, 2) <= 240)
+            self.send_pdos(lambda number: 1 <= self.get(0x1800 + number, 2) <= 240)
 
-    def tell(self, due) -> None:
+    def send_pdos(self, due) -> None:
         with self.lock:
             if self.node.nmt.state != "OPERATIONAL":
                 return
@@ -151,14 +151,14 @@ class ForeignDrive:
                 if cob & UNUSED or not due(number):
                     continue
                 data = b"".join(self.node.get_data(i, 0) for i in self.mapped(0x1A00 + number))
-                self.told[number] = (time.monotonic(), data)
+                self.pdos_sent_at[number] = (time.monotonic(), data)
                 self.network.send_message(cob & 0x7FF, data)
 
     def is_due(self, number: int) -> bool:
         """By its timer, or since something in it has changed, not sooner than the inhibit time says."""
         if self.get(0x1800 + number, 2) <= 240:
             return False
-        when, before = self.told.get(number, (-math.inf, b""))
+        when, before = self.pdos_sent_at.get(number, (-math.inf, b""))
         since = time.monotonic() - when
         timer = self.get(0x1800 + number, 5) / 1000.0 if self.variant.timer else 0.0
         data = b"".join(self.node.get_data(i, 0) for i in self.mapped(0x1A00 + number))
@@ -188,15 +188,15 @@ class ForeignDrive:
 
     # -- the state machine
 
-    def control(self, word: int) -> None:
-        rising, self.word = word & ~self.word, word
+    def control(self, controlword: int) -> None:
+        rising, self.controlword = controlword & ~self.controlword, controlword
         if self.state == FAULT:
             if rising & 0x80:
                 self.put(0x603F, 0)
                 self.state = DISABLED
         else:
             for (mask, value), steps in COMMANDS:
-                if word & mask == value and self.state in steps:
+                if controlword & mask == value and self.state in steps:
                     # Transition 16 is for a quick stop that stays (0x605A is 5 to 8).
                     if self.state == STOPPING and steps[self.state] == ENABLED and self.get(0x605A) < 5:
                         break
@@ -205,18 +205,18 @@ class ForeignDrive:
                     self.state = steps[self.state]
                     break
         if self.state == ENABLED:
-            self.command(word, rising)
+            self.command(controlword, rising)
         self.show()
 
-    def command(self, word: int, rising: int) -> None:
+    def command(self, controlword: int, rising: int) -> None:
         """Bit 4, by mode: a new set-point is acknowledged by bit 12; homing makes where it stands 0."""
         if self.mode == 1:
             if rising & 0x10:
                 self.goal = self.get(0x607A)
-            self.bits = SPECIFIC if word & 0x10 else 0
+            self.bits = SPECIFIC if controlword & 0x10 else 0
         elif self.mode == 6:
             self.bits = 0
-            if word & 0x10 and self.get(0x6098) in (35, 37):
+            if controlword & 0x10 and self.get(0x6098) in (35, 37):
                 self.position, self.bits = 0.0, SPECIFIC | REACHED
 
     def fail(self, code: int) -> None:
@@ -238,11 +238,11 @@ class ForeignDrive:
                 self.show()
                 self.put(0x6064, self.position)
                 self.put(0x606C, self.velocity)
-            self.tell(self.is_due)
+            self.send_pdos(self.is_due)
 
     def move(self) -> None:
         if self.state == ENABLED:
-            self.ramp(self.wanted(), self.get(0x6083))
+            self.ramp(self.target_velocity(), self.get(0x6083))
         elif self.state in (STOPPING, REACTING) and self.get(0x605A):
             self.ramp(0.0, self.get(0x6085))
             if self.velocity == 0.0 and self.state == REACTING:
@@ -256,10 +256,10 @@ class ForeignDrive:
             self.velocity = self.velocity if abs(self.velocity) > 1.0 else 0.0
         self.position += self.velocity * STEP
 
-    def ramp(self, wanted: float, most: float) -> None:
-        self.velocity += max(-most * STEP, min(most * STEP, wanted - self.velocity))
+    def ramp(self, target: float, most: float) -> None:
+        self.velocity += max(-most * STEP, min(most * STEP, target - self.velocity))
 
-    def wanted(self) -> float:
+    def target_velocity(self) -> float:
         fastest = self.get(0x607F)
         if self.mode in (3, 9):
             return max(-fastest, min(fastest, self.get(0x60FF)))
@@ -276,7 +276,8 @@ class ForeignDrive:
 def foreign(endpoint: str, node: int, variant: Variant):
     """The drive on the bus behind a socketcand door, as long as the block lasts."""
     network = canopen.Network()
-    network.connect(**tcp(endpoint))
+    network.bus = opened(tcp(endpoint))
+    network.connect()
     drive = ForeignDrive(network, node, variant)
     try:
         yield drive

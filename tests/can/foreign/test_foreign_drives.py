@@ -11,7 +11,7 @@ from foreign_drive import foreign
 from foreign_objects import UNFIT, UNUSED, VARIANTS
 
 from lfield.clock import SystemClock
-from lfield.devices.try_out import checks_of, try_devices
+from lfield.devices.conformance_run import conformance_checks, run_conformance
 from lfield.driver.plugins import discover
 from lfield.errors import DevicesError
 from lfield.testing.driver_bench import guarded, running_fake
@@ -45,16 +45,17 @@ def bound(binding):
     return make
 
 
+@pytest.mark.few(0)
 def test_every_foreign_drive_passes_the_kit(bus, bound, pytestconfig):
     """Those that leave out most, and with --every-case the others, too."""
     variants = VARIANTS if pytestconfig.option.every_case else VARIANTS[3::2]
     plugins = discover()
 
     async def kit(name, binding):
-        found = await try_devices(
+        found = await run_conformance(
             plugins,
             [binding],
-            checks_of(plugins.by_driver["can"]),
+            conformance_checks(plugins.by_driver["can"]),
             True,
             lambda finding: None,
             clock=SystemClock(),
@@ -80,7 +81,8 @@ def test_what_does_not_fit_is_said_with_what_the_drive_has_and_answered(bus, bou
         asyncio.run(open_it())
     told = str(error.value)
     assert (
-        "no TPDO holds velocity (0x606C), and it cannot be mapped: mapping of TPDO 2 0x1A01:0 refused" in told
+        "no TPDO contains velocity (0x606C), and it cannot be mapped: mapping of TPDO 2 0x1A01:0 refused"
+        in told
     )
     assert "Attempt to write a read only object" in told
     assert "It has TPDO 1 with 0x6041, TPDO 2 with 0x6041 0x6064" in told
@@ -98,7 +100,7 @@ def test_a_stream_in_process_data_that_carry_the_control_word_too(bus, bound, va
             await axis.call("setVelocity", 1.0)
             await axis.reads("velocity", lambda speed: abs(speed - 1.0) < 0.1)
             await axis.call("setPosition", await axis.call("position") + 0.5)
-            assert (drive.mode, drive.word) == (8, 0x0F)
+            assert (drive.mode, drive.controlword) == (8, 0x0F)
             await axis.call("stop")
             await asyncio.sleep(0.2)
             assert drive.state != 0x0237

@@ -7,7 +7,7 @@ from pathlib import Path
 import lfield_can
 import lfield_dynamixel
 import lfield_mavlink
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.manifest import DeviceManifest
 
 REGISTRY = read_registry()

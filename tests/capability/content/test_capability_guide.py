@@ -11,19 +11,19 @@ from pathlib import Path
 import pytest
 from shipped_registry import REGISTRY
 
-from lfield.capability import units
-from lfield.capability.condition_reader import MAX_LIMIT
-from lfield.capability.matching.expression import compile_constraint
+from lfield import units
+from lfield.capability.condition_compiler import compile_constraint
+from lfield.capability.condition_tree import MAX_LIMIT
+from lfield.capability.matching import ranking
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.matching.ranking import formula
-from lfield.capability.matching.search import Limits
+from lfield.capability.matching.plan_search import SearchLimits
 from lfield.capability.model import Registry
 from lfield.capability.offer import Candidate, Fact
-from lfield.capability.reading.reader import check_files, read_registry
-from lfield.capability.reading.signatures import signatures_of
-from lfield.capability.types.program_check import check_against, check_classes
-from lfield.lang.parser import parse
-from lfield.text.source import Diagnostics, Source
+from lfield.capability.program_types.program_check import check_against, check_classes
+from lfield.capability.registry_reader.registry_files import check_files, read_registry
+from lfield.capability.registry_reader.unit_signatures import signatures_of
+from lfield.lang.parser import parse_file
+from lfield.text.source_text import Diagnostics, Source
 
 GUIDE = (Path(__file__).parents[3] / "lfield" / "docs" / "capabilities.md").read_text(encoding="utf-8")
 _BLOCK = re.compile(r"^( *)```(.*)\n((?:.*\n)*?)\1```$", re.MULTILINE)
@@ -82,7 +82,7 @@ def walk_through() -> str:
 def test_the_walk_through_fits_its_program(tmp_path: Path) -> None:
     registry, found = mission(tmp_path, walk_through()), Diagnostics()
     (program,) = [text for text in blocks("java") if "resource Forklift" in text]
-    check_against(registry, signatures_of([parse(Source("forklift.L", program), found)]), found)
+    check_against(registry, signatures_of([parse_file(Source("forklift.L", program), found)]), found)
     assert [d.render() for d in found.in_order()] == []
     assert registry.providers["Forklift"].attributes["payload"] == 1200.0
     assert registry.providers["Forklift"].attributes["speed"] == pytest.approx(2.5)
@@ -108,7 +108,7 @@ TERMS = ("fitness", "loss", "part", "hop", "near", "age")
 def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert f"{len(REGISTRY.primitives)} primitives" in GUIDE
     numbers = ("", "one", "two", "three", "four", "five")
-    limits = Limits()
+    limits = SearchLimits()
     assert f"to a depth of {numbers[limits.depth]}" in GUIDE
     assert ("the best sixteen combinations" in GUIDE) == (limits.per_rule == 16)
     weights = REGISTRY.weights
@@ -116,20 +116,30 @@ def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     said = f"The weights are {', '.join(terms)} and {last}, and `nearby` is {weights.nearby:g} m."
     assert said in " ".join(GUIDE.split())
     assert limits.combinations == 1000
-    assert "a thousand in vain at most" in GUIDE
-    assert "32 unless the question says how many" in GUIDE
+    assert "a thousand failures at most" in GUIDE
+    assert "(32, or the query's limit)" in GUIDE
     assert limits.offers == 32
     assert f"from 1 to {MAX_LIMIT}" in GUIDE
 
 
 def test_the_formula_of_the_guide_is_that_of_the_code() -> None:
-    assert f"```text drawing\n{formula()}\n```" in GUIDE
+    rows = (
+        ("an agent", "", ranking.AGENT),
+        ("one-to-one", "the cost of the substitute", ranking.ONE_TO_ONE),
+        ("one-to-many", "the sum of the parts' costs", ranking.ONE_TO_MANY),
+        ("a team", "the sum of the members' costs", ranking.TEAM),
+    )
+    lines = []
+    for kind, base, terms in rows:
+        summands = [base, *(f"{weight} * {amount}" for weight, amount in terms.items())]
+        lines.append(f"{kind:<17}{'  +  '.join(filter(None, summands))}")
+    assert "```text drawing\n{}\n```".format("\n".join(lines)) in GUIDE
 
 
 def test_the_units_of_the_guide_are_known() -> None:
     (line,) = re.findall(r"is written as text: (.*)\.", GUIDE)
     for amount in re.findall(r"`([^`]+)`", line.partition("Compound")[0]):
-        assert units.known(amount.split(" ", 1)[1]), amount
+        assert units.is_unit(amount.split(" ", 1)[1]), amount
 
 
 # --- the worked example of the ranking ----------------------------------------------------------------

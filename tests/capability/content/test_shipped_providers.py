@@ -5,10 +5,10 @@ from __future__ import annotations
 import pytest
 from shipped_registry import DEVICES, PLUGINS, REGISTRY, stock_source
 
-from lfield.capability.reading.signatures import Signature, argument_type, fits, signatures_of
-from lfield.lang.parser import parse
+from lfield.capability.registry_reader.unit_signatures import Signature, argument_type, fits, signatures_of
+from lfield.lang.parser import parse_file
 from lfield.manifest import DeviceManifest
-from lfield.text.source import Diagnostics, Source
+from lfield.text.source_text import Diagnostics, Source
 
 STOCK = sorted(REGISTRY.providers)
 
@@ -16,7 +16,7 @@ STOCK = sorted(REGISTRY.providers)
 def signature(type_name: str) -> Signature:
     """What a stock resource type has."""
     path = stock_source(REGISTRY.providers[type_name].include)
-    file = parse(Source(str(path), path.read_text(encoding="utf-8")), Diagnostics())
+    file = parse_file(Source(str(path), path.read_text(encoding="utf-8")), Diagnostics())
     return signatures_of([file])[type_name]
 
 

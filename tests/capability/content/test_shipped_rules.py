@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from shipped_registry import DEVICES, REGISTRY, find_include
 
-from lfield.capability.types.language import RegistryTypes
+from lfield.capability.program_types.registry_types import RegistryTypes
 from lfield.lang.frontend import check_text
 
 INCLUDES = "\n".join(f"include <{p.include}>;" for p in REGISTRY.providers.values())

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.testing.golden import run_text
 
 #: Who serves the parts; all stand on one host, so they are one robot.

@@ -9,13 +9,13 @@ from typing import cast
 
 import pytest
 
-from lfield.capability.directory.directory import Directory
-from lfield.capability.directory.news import Trouble
+from lfield.capability.directory.agent_directory import AgentDirectory
+from lfield.capability.directory.directory_delta import Unavailability
 from lfield.capability.matching.matcher import Matcher
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.clock import ManualClock
-from lfield.host.telling.sampling import Sampler
+from lfield.host.directory_updates.agent_sampler import AgentSampler
 from lfield.manifest import Observation
 from lfield.vm.agent import Agent
 
@@ -64,10 +64,10 @@ def payload(registry: Registry, stated: Sequence[str] = (), load: Observation | 
     """What counts in the end on the host of the crane, whose device has told that load."""
     bound = {"crane": {"payload": VALUES["binding"]}} if "binding" in stated else {}
     yard, clock = _Yard(load), ManualClock()
-    directory = Directory(registry, [_Crane()], "yard", yard, clock)
+    directory = AgentDirectory(registry, [_Crane()], "yard", yard, clock)
     agents = {"crane": cast("Agent", _Crane())}
-    sampler = Sampler(registry.attributes, agents, {"crane": ["scale"]}, yard, _Silent(), clock, bound)
-    directory.own("crane", sampler.condition("crane", directory.live("crane")))
+    sampler = AgentSampler(registry.attributes, agents, {"crane": ["scale"]}, yard, _Silent(), clock, bound)
+    directory.set_own("crane", sampler.condition("crane", directory.live("crane")))
     (offer,) = Matcher(registry, directory).offers("Lift")
     fact = offer.facts.get("payload")
     return None if fact is None else float(fact.value)  # type: ignore[arg-type]  # a number
@@ -87,7 +87,7 @@ class _Silent:
 class _Yard:
     """The devices of the yard, and its links."""
 
-    away: Mapping[str, float] = {}
+    down_since: Mapping[str, float] = {}
 
     def __init__(self, load: Observation | None) -> None:
         self._load = load
@@ -95,10 +95,10 @@ class _Yard:
     def last(self, device: str, quantity: str) -> Observation | None:
         return self._load
 
-    def trouble(self, device: str) -> Trouble | None:
+    def trouble(self, device: str) -> Unavailability | None:
         return None
 
-    def last_heard(self, host: str) -> float | None:
+    def last_contact(self, host: str) -> float | None:
         return None
 
 

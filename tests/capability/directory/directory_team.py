@@ -4,17 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from lfield.capability.directory.directory import Directory
-from lfield.capability.directory.news import Sample
-from lfield.capability.model import Attribute, Live, Provider, Registry
+from lfield.capability.directory.agent_directory import AgentDirectory
+from lfield.capability.directory.directory_delta import AttributeSample
+from lfield.capability.model import Attribute, LiveAttribute, Provider, Registry
 from lfield.clock import ManualClock
-from lfield.text.source import Source, Span
+from lfield.text.source_text import Source, Span
 
 SPAN = Span(Source("test.yaml", ""), 0, 0)
 
 
 def live(attribute, device="fc", **changes):
-    return Live(attribute, device, changes.pop("quantity", attribute), SPAN, **changes)
+    return LiveAttribute(attribute, device, changes.pop("quantity", attribute), SPAN, **changes)
 
 
 ATTRIBUTES = {
@@ -58,11 +58,11 @@ AGENTS = [
 class Wires:
     """The links of one host, by hand."""
 
-    away: dict[str, float] = field(default_factory=dict)
-    heard: dict[str, float] = field(default_factory=dict)
+    down_since: dict[str, float] = field(default_factory=dict)
+    contacts: dict[str, float] = field(default_factory=dict)
 
-    def last_heard(self, host):
-        return self.heard.get(host)
+    def last_contact(self, host):
+        return self.contacts.get(host)
 
 
 class Seat:
@@ -71,13 +71,13 @@ class Seat:
     def __init__(self, here, clock=None, life=1):
         self.clock = clock or ManualClock()
         self.wires = Wires()
-        self.directory = Directory(REGISTRY, AGENTS, here, self.wires, self.clock, life)
+        self.directory = AgentDirectory(REGISTRY, AGENTS, here, self.wires, self.clock, life)
 
     def candidate(self, agent):
-        return next(c for c in self.directory.everybody() if c.agent == agent)
+        return next(c for c in self.directory.all_candidates() if c.agent == agent)
 
     def sample(self, value, age=0.0):
-        return Sample(value, self.clock.now - age, self.clock.now)
+        return AttributeSample(value, self.clock.now - age, self.clock.now)
 
-    def hear(self, host):
-        self.wires.heard[host] = self.clock.monotonic()
+    def receive(self, host):
+        self.wires.contacts[host] = self.clock.monotonic()

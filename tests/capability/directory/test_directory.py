@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 from directory_team import AGENTS, REGISTRY, SPAN, Seat
 
-from lfield.capability.directory.directory import MOMENT
-from lfield.capability.directory.news import Condition, Reserved, Trouble
-from lfield.capability.directory.showing import place_of
+from lfield.capability.directory.agent_directory import ANSWER_REUSE_SECONDS
+from lfield.capability.directory.agent_profile import location_of
+from lfield.capability.directory.directory_delta import AgentCondition, ReservedBy, Unavailability
 from lfield.capability.model import Attribute
 from lfield.capability.offer import Candidate, Fact
-from lfield.host.telling.reports import Reports
+from lfield.host.directory_updates.directory_codec import DirectoryCodec
 
 
 @pytest.fixture
@@ -18,17 +18,17 @@ def seats():
     """alpha and bravo, linked, on clocks that have nothing in common."""
     alpha, bravo = Seat("alpha"), Seat("bravo", life=7)
     bravo.clock.advance(5000.0)
-    alpha.hear("bravo")
-    alpha.directory.linked("bravo", 7)
+    alpha.receive("bravo")
+    alpha.directory.on_link_up("bravo", 7)
     return alpha, bravo
 
 
 def tell(sender, receiver, news):
     """News on a link: times become ages on the way (fleet/reports.py does it for messages)."""
-    reports = Reports(REGISTRY, AGENTS)
-    report = reports.write(news, sender.clock.monotonic())
-    receiver.hear("bravo")
-    receiver.directory.take("bravo", reports.read("bravo", report, receiver.clock.monotonic()))
+    reports = DirectoryCodec(REGISTRY, AGENTS)
+    report = reports.encode(news, sender.clock.monotonic())
+    receiver.receive("bravo")
+    receiver.directory.on_delta("bravo", reports.decode("bravo", report, receiver.clock.monotonic()))
 
 
 def test_candidates_are_those_of_a_type_in_the_order_of_the_deployment(seats):
@@ -52,7 +52,7 @@ def test_what_the_mission_states_is_a_fact_that_never_ages(seats):
 
 def test_own_values_are_as_old_as_their_samples(seats):
     alpha, _ = seats
-    alpha.directory.own("arm1", Condition(samples={"battery": alpha.sample(0.5, age=0.25)}))
+    alpha.directory.set_own("arm1", AgentCondition(samples={"battery": alpha.sample(0.5, age=0.25)}))
     alpha.clock.advance(2.0)
     arm = alpha.candidate("arm1")
     assert (arm.facts["battery"].value, arm.facts["battery"].age, arm.refusal) == (0.5, 2.25, "")
@@ -60,19 +60,19 @@ def test_own_values_are_as_old_as_their_samples(seats):
 
 def test_answers_of_one_moment_are_the_same_until_something_has_changed(seats):
     alpha, bravo = seats
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
+    tell(bravo, alpha, bravo.directory.next_delta())
     first, shelf = alpha.candidate("rover1"), alpha.candidate("shelf")
-    alpha.clock.advance(MOMENT / 2)
+    alpha.clock.advance(ANSWER_REUSE_SECONDS / 2)
     assert alpha.candidate("rover1") is first
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.7)}))
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.7)}))
+    tell(bravo, alpha, bravo.directory.next_delta())
     changed = alpha.candidate("rover1")
     assert changed.facts["battery"].value == 0.7
-    alpha.wires.away["bravo"] = alpha.clock.monotonic()
+    alpha.wires.down_since["bravo"] = alpha.clock.monotonic()
     assert alpha.candidate("rover1").refusal == alpha.candidate("shelf").refusal == "unreachable for 0.0 s"
-    del alpha.wires.away["bravo"]
-    alpha.clock.advance(MOMENT)
+    del alpha.wires.down_since["bravo"]
+    alpha.clock.advance(ANSWER_REUSE_SECONDS)
     assert alpha.candidate("rover1").facts["battery"].age > changed.facts["battery"].age
     assert alpha.candidate("shelf") == shelf
     still = alpha.candidate("shelf")
@@ -82,113 +82,121 @@ def test_answers_of_one_moment_are_the_same_until_something_has_changed(seats):
 
 def test_what_was_never_told_is_unknown_with_the_reason(seats):
     alpha, _ = seats
-    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told battery yet"}
-    alpha.directory.own("arm1", Condition(unknown={"mode": "fc has not reported mode"}))
+    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not reported battery yet"}
+    alpha.directory.set_own("arm1", AgentCondition(unknown={"mode": "fc has not reported mode"}))
     unknown = alpha.candidate("arm1").unknown
     assert unknown["mode"] == "fc has not reported mode"
-    assert unknown["battery"] == "alpha has not told battery yet"
+    assert unknown["battery"] == "alpha has not reported battery yet"
 
 
 def test_the_value_of_another_host_ages_only_while_nothing_is_heard(seats):
     alpha, bravo = seats
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=0.5)}))
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=0.5)}))
+    tell(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("rover1").facts["battery"].age == 0.5
     alpha.clock.advance(2.0)
     assert alpha.candidate("rover1").facts["battery"].age == 2.5
     alpha.clock.advance(1.0)
-    alpha.hear("bravo")
+    alpha.receive("bravo")
     assert alpha.candidate("rover1").facts["battery"].age == 0.5
 
 
 def test_a_value_that_its_host_has_stopped_renewing_grows_older(seats):
     alpha, bravo = seats
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
-    tell(bravo, alpha, bravo.directory.news())
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=4.9)}))
-    assert bravo.directory.news() is None
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=5.1)}))
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
+    tell(bravo, alpha, bravo.directory.next_delta())
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=4.9)}))
+    assert bravo.directory.next_delta() is None
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=5.1)}))
+    tell(bravo, alpha, bravo.directory.next_delta())
     bravo.clock.advance(1.0)
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8, age=6.1)}))
-    assert bravo.directory.news() is None
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8, age=6.1)}))
+    assert bravo.directory.next_delta() is None
     alpha.clock.advance(20.0)
-    alpha.hear("bravo")
+    alpha.receive("bravo")
     assert alpha.candidate("rover1").facts["battery"].age == pytest.approx(25.1)
 
 
 def test_only_what_has_changed_notably_is_told(seats):
     _, bravo = seats
     for value, told in [(0.800, True), (0.804, False), (0.796, False), (0.806, True), (0.802, False)]:
-        bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(value)}))
-        assert (bravo.directory.news() is not None) == told, value
-    bravo.directory.own("arm2", Condition(samples={"steps": bravo.sample(1)}))
-    news = bravo.directory.news()
+        bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(value)}))
+        assert (bravo.directory.next_delta() is not None) == told, value
+    bravo.directory.set_own("arm2", AgentCondition(samples={"steps": bravo.sample(1)}))
+    news = bravo.directory.next_delta()
     assert list(news.agents) == ["arm2"]
-    bravo.directory.own("arm2", Condition(samples={"steps": bravo.sample(2), "mode": bravo.sample("hold")}))
-    news = bravo.directory.news()
+    bravo.directory.set_own(
+        "arm2", AgentCondition(samples={"steps": bravo.sample(2), "mode": bravo.sample("hold")})
+    )
+    news = bravo.directory.next_delta()
     assert {name: s.value for name, s in news.agents["arm2"].samples.items()} == {"steps": 2, "mode": "hold"}
-    assert bravo.directory.news() is None
+    assert bravo.directory.next_delta() is None
 
 
 def test_why_an_agent_cannot_be_called(seats):
     alpha, bravo = seats
-    alpha.directory.own("arm1", Condition(Trouble("died of DeviceException: no")))
+    alpha.directory.set_own("arm1", AgentCondition(Unavailability("died of DeviceException: no")))
     assert alpha.candidate("arm1").refusal == "died of DeviceException: no"
-    bravo.directory.own("arm2", Condition(Trouble("axis: not heard", bravo.clock.monotonic() - 3.2)))
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own(
+        "arm2", AgentCondition(Unavailability("axis: not heard", bravo.clock.monotonic() - 3.2))
+    )
+    tell(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("arm2").refusal == "axis: not heard for 3.2 s"
     alpha.clock.advance(60.0)
     assert alpha.candidate("arm2").refusal == "axis: not heard for 63 s"
-    alpha.wires.away["bravo"] = alpha.clock.monotonic() - 12.0
+    alpha.wires.down_since["bravo"] = alpha.clock.monotonic() - 12.0
     assert alpha.candidate("arm2").refusal == "unreachable for 12 s"
-    del alpha.wires.away["bravo"]
-    bravo.directory.own("arm2", Condition())
-    tell(bravo, alpha, bravo.directory.news())
+    del alpha.wires.down_since["bravo"]
+    bravo.directory.set_own("arm2", AgentCondition())
+    tell(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("arm2").refusal == ""
 
 
 def test_what_is_reserved_is_offered_to_its_holder_alone(seats):
     alpha, bravo = seats
-    bravo.directory.own("arm2", Condition(reserved=Reserved("pilot", bravo.clock.monotonic() - 12.0)))
-    tell(bravo, alpha, bravo.directory.news())
-    assert bravo.directory.news() is None
+    bravo.directory.set_own(
+        "arm2", AgentCondition(reserved=ReservedBy("pilot", bravo.clock.monotonic() - 12.0))
+    )
+    tell(bravo, alpha, bravo.directory.next_delta())
+    assert bravo.directory.next_delta() is None
     for seat in seats:
         assert seat.candidate("arm2").refusal == "reserved by pilot for 12 s"
         seat.directory.asker = "pilot"
         assert seat.candidate("arm2").refusal == ""
         seat.directory.asker = "rover"
         assert seat.candidate("arm2").refusal == "reserved by pilot for 12 s"
-    bravo.directory.own("arm2", Condition(reserved=Reserved("rover", bravo.clock.monotonic())))
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own("arm2", AgentCondition(reserved=ReservedBy("rover", bravo.clock.monotonic())))
+    tell(bravo, alpha, bravo.directory.next_delta())
     assert alpha.candidate("arm2").refusal == ""
-    bravo.directory.own("arm2", Condition())
-    tell(bravo, alpha, bravo.directory.news())
+    bravo.directory.set_own("arm2", AgentCondition())
+    tell(bravo, alpha, bravo.directory.next_delta())
     alpha.directory.asker = ""
     assert alpha.candidate("arm2").refusal == ""
 
 
 def test_what_cannot_be_called_says_so_before_it_says_who_has_it(seats):
     alpha, _ = seats
-    alpha.directory.own("arm1", Condition(Trouble("died of X"), reserved=Reserved("pilot", 0.0)))
+    alpha.directory.set_own(
+        "arm1", AgentCondition(Unavailability("died of X"), reserved=ReservedBy("pilot", 0.0))
+    )
     assert alpha.candidate("arm1").refusal == "died of X"
 
 
 def test_a_host_that_was_away_catches_up_with_one_exchange(seats):
     alpha, bravo = seats
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
-    bravo.directory.own("arm2", Condition(Trouble("fc: in its safe state hold: lost")))
-    tell(bravo, alpha, bravo.directory.news())
-    alpha.directory.unlinked("bravo")
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.4)}))
-    bravo.directory.own("arm2", Condition(samples={"armed": bravo.sample(True)}))
-    assert bravo.directory.news() is not None
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
+    bravo.directory.set_own("arm2", AgentCondition(Unavailability("fc: in its safe state hold: lost")))
+    tell(bravo, alpha, bravo.directory.next_delta())
+    alpha.directory.on_link_down("bravo")
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.4)}))
+    bravo.directory.set_own("arm2", AgentCondition(samples={"armed": bravo.sample(True)}))
+    assert bravo.directory.next_delta() is not None
     alpha.clock.advance(30.0)
-    alpha.hear("bravo")
-    alpha.directory.linked("bravo", 7)
+    alpha.receive("bravo")
+    alpha.directory.on_link_up("bravo", 7)
     # It is there again, but what it said then is not fresh for that.
     assert alpha.candidate("rover1").facts["battery"].age == 30.0
-    tell(bravo, alpha, bravo.directory.everything())
+    tell(bravo, alpha, bravo.directory.full_delta())
     rover, arm = alpha.candidate("rover1"), alpha.candidate("arm2")
     assert (rover.facts["battery"].value, rover.facts["battery"].age) == (0.4, 0.0)
     assert (arm.refusal, arm.facts["armed"].value) == ("", True)
@@ -196,16 +204,16 @@ def test_a_host_that_was_away_catches_up_with_one_exchange(seats):
 
 def test_a_restarted_host_begins_anew(seats):
     alpha, bravo = seats
-    bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(0.8)}))
-    late = bravo.directory.news()
+    bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(0.8)}))
+    late = bravo.directory.next_delta()
     tell(bravo, alpha, late)
     again = Seat("bravo", life=8)
-    alpha.directory.linked("bravo", 8)
-    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not told battery yet"}
-    tell(bravo, alpha, bravo.directory.everything())
+    alpha.directory.on_link_up("bravo", 8)
+    assert alpha.candidate("rover1").unknown == {"battery": "bravo has not reported battery yet"}
+    tell(bravo, alpha, bravo.directory.full_delta())
     assert "battery" not in alpha.candidate("rover1").facts
-    again.directory.own("rover1", Condition(samples={"battery": again.sample(0.3)}))
-    tell(again, alpha, again.directory.news())
+    again.directory.set_own("rover1", AgentCondition(samples={"battery": again.sample(0.3)}))
+    tell(again, alpha, again.directory.next_delta())
     assert alpha.candidate("rover1").facts["battery"].value == 0.3
 
 
@@ -213,22 +221,22 @@ def test_news_after_a_gap_wait_for_everything(seats):
     alpha, bravo = seats
     news = []
     for value in (0.9, 0.8, 0.7):
-        bravo.directory.own("rover1", Condition(samples={"battery": bravo.sample(value)}))
-        news.append(bravo.directory.news())
+        bravo.directory.set_own("rover1", AgentCondition(samples={"battery": bravo.sample(value)}))
+        news.append(bravo.directory.next_delta())
     tell(bravo, alpha, news[0])
     tell(bravo, alpha, news[2])
     assert alpha.candidate("rover1").facts["battery"].value == 0.9
     alpha.clock.advance(3.0)
-    alpha.hear("bravo")
+    alpha.receive("bravo")
     assert alpha.candidate("rover1").facts["battery"].age == 3.0
-    tell(bravo, alpha, bravo.directory.everything())
+    tell(bravo, alpha, bravo.directory.full_delta())
     assert alpha.candidate("rover1").facts["battery"].value == 0.7
 
 
 def test_a_host_that_never_had_anything_to_tell_says_nothing(seats):
     _, bravo = seats
-    assert bravo.directory.news() is None
-    assert bravo.directory.everything() is None
+    assert bravo.directory.next_delta() is None
+    assert bravo.directory.full_delta() is None
 
 
 def test_a_host_is_where_its_pose_says_unless_an_agent_of_it_measures_its_place() -> None:
@@ -239,10 +247,10 @@ def test_a_host_is_where_its_pose_says_unless_an_agent_of_it_measures_its_place(
 
     def at(facts, unknown):
         one = Candidate("rover", "Rover", "alpha", 0, "", facts, unknown)
-        return place_of([one], attributes, (5.0, 6.0, 0.0))
+        return location_of([one], attributes, (5.0, 6.0, 0.0))
 
     assert at({}, {}) == (5.0, 6.0, 0.0)
     assert at({}, {"north": "fc has not reported position"}) is None
     assert at({"north": Fact(1.0, 3.0, "measured"), "east": Fact(2.0)}, {}) is None
     assert at({"north": Fact(1.0, 1.0, "measured"), "east": Fact(2.0)}, {}) == (1.0, 2.0, None)
-    assert place_of([], attributes, (5.0, 6.0, 0.0)) == (5.0, 6.0, 0.0)
+    assert location_of([], attributes, (5.0, 6.0, 0.0)) == (5.0, 6.0, 0.0)

@@ -7,9 +7,9 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
 
-from lfield.capability.directory.directory import MOMENT
-from lfield.capability.directory.news import Condition, Sample, Trouble
-from lfield.host.telling.reports import Reports
+from lfield.capability.directory.agent_directory import ANSWER_REUSE_SECONDS
+from lfield.capability.directory.directory_delta import AgentCondition, AttributeSample, Unavailability
+from lfield.host.directory_updates.directory_codec import DirectoryCodec
 from lfield.wire.codec import decode, encode
 from lfield.wire.framing import HEADER_SIZE
 
@@ -29,26 +29,28 @@ class Exchange(RuleBasedStateMachine):
 
     @initialize()
     def begin(self):
-        self.life, self.linked, self.reports = 7, False, Reports(REGISTRY, AGENTS)
-        self.under_way, self.sent, self.moment = [], [], MOMENT
+        self.life, self.linked, self.reports = 7, False, DirectoryCodec(REGISTRY, AGENTS)
+        self.under_way, self.sent, self.moment = [], [], ANSWER_REUSE_SECONDS
         self.alpha, self.bravo = Seat("alpha"), Seat("bravo", life=7)
         self.conditions = {}
         self.ages = {}
 
     def post(self, news):
         if news is not None:
-            self.sent.append(encode(self.reports.write(news, self.bravo.clock.monotonic())))
+            self.sent.append(encode(self.reports.encode(news, self.bravo.clock.monotonic())))
             self.under_way.append(self.sent[-1])
 
     def deliver(self, frame):
         report = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
         self.hear()
-        self.alpha.directory.take("bravo", self.reports.read("bravo", report, self.alpha.clock.monotonic()))
+        self.alpha.directory.on_delta(
+            "bravo", self.reports.decode("bravo", report, self.alpha.clock.monotonic())
+        )
 
     def hear(self):
         # Answers of one moment are the same, also when a word comes between them.
         self.time_passes(self.moment)
-        self.alpha.hear("bravo")
+        self.alpha.receive("bravo")
         self.ages.clear()
 
     @rule(agent=st.sampled_from(OWN), trouble=TROUBLES, data=st.data())
@@ -56,17 +58,19 @@ class Exchange(RuleBasedStateMachine):
         now = self.bravo.clock.monotonic()
         known = [name for name in LIVE[agent] if data.draw(st.booleans())]
         samples = {
-            name: Sample(data.draw(VALUES[name]), now - data.draw(st.sampled_from([0.0, 1.0, 30.0])), now)
+            name: AttributeSample(
+                data.draw(VALUES[name]), now - data.draw(st.sampled_from([0.0, 1.0, 30.0])), now
+            )
             for name in known
         }
         unknown = {name: f"fc has not reported {name}" for name in LIVE[agent] if name not in known}
-        reason = None if trouble is None else Trouble(trouble[0], trouble[1] and now - trouble[1])
-        self.conditions[agent] = Condition(reason, samples, unknown)
-        self.bravo.directory.own(agent, self.conditions[agent])
+        reason = None if trouble is None else Unavailability(trouble[0], trouble[1] and now - trouble[1])
+        self.conditions[agent] = AgentCondition(reason, samples, unknown)
+        self.bravo.directory.set_own(agent, self.conditions[agent])
 
     @rule()
     def tell(self):
-        self.post(self.bravo.directory.news())
+        self.post(self.bravo.directory.next_delta())
 
     @rule(seconds=st.sampled_from([0.1, 1.0, 20.0]))
     def wait(self, seconds):
@@ -77,11 +81,11 @@ class Exchange(RuleBasedStateMachine):
         self.bravo.clock.advance(seconds)
         for agent, condition in self.conditions.items():
             aged = {
-                name: Sample(s.value, s.when, self.bravo.clock.monotonic())
+                name: AttributeSample(s.value, s.when, self.bravo.clock.monotonic())
                 for name, s in condition.samples.items()
             }
-            self.conditions[agent] = Condition(condition.trouble, aged, condition.unknown)
-            self.bravo.directory.own(agent, self.conditions[agent])
+            self.conditions[agent] = AgentCondition(condition.trouble, aged, condition.unknown)
+            self.bravo.directory.set_own(agent, self.conditions[agent])
 
     @precondition(lambda self: self.under_way)
     @rule(data=st.data(), kept=st.booleans())
@@ -103,8 +107,8 @@ class Exchange(RuleBasedStateMachine):
     @rule()
     def unlink(self):
         self.linked = False
-        self.alpha.wires.away["bravo"] = self.alpha.clock.monotonic()
-        self.alpha.directory.unlinked("bravo")
+        self.alpha.wires.down_since["bravo"] = self.alpha.clock.monotonic()
+        self.alpha.directory.on_link_down("bravo")
 
     @precondition(lambda self: not self.linked)
     @rule(restarted=st.booleans())
@@ -114,16 +118,16 @@ class Exchange(RuleBasedStateMachine):
             clock = self.bravo.clock
             self.bravo = Seat("bravo", clock, self.life)
             for agent, condition in self.conditions.items():
-                self.bravo.directory.own(agent, condition)
+                self.bravo.directory.set_own(agent, condition)
         self.linked = True
-        self.alpha.wires.away.pop("bravo", None)
+        self.alpha.wires.down_since.pop("bravo", None)
         self.hear()
-        self.alpha.directory.linked("bravo", self.life)
-        self.post(self.bravo.directory.everything())
+        self.alpha.directory.on_link_up("bravo", self.life)
+        self.post(self.bravo.directory.full_delta())
 
     @invariant()
     def ages_never_shrink_without_news(self):
-        for candidate in self.alpha.directory.everybody():
+        for candidate in self.alpha.directory.all_candidates():
             for name, fact in candidate.facts.items():
                 key = candidate.agent, name
                 assert fact.age >= self.ages.get(key, 0.0) - 1e-9
@@ -131,7 +135,7 @@ class Exchange(RuleBasedStateMachine):
 
     @invariant()
     def candidates_stay_in_order(self):
-        assert [c.agent for c in self.alpha.directory.everybody()] == [
+        assert [c.agent for c in self.alpha.directory.all_candidates()] == [
             a.id for a in AGENTS if a.type in REGISTRY.providers
         ]
 
@@ -143,9 +147,9 @@ class Exchange(RuleBasedStateMachine):
             self.unlink()
         for frame in self.under_way:
             self.deliver(frame)
-        self.time_passes(MOMENT)
+        self.time_passes(ANSWER_REUSE_SECONDS)
         self.moment = 0.0
-        self.bravo.directory.news()
+        self.bravo.directory.next_delta()
         self.under_way.clear()
         self.link(restarted=False)
         for frame in [*self.under_way, *reversed(self.sent)]:

@@ -9,18 +9,24 @@ from directory_team import AGENTS, ATTRIBUTES, PROVIDERS, REGISTRY
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.capability.directory.news import Condition, News, Reserved, Sample, Trouble
+from lfield.capability.directory.directory_delta import (
+    AgentCondition,
+    AttributeSample,
+    DirectoryDelta,
+    ReservedBy,
+    Unavailability,
+)
 from lfield.errors import WireError
-from lfield.host.telling.reports import Reports
+from lfield.host.directory_updates.directory_codec import DirectoryCodec
 from lfield.wire.codec import decode, encode
 from lfield.wire.framing import HEADER_SIZE
-from lfield.wire.messages import AgentReport, FactReport, Report
+from lfield.wire.messages import AgentUpdate, AttributeUpdate, DirectoryUpdate
 
 INDEX = st.integers(0, 8)
 AGE = st.floats(0.0, 1e9)
 TEXT = st.text(max_size=10)
 FACTS = st.builds(
-    FactReport,
+    AttributeUpdate,
     INDEX,
     st.one_of(st.booleans(), st.integers(-9, 9), st.floats(), TEXT),
     AGE,
@@ -28,13 +34,13 @@ FACTS = st.builds(
     st.sampled_from(["stated", "told", "measured"]),
 )
 REPORTS = st.builds(
-    Report,
+    DirectoryUpdate,
     st.integers(0, 3),
     st.integers(0, 3),
     st.integers(0, 3),
     st.lists(
         st.builds(
-            AgentReport,
+            AgentUpdate,
             INDEX,
             TEXT,
             st.none() | AGE,
@@ -56,9 +62,9 @@ def through_the_wire(report):
 
 @given(REPORTS)
 def test_whatever_comes_is_refused_or_fits(report):
-    reports = Reports(REGISTRY, AGENTS)
+    reports = DirectoryCodec(REGISTRY, AGENTS)
     try:
-        news = reports.read("bravo", through_the_wire(report), 1000.0)
+        news = reports.decode("bravo", through_the_wire(report), 1000.0)
     except WireError:
         return
     for agent, condition in news.agents.items():
@@ -74,16 +80,20 @@ def test_whatever_comes_is_refused_or_fits(report):
 @given(st.floats(0.0, 100.0), st.floats(-5.0, 100.0), st.booleans())
 def test_times_become_ages_and_times_again(age, later, kept):
     # Whoever says that something will only be true later has a clock that went wrong; it is new, then.
-    sample = Sample(0.5, 1000.0 - age, 1000.0, kept)
-    held = Reserved("pilot", 990.0)
-    change = Condition(Trouble("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000}, held)
-    reports = Reports(REGISTRY, AGENTS)
-    report = through_the_wire(reports.write(News(7, 3, 4, {"arm2": change}), 1000.0 + later))
-    news = reports.read("bravo", report, 50.0)
-    assert (news.life, news.since, news.sequence) == (7, 3, 4)
+    sample = AttributeSample(0.5, 1000.0 - age, 1000.0, kept)
+    held = ReservedBy("pilot", 990.0)
+    change = AgentCondition(
+        Unavailability("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000}, held
+    )
+    reports = DirectoryCodec(REGISTRY, AGENTS)
+    report = through_the_wire(reports.encode(DirectoryDelta(7, 3, 4, {"arm2": change}), 1000.0 + later))
+    news = reports.decode("bravo", report, 50.0)
+    assert (news.incarnation, news.since, news.sequence) == (7, 3, 4)
     found = news.agents["arm2"]
-    assert found.trouble == Trouble("fc: not heard", pytest.approx(50.0 - max(0.0, later)))
-    assert found.reserved == Reserved("pilot", pytest.approx(50.0 - max(0.0, 10.0 + later)))
+    assert found.trouble == Unavailability("fc: not heard", pytest.approx(50.0 - max(0.0, later)))
+    assert found.reserved == ReservedBy("pilot", pytest.approx(50.0 - max(0.0, 10.0 + later)))
     wanted = age if kept else max(0.0, age + later)
-    assert found.samples["battery"] == Sample(0.5, pytest.approx(50.0 - wanted, abs=1e-9), 50.0, kept)
+    assert found.samples["battery"] == AttributeSample(
+        0.5, pytest.approx(50.0 - wanted, abs=1e-9), 50.0, kept
+    )
     assert len(found.unknown["mode"]) == 256

@@ -7,13 +7,12 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from lfield.capability.matching.expression import (
+from lfield.capability.condition_compiler import compile_constraint, parse_expression
+from lfield.capability.matching.condition_checker import (
+    Expectation,
     Expression,
-    Scope,
-    Wanted,
-    check,
-    compile_constraint,
-    parse,
+    NameScope,
+    check_expression,
 )
 from lfield.capability.model import (
     Attribute,
@@ -23,12 +22,12 @@ from lfield.capability.model import (
     Primitive,
     Provider,
     Registry,
-    Served,
+    ServedPrimitive,
     Value,
     Weights,
 )
-from lfield.capability.offer import Candidate, Fact, Place
-from lfield.text.source import Source, Span
+from lfield.capability.offer import Candidate, Fact, Position
+from lfield.text.source_text import Source, Span
 
 NOWHERE = Span(Source("test.yaml", ""), 0, 0)
 
@@ -56,14 +55,16 @@ def wish(text: str) -> Expression:
 
 
 def over_parts(
-    text: str, needs: Iterable[str], wanted: Wanted = "any", whole: Iterable[str] = ()
+    text: str, needs: Iterable[str], wanted: Expectation = "any", whole: Iterable[str] = ()
 ) -> Expression:
     """An expression in the rule of a composition."""
-    expression, mistakes = parse(text)
+    expression, mistakes = parse_expression(text)
     assert expression is not None, mistakes
-    assert not (found := check(expression, Scope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted)), (
-        found
-    )
+    assert not (
+        found := check_expression(
+            expression, NameScope.of_parts(ATTRIBUTES, list(needs), list(whole)), wanted
+        )
+    ), found
     return expression
 
 
@@ -72,7 +73,7 @@ def provider(
 ) -> Provider:
     """A resource type that serves primitives."""
     condition = wish(when) if when else None
-    served = {name: Served(name, {}, NOWHERE, when=condition) for name in serves}
+    served = {name: ServedPrimitive(name, {}, NOWHERE, when=condition) for name in serves}
     return Provider(type, served, NOWHERE, attributes=attributes)
 
 
@@ -153,7 +154,7 @@ def candidate(
 class Crew:
     """A team of these candidates, which counts how often it was asked."""
 
-    def __init__(self, *members: Candidate, place: Place | None = None) -> None:
+    def __init__(self, *members: Candidate, place: Position | None = None) -> None:
         self.members, self.place = list(members), place
         self.asked = 0
 
@@ -162,5 +163,5 @@ class Crew:
         numbered = enumerate(self.members)
         return [replace(member, number=n) for n, member in numbered if member.type == resource]
 
-    def here(self) -> Place | None:
+    def here(self) -> Position | None:
         return self.place

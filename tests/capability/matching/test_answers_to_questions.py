@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 
 from lfield.capability.offer import Candidate, Fact
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.errors import ConstraintError
-from lfield.host.offers import Answers
-from lfield.vm.offers import SearchGivenUp
+from lfield.host.offer_queries import MatchResults
+from lfield.vm.offer_objects import SearchIncomplete
 
 REGISTRY = """
 registry: 1
@@ -60,56 +60,58 @@ class Cranes:
 
 
 @pytest.fixture
-def answers(tmp_path: Path) -> Answers:
+def answers(tmp_path: Path) -> MatchResults:
     """Of fifty cranes."""
     (tmp_path / "pair.L").write_text("", encoding="utf-8")
     path = tmp_path / "cranes.yaml"
     path.write_text(REGISTRY, encoding="utf-8")
-    return Answers(read_registry([path]), Cranes(MANY), WAYS, {f"c{i}": i for i in range(MANY)})
+    return MatchResults(read_registry([path]), Cranes(MANY), WAYS, {f"c{i}": i for i in range(MANY)})
 
 
-def test_an_offer_says_how_many_there_were(answers: Answers) -> None:
-    who = answers.offers("Lift", None)
+def test_an_offer_says_how_many_there_were(answers: MatchResults) -> None:
+    who = answers.find_offers("Lift", None)
     assert (len(who), who[0].found, who[0].note) == (32, MANY, "the best 32 of 50 offers are given")
-    every = answers.offers("Lift", "limit 100")
+    every = answers.find_offers("Lift", "limit 100")
     assert (len(every), every[0].found, every[0].note) == (MANY, MANY, "")
-    assert answers.explain("Lift", None) == "the best 32 of 50 offers are given"
-    assert answers.explain("Lift", "reach <= 3.0").splitlines()[0] == "there are 3 offers, by 3 agents"
+    assert answers.explain_others("Lift", None) == "the best 32 of 50 offers are given"
+    assert answers.explain_others("Lift", "reach <= 3.0").splitlines()[0] == "there are 3 offers, by 3 agents"
 
 
-def test_nobody_is_not_said_where_not_everything_was_tried(answers: Answers) -> None:
-    cut = "odd-pair: there are more combinations of parts than could be tried"
-    with pytest.raises(SearchGivenUp, match=f"nobody was found for Haul, but {cut}"):
-        answers.offers("Haul", None)
-    with pytest.raises(SearchGivenUp, match="no team of 2 was found for Haul"):
-        answers.teams("Haul", None, 2)
-    assert cut in answers.explain("Haul", None)
+def test_nobody_is_not_said_where_not_everything_was_tried(answers: MatchResults) -> None:
+    cut = "odd-pair: more combinations of parts exist than could be tried"
+    with pytest.raises(SearchIncomplete, match=f"nobody was found for Haul, but {cut}"):
+        answers.find_offers("Haul", None)
+    with pytest.raises(SearchIncomplete, match="no team of 2 was found for Haul"):
+        answers.find_teams("Haul", None, 2)
+    assert cut in answers.explain_others("Haul", None)
     # What prunes before it combines leaves nothing to be tried.
-    assert answers.offers("Haul", 'agent == "c3"') == []
+    assert answers.find_offers("Haul", 'agent == "c3"') == []
 
 
-def test_no_team_is_not_said_where_the_best_combinations_have_an_agent_in_common(answers: Answers) -> None:
+def test_no_team_is_not_said_where_the_best_combinations_have_an_agent_in_common(
+    answers: MatchResults,
+) -> None:
     # c0 is the first of all that are offered; c1 and c2 could make another pair.
-    assert {one.agent.partition("+")[0] for one in answers.offers("Carry", None)} == {"c0"}
+    assert {one.agent.partition("+")[0] for one in answers.find_offers("Carry", None)} == {"c0"}
     why = "no team of 2 was found for Carry, but .*any-pair: only the best combinations can be in a team"
     for question in (None, "limit 5", "order by payload"):
-        with pytest.raises(SearchGivenUp, match=why):
-            answers.teams("Carry", question, 2)
-    assert answers.teams("Carry", None, 51) == []
+        with pytest.raises(SearchIncomplete, match=why):
+            answers.find_teams("Carry", question, 2)
+    assert answers.find_teams("Carry", None, 51) == []
 
 
-def test_teams_of_none_and_of_too_many(answers: Answers) -> None:
+def test_teams_of_none_and_of_too_many(answers: MatchResults) -> None:
     for size in (0, -1, -(2**63)):
         with pytest.raises(ConstraintError, match="a team has one member at least"):
-            answers.teams("Lift", None, size)
-    assert answers.teams("Lift", "reach <= 3.0", 4) == []
-    assert answers.teams("Lift", None, 2**63 - 1) == []
-    (team,) = answers.teams("Lift", "reach <= 3.0", 3)
+            answers.find_teams("Lift", None, size)
+    assert answers.find_teams("Lift", "reach <= 3.0", 4) == []
+    assert answers.find_teams("Lift", None, 2**63 - 1) == []
+    (team,) = answers.find_teams("Lift", "reach <= 3.0", 3)
     assert [one.agent for one in team] == ["c0", "c1", "c2"]
     assert {one.found for one in team} == {3}
-    assert len(answers.teams("Lift", "limit 100", 2)) == 100
+    assert len(answers.find_teams("Lift", "limit 100", 2)) == 100
 
 
-def test_a_question_of_ten_thousand_characters(answers: Answers) -> None:
+def test_a_question_of_ten_thousand_characters(answers: MatchResults) -> None:
     with pytest.raises(ConstraintError, match="longer than 2000 characters"):
-        answers.offers("Lift", "reach > 1.0 && " * 700 + "true")
+        answers.find_offers("Lift", "reach > 1.0 && " * 700 + "true")

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import ATTRIBUTES, wish
 
-from lfield.capability.condition import Mistake
-from lfield.capability.condition_reader import MAX_LENGTH
-from lfield.capability.matching.expression import Scope, check, compile_constraint, parse
+from lfield.capability.condition_compiler import compile_constraint, parse_expression
+from lfield.capability.condition_parser import MAX_LENGTH
+from lfield.capability.condition_tree import Mistake
+from lfield.capability.matching.condition_checker import NameScope, check_expression
 from lfield.errors import ConstraintError
 
 
@@ -38,28 +39,33 @@ def test_a_condition_may_say(text: str) -> None:
     ("text", "place", "message", "hint"),
     [
         ("paylod >= 2", "paylod", "there is no attribute 'paylod'", "did you mean 'payload'?"),
-        ("ready && xyzzy", "xyzzy", "there is no attribute 'xyzzy'", "text stands in double quotes"),
+        ("ready && xyzzy", "xyzzy", "there is no attribute 'xyzzy'", "text is in double quotes"),
         ("environment == areal", "areal", "'environment' is never 'areal'", "did you mean 'aerial'?"),
-        ('power == "wind"', '"wind"', "'power' is never 'wind'", "it can be battery and cable"),
-        ("payload = 2", "=", "'=' would assign", "compare with =="),
+        ('power == "wind"', '"wind"', "'power' is never 'wind'", "its values are battery and cable"),
+        ("payload = 2", "=", "'=' is an assignment", "compare with =="),
         ("payload", "payload", "this is a number, not true or false", "compare it, as in payload >= 2.0"),
         ("payload > environment", "environment", "'>' takes numbers; this is a set", ""),
-        ("payload && ready", "payload", "'&&' takes what is true or false; this is a number", ""),
+        ("payload && ready", "payload", "'&&' takes booleans; this is a number", ""),
         ("payload == ready", "payload == ready", "'==' compares a number with true or false", ""),
-        ("payload % 2 == 0", "%", "'%' has no meaning over attributes", ""),
-        ("ready and true", "and", "'and' is not expected here", "write &&"),
-        ("not ready", "ready", "'ready' is not expected here", "write !"),
+        ("payload % 2 == 0", "%", "'%' is not an operator of conditions", ""),
+        ("ready and true", "and", "L has no operator 'and'", "write &&"),
+        ("not ready", "not", "L has no 'not'", "write !"),
         ("payload > 1)", ")", "')' is not expected here", "the condition ends before it"),
         ("sin(payload) > 0", "sin", "there is no function 'sin' here", "did you mean 'min'?"),
         ("max(payload) > 0", "max(payload)", "max() takes 2 to 16 arguments, not 1", ""),
         ("abs(1, 2) > 0", "abs(1, 2)", "abs() takes 1 argument, not 2", ""),
-        ("payload != null", "null", "null is no value of an attribute", ""),
-        ("payload[0] > 1", "payload[0]", "this has no meaning in a condition over attributes", ""),
-        ("new Lift() == ready", "new Lift()", "this has no meaning in a condition over attributes", ""),
+        ("payload != null", "null", "null is not a value of an attribute", ""),
+        ("payload[0] > 1", "payload[0]", "this is not allowed in a condition over attributes", ""),
+        ("new Lift() == ready", "new Lift()", "this is not allowed in a condition over attributes", ""),
         ("grip.payload > 1", "grip.payload", "an attribute has no members", "write its name alone"),
-        ("distance(a, b) < 1", "a", "a place is written in numbers", "such as distance(12.0, 4.0)"),
+        (
+            "distance(a, b) < 1",
+            "a",
+            "the coordinates of a place are number literals",
+            "such as distance(12.0, 4.0)",
+        ),
         ("distance(1) < 1", "distance(1)",
-         "distance() here takes a place: north, east and, if that counts, down",
+         "distance() here takes a place: north, east and optionally down",
          "such as distance(12.0, 4.0), in metres"),
         ("ready ? ready : ready", "?", "L has no ? : expression", ""),
         ("payload >= 2 ready", "ready", "'ready' is not expected here", "the condition ends before it"),
@@ -74,8 +80,8 @@ def test_a_mistake_is_told_at_its_place(text: str, place: str, message: str, hin
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "nothing is written here"),
-        (" \n", "nothing is written here"),
+        ("", "the condition is empty"),
+        (" \n", "the condition is empty"),
         ("payload >=", "expected an expression, found the end of the text"),
         ("ready || " * 500, "this is longer than 2000 characters"),
         ("(" * 500 + "ready", "this is nested more than 100 levels deep"),
@@ -91,7 +97,7 @@ def test_a_text_that_is_no_condition(text: str, message: str) -> None:
 def test_a_long_chain_is_no_nesting(sign: str) -> None:
     chain = f" {sign} ".join(["ready", "payload >= 2", "!ready"] * 50)
     assert mistakes(chain) == []
-    found, _ = parse(chain)
+    found, _ = parse_expression(chain)
     assert found is not None
     assert found.tree.height < 12
     assert found.tree.span.text == chain
@@ -102,7 +108,7 @@ def test_all_mistakes_are_told_at_once() -> None:
         wish("paylod > 1 && reach == aerial && environment == areal")
     assert caught.value.problems == (
         "there is no attribute 'paylod' (did you mean 'payload'?)",
-        "there is no attribute 'aerial' (text stands in double quotes)",
+        "there is no attribute 'aerial' (text is in double quotes)",
         "'environment' is never 'areal' (did you mean 'aerial'?)",
     )
 
@@ -115,29 +121,31 @@ def test_all_mistakes_are_told_at_once() -> None:
         ("grip.environment == climb.environment", None),
         ("grip.environment == aerial", None),
         ("payload >= 1", None),
-        ("reach >= 1", "whose 'reach' is meant?"),
+        ("reach >= 1", "'reach' is ambiguous: several parts have it"),
         ("grp.reach >= 1", "there is no part 'grp'"),
         ("grip.rech >= 1", "there is no attribute 'rech'"),
         ("grip == climb", "parts cannot be compared"),
         ("distance(grip) < 1", "distance() takes two parts"),
         ("distance(grip, payload) < 1", "distance() takes two parts"),
-        ("grip.a.b == 1", "this is no part"),
+        ("grip.a.b == 1", "this is not a part"),
         ("grip < climb", "'<' takes numbers; this is a part"),
     ],
 )
 def test_a_condition_over_the_parts_of_a_composition(text: str, message: str | None) -> None:
-    expression, found = parse(text)
+    expression, found = parse_expression(text)
     assert expression is not None
-    found = check(expression, Scope.of_parts(ATTRIBUTES, ["grip", "climb"], ["payload"]), "boolean")
+    found = check_expression(
+        expression, NameScope.of_parts(ATTRIBUTES, ["grip", "climb"], ["payload"]), "boolean"
+    )
     messages = [mistake.message for mistake in found]
     assert messages[:1] == ([] if message is None else [message])
 
 
 def test_distance_needs_positions() -> None:
-    expression, _ = parse("distance(grip, climb) < 1")
+    expression, _ = parse_expression("distance(grip, climb) < 1")
     assert expression is not None
     attributes = {name: a for name, a in ATTRIBUTES.items() if name != "down"}
-    (mistake,) = check(expression, Scope.of_parts(attributes, ["grip", "climb"]), "boolean")
+    (mistake,) = check_expression(expression, NameScope.of_parts(attributes, ["grip", "climb"]), "boolean")
     assert mistake.message == "distance() needs the attributes down"
 
 
@@ -152,9 +160,9 @@ def test_distance_needs_positions() -> None:
     ],
 )
 def test_what_an_expression_shall_be(text: str, wanted: str, message: str | None) -> None:
-    expression, _ = parse(text)
+    expression, _ = parse_expression(text)
     assert expression is not None
-    found = check(expression, Scope.of_offer(ATTRIBUTES), wanted)  # type: ignore[arg-type]  # a parameter
+    found = check_expression(expression, NameScope.of_offer(ATTRIBUTES), wanted)  # type: ignore[arg-type]  # a parameter
     assert [m.message for m in found] == ([] if message is None else [message])
 
 
@@ -206,11 +214,15 @@ _SIGNS = [
 def test_a_hostile_text_is_refused_with_places_within_it(text: str) -> None:
     with contextlib.suppress(ConstraintError):
         compile_constraint(text, ATTRIBUTES)
-    for mistake in parse(text)[1]:
+    for mistake in parse_expression(text)[1]:
         assert 0 <= mistake.start <= mistake.end <= max(len(text), 1)
 
 
 def mistakes(text: str) -> list[Mistake]:
     """What is wrong with a condition on an offer."""
-    expression, found = parse(text)
-    return found if expression is None else check(expression, Scope.of_offer(ATTRIBUTES), "boolean")
+    expression, found = parse_expression(text)
+    return (
+        found
+        if expression is None
+        else check_expression(expression, NameScope.of_offer(ATTRIBUTES), "boolean")
+    )

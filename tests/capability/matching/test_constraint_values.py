@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_registry import over_parts, wish
 
-from lfield.capability.matching.evaluate import conjuncts, distance_to, evaluator, names
-from lfield.capability.matching.reasons import reasons
+from lfield.capability.matching.condition_evaluator import conjuncts, distance_to, evaluator, fact_names
+from lfield.capability.matching.failure_reasons import failure_reasons
 from lfield.capability.model import Value
 
 FACTS: Mapping[str, Value] = {
@@ -89,7 +89,7 @@ def test_a_distance_that_no_number_can_hold_is_unknown(north: float) -> None:
     ],
 )
 def test_why_a_condition_is_not_true(text: str, why: list[str]) -> None:
-    assert list(reasons(wish(text), FACTS, lambda name: f"{name} is not stated")) == why
+    assert list(failure_reasons(wish(text), FACTS, lambda name: f"{name} is not stated")) == why
 
 
 @pytest.mark.parametrize(
@@ -119,12 +119,14 @@ def test_a_condition_over_parts(text: str, value: bool | None, why: str | None) 
     }
     expression = over_parts(text, ["grip", "climb"], "boolean")
     assert evaluator(expression)(facts) is value
-    assert reasons(expression, facts, lambda n: f"{n} is not stated") == (() if why is None else (why,))
+    assert failure_reasons(expression, facts, lambda n: f"{n} is not stated") == (
+        () if why is None else (why,)
+    )
 
 
 def test_names_are_those_that_are_looked_at() -> None:
     expression = over_parts("distance(a, b) < a.reach && a.reach > 1", ["a", "b"])
-    assert names(expression) == ("a.north", "a.east", "a.down", "b.north", "b.east", "b.down", "a.reach")
+    assert fact_names(expression) == ("a.north", "a.east", "a.down", "b.north", "b.east", "b.down", "a.reach")
     assert [c.text for c in conjuncts(expression)] == ["distance(a, b) < a.reach", "a.reach > 1"]
 
 
@@ -158,7 +160,7 @@ def test_logic_is_kleenes(condition: Any, facts: dict[str, Value]) -> None:
     expression = wish(_text(condition))
     expected = _kleene(condition, facts)
     assert evaluator(expression)(facts) is expected
-    told = reasons(expression, facts, lambda name: f"{name} is not stated")
+    told = failure_reasons(expression, facts, lambda name: f"{name} is not stated")
     failing = [c for c in conjuncts(expression) if evaluator(c)(facts) is not True]
     assert len(told) == len(failing)
     assert bool(told) is (expected is not True)

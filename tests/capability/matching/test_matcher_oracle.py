@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from small_registry import ATTRIBUTES, Crew, candidate, composition, equivalence, provider, registry, wish
 
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.matching.search import Limits
+from lfield.capability.matching.plan_search import SearchLimits
 from lfield.capability.model import Composition, Equivalence, Registry
-from lfield.capability.offer import Candidate, Offer, Refusal
+from lfield.capability.offer import Candidate, Offer, Rejection
 
 DEPTH = 3
-EVERYTHING = Limits(depth=DEPTH, per_rule=10**6, combinations=10**6, tried=10**6, offers=10**6)
+EVERYTHING = SearchLimits(depth=DEPTH, per_rule=10**6, combinations=10**6, failures=10**6, offers=10**6)
 COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 OPPOSITE = {"<": ">=", "<=": ">", ">": "<=", ">=": "<"}
 
@@ -205,7 +205,7 @@ def test_all_plans_are_found_the_cheapest_first(world: World, primitive: str, co
 def test_of_each_composition_the_cheapest_plan_is_offered(
     world: World, primitive: str, condition: Condition
 ) -> None:
-    limits = Limits(depth=DEPTH, per_rule=1, offers=10**6)
+    limits = SearchLimits(depth=DEPTH, per_rule=1, offers=10**6)
     offers = Matcher(world.registry, world.crew, limits=limits).offers(
         primitive, wish(text_of(condition)) if condition else None
     )
@@ -253,7 +253,7 @@ def rules_for(world: World, primitive: str) -> list[Equivalence | Composition]:
     return [rule for rule in rules if rule.serves == primitive]
 
 
-def flat(refusals: tuple[Refusal, ...] | list[Refusal]) -> Iterator[Refusal]:
+def flat(refusals: tuple[Rejection, ...] | list[Rejection]) -> Iterator[Rejection]:
     for refusal in refusals:
         yield refusal
         yield from flat(refusal.inner)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from small_registry import Crew, candidate, composition, equivalence, provider, registry, wish
 
-from lfield.capability.matching.explain import render
+from lfield.capability.matching.explanation import render_refusals
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.matching.search import Limits
+from lfield.capability.matching.plan_search import SearchLimits
 from lfield.capability.offer import Fact, Offer
 
 CRANE = provider("Crane", ["Lift"], payload=50.0, environment=frozenset(["terrestrial"]))
@@ -32,7 +32,7 @@ def brief(offers: list[Offer]) -> list[str]:
 
 def explained(matcher: Matcher, primitive: str, constraint: str = "") -> list[str]:
     """The lines of an explanation."""
-    return render(matcher.explain(primitive, wish(constraint) if constraint else None)).splitlines()
+    return render_refusals(matcher.explain(primitive, wish(constraint) if constraint else None)).splitlines()
 
 
 def test_agents_are_offered_directly_with_their_own_facts_before_those_of_their_type() -> None:
@@ -77,7 +77,7 @@ def test_one_agent_may_be_two_parts_unless_a_condition_forbids_it() -> None:
     matcher = Matcher(registry(ROVER, GRIP_AND_CLIMB, free), crew)
     assert brief(matcher.offers("Lift")) == ["of_alone r1"]
     assert explained(matcher, "Lift") == [
-        "grip-and-climb: no parts that fit",
+        "grip-and-climb: no suitable combination of parts",
         "  r1+r1: grip.robot and climb.robot are both r1",
     ]
 
@@ -93,7 +93,7 @@ def test_what_a_rule_does_not_state_of_the_whole_is_not_stated() -> None:
     crew = Crew(candidate("arm1", "Arm", reach=1.0), candidate("c1", "Copter", reach=1.0))
     matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew)
     assert explained(matcher, "Lift", "reach > 0.5") == [
-        "grip-and-climb: no parts that fit",
+        "grip-and-climb: no suitable combination of parts",
         "  arm1+c1: reach is not stated",
     ]
 
@@ -112,7 +112,7 @@ def test_why_the_worth_of_a_whole_is_not_known() -> None:
     crew = Crew(candidate("arm1", "Arm", noise=1.0), candidate("c1", "Copter"))
     matcher = Matcher(registry(ARM, COPTER, both), crew)
     assert explained(matcher, "Lift", "noise < 9") == [
-        "both: no parts that fit",
+        "both: no suitable combination of parts",
         "  arm1+c1: noise is not known, of b, noise is not stated",
     ]
 
@@ -132,7 +132,7 @@ def test_parts_within_reach_of_each_other() -> None:
     assert brief(matcher.offers("Lift")) == ["of_near arm1+c1"]
     only_far = Matcher(registry(ARM, COPTER, near), Crew(*crew.members[1:]))
     assert explained(only_far, "Lift") == [
-        "near: no parts that fit",
+        "near: no suitable combination of parts",
         "  arm2+c1: distance(grip, climb) 8 > climb.reach 2",
         "  arm3+c1: the position of grip is not known",
     ]
@@ -146,7 +146,7 @@ def test_rules_stand_on_rules_up_to_the_limit() -> None:
     (offer,) = matcher.offers("P0")
     assert (offer.way, offer.agent) == ("as_r0", "x")
     assert matcher.offers("Top") == []
-    assert explained(matcher, "Top")[-1].strip() == "r3: at most 4 rules stand on top of one another"
+    assert explained(matcher, "Top")[-1].strip() == "r3: at most 4 rules are chained"
 
 
 def test_a_composition_counts_as_a_rule_above_its_parts() -> None:
@@ -155,7 +155,7 @@ def test_a_composition_counts_as_a_rule_above_its_parts() -> None:
     made = registry(provider("Stepper", ["Step"]), one, two, equivalence("top", "Top", "Lift"))
     crew = Crew(candidate("s", "Stepper"))
     for depth, found in ((2, []), (3, ["as_top s"])):
-        assert brief(Matcher(made, crew, limits=Limits(depth=depth)).offers("Top")) == found
+        assert brief(Matcher(made, crew, limits=SearchLimits(depth=depth)).offers("Top")) == found
 
 
 def test_a_part_may_be_composed_itself() -> None:
@@ -265,7 +265,7 @@ def test_only_the_ways_of_the_program_are_offered() -> None:
 def test_the_best_of_each_composition_are_offered_and_the_limit_is_told() -> None:
     arms = [candidate(f"arm{i}", "Arm", payload=0.5 + i) for i in range(5)]
     crew = Crew(*arms, candidate("c1", "Copter"))
-    matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew, limits=Limits(per_rule=2))
+    matcher = Matcher(registry(ARM, COPTER, GRIP_AND_CLIMB), crew, limits=SearchLimits(per_rule=2))
     assert brief(matcher.offers("Lift")) == ["of_grip_and_climb arm4+c1", "of_grip_and_climb arm3+c1"]
     assert explained(matcher, "Lift") == []
     assert matcher.find("Lift").notes == ["grip-and-climb: only the best 2 combinations are offered"]
@@ -286,9 +286,12 @@ def test_the_best_32_are_offered_and_all_are_counted() -> None:
 def test_a_search_that_was_given_up_says_so() -> None:
     crew = Crew(*[candidate(f"r{i}", "Rover") for i in range(5)])
     never = composition("never", "Lift", {"a": "Grip", "b": "Climb"}, ["a.payload > b.payload"])
-    matcher = Matcher(registry(ROVER, never), crew, limits=Limits(combinations=3))
+    matcher = Matcher(registry(ROVER, never), crew, limits=SearchLimits(combinations=3))
     lines = explained(matcher, "Lift")
-    assert lines[0] == "never: no parts that fit; there are more combinations of parts than could be tried"
+    assert (
+        lines[0]
+        == "never: no suitable combination of parts; more combinations of parts exist than could be tried"
+    )
     assert len(lines) == 1 + 16
 
 

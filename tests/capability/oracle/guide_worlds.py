@@ -92,147 +92,147 @@ def written(tree: Tree) -> str:
 # --- drawing -------------------------------------------------------------------------------------------
 
 
-def world(dice: random.Random) -> World:
+def world(rng: random.Random) -> World:
     """A small world with something of everything."""
     made = World()
     for type in ("Crane", "Mule", "Tower", "Wagon", "Nobody"):
-        made.providers[type] = _provider(dice)
-    for name in dice.sample(["a-way", "b-way", "c-way", "d-way", "e-way"], dice.randint(0, 4)):
-        serves, by = dice.sample(PRIMITIVES, 2)
-        rule: dict[str, Any] = {"serves": serves, "by": by, "loss": dice.choice([0.0, 0.0, 0.0, 0.25])}
-        if dice.random() < 0.4:
-            rule["when"] = condition(dice, 1)
+        made.providers[type] = _provider(rng)
+    for name in rng.sample(["a-way", "b-way", "c-way", "d-way", "e-way"], rng.randint(0, 4)):
+        serves, by = rng.sample(PRIMITIVES, 2)
+        rule: dict[str, Any] = {"serves": serves, "by": by, "loss": rng.choice([0.0, 0.0, 0.0, 0.25])}
+        if rng.random() < 0.4:
+            rule["when"] = condition(rng, 1)
         made.one_to_one[name] = rule
-    for number in range(dice.randint(4, 8)):
-        _join(made, dice, f"x{number}")
+    for number in range(rng.randint(4, 8)):
+        _join(made, rng, f"x{number}")
     served = [name for _, type, _ in made.team for name in made.providers[type]["serves"]]
-    for name in dice.sample(["all-of-them", "both", "crew", "duo"], dice.randint(1, 3)):
-        made.one_to_many[name] = _whole(dice, served)
-    if dice.random() < 0.4:
-        weights = {name: dice.choice([0.0, 0.1, 1.0, 3.0]) for name in dice.sample(_WEIGHTS, 2)}
-        made.ranking = {"weights": weights, "attributes": {dice.choice(NUMBERS): dice.choice([0.0, 3.0])}}
-        made.ranking["nearby"] = dice.choice([5.0, 50.0])
+    for name in rng.sample(["all-of-them", "both", "crew", "duo"], rng.randint(1, 3)):
+        made.one_to_many[name] = _whole(rng, served)
+    if rng.random() < 0.4:
+        weights = {name: rng.choice([0.0, 0.1, 1.0, 3.0]) for name in rng.sample(_WEIGHTS, 2)}
+        made.ranking = {"weights": weights, "attributes": {rng.choice(NUMBERS): rng.choice([0.0, 3.0])}}
+        made.ranking["nearby"] = rng.choice([5.0, 50.0])
     return made
 
 
 _WEIGHTS = ("fitness", "loss", "part", "hop", "near", "age")
 
 
-def _facts(dice: random.Random, most: int) -> dict[str, Any]:
-    found: dict[str, Any] = {n: dice.choice(AMOUNTS) for n in dice.sample(NUMBERS, dice.randint(0, most))}
-    if dice.random() < 0.5:
-        found["slot"] = dice.randint(1, 3)
-    if dice.random() < 0.5:
-        found["tools"] = sorted(dice.sample(["arm", "hook", "sling"], dice.randint(1, 2)))
+def _facts(rng: random.Random, most: int) -> dict[str, Any]:
+    found: dict[str, Any] = {n: rng.choice(AMOUNTS) for n in rng.sample(NUMBERS, rng.randint(0, most))}
+    if rng.random() < 0.5:
+        found["slot"] = rng.randint(1, 3)
+    if rng.random() < 0.5:
+        found["tools"] = sorted(rng.sample(["arm", "hook", "sling"], rng.randint(1, 2)))
     return found
 
 
-def _provider(dice: random.Random) -> dict[str, Any]:
+def _provider(rng: random.Random) -> dict[str, Any]:
     serves: dict[str, Any] = {}
-    for primitive in dice.sample(PRIMITIVES, dice.randint(1, 3)):
+    for primitive in rng.sample(PRIMITIVES, rng.randint(1, 3)):
         served: dict[str, Any] = {}
-        if dice.random() < 0.3:
-            served["attributes"] = _facts(dice, 1)
-        if dice.random() < 0.2:
-            served["when"] = dice.choice([_has_tool(dice), (">=", ("is", "battery"), ("number", 0.3))])
+        if rng.random() < 0.3:
+            served["attributes"] = _facts(rng, 1)
+        if rng.random() < 0.2:
+            served["when"] = rng.choice([_has_tool(rng), (">=", ("is", "battery"), ("number", 0.3))])
         serves[primitive] = served
-    live = {n for n in ("battery", "heat") if dice.random() < 0.4}
-    if dice.random() < 0.6:
-        live |= {"north", "east"} | ({"down"} if dice.random() < 0.5 else set())
-    return {"attributes": _facts(dice, 2), "live": sorted(live), "serves": serves}
+    live = {n for n in ("battery", "heat") if rng.random() < 0.4}
+    if rng.random() < 0.6:
+        live |= {"north", "east"} | ({"down"} if rng.random() < 0.5 else set())
+    return {"attributes": _facts(rng, 2), "live": sorted(live), "serves": serves}
 
 
-def _join(made: World, dice: random.Random, name: str) -> None:
-    type = dice.choice([t for t in made.providers if t != "Nobody"])
-    made.team.append((name, type, dice.choice(HOSTS)))
-    if dice.random() < 0.5:
-        made.agents[name] = _facts(dice, 2)
-    if dice.random() < 0.1:
+def _join(made: World, rng: random.Random, name: str) -> None:
+    type = rng.choice([t for t in made.providers if t != "Nobody"])
+    made.team.append((name, type, rng.choice(HOSTS)))
+    if rng.random() < 0.5:
+        made.agents[name] = _facts(rng, 2)
+    if rng.random() < 0.1:
         made.agents.setdefault(name, {})["battery"] = 0.5
-    if dice.random() < 0.1:
+    if rng.random() < 0.1:
         made.refused[name] = "gone"
     made.told[name] = {
-        attribute: (round(dice.choice([0.0, 0.25, 1.0, 3.0, 4.0]), 3), dice.choice([0.0, 0.5, 2.0, 4.0, 9.0]))
+        attribute: (round(rng.choice([0.0, 0.25, 1.0, 3.0, 4.0]), 3), rng.choice([0.0, 0.5, 2.0, 4.0, 9.0]))
         for attribute in made.providers[type]["live"]
-        if dice.random() < 0.9
+        if rng.random() < 0.9
     }
 
 
-def _whole(dice: random.Random, served: list[str]) -> dict[str, Any]:
+def _whole(rng: random.Random, served: list[str]) -> dict[str, Any]:
     """A rule with parts, most often such that somebody serves."""
     needs = {
         part: {
-            "capability": dice.choice(served if dice.random() < 0.8 else PRIMITIVES),
-            "when": condition(dice, 1) if dice.random() < 0.2 else None,
+            "capability": rng.choice(served if rng.random() < 0.8 else PRIMITIVES),
+            "when": condition(rng, 1) if rng.random() < 0.2 else None,
         }
-        for part in ("left", "mid", "right")[: dice.choice([1, 2, 2, 2, 3])]
+        for part in ("left", "mid", "right")[: rng.choice([1, 2, 2, 2, 3])]
     }
     parts = list(needs)
-    rule: dict[str, Any] = {"serves": dice.choice(PRIMITIVES), "needs": needs, "where": [], "attributes": {}}
-    rule["loss"] = dice.choice([0.0, 0.25, 0.5])
-    if len(parts) > 1 and dice.random() < 0.5:
-        rule["distinct"] = True if dice.random() < 0.5 else dice.sample(parts, 2)
-    for _ in range(dice.choice([0, 1, 1, 2])):
-        rule["where"].append(_between(dice, *(dice.sample(parts, 2) if len(parts) > 1 else parts * 2)))
-    for name in dice.sample(NUMBERS, dice.randint(0, 2)):
+    rule: dict[str, Any] = {"serves": rng.choice(PRIMITIVES), "needs": needs, "where": [], "attributes": {}}
+    rule["loss"] = rng.choice([0.0, 0.25, 0.5])
+    if len(parts) > 1 and rng.random() < 0.5:
+        rule["distinct"] = True if rng.random() < 0.5 else rng.sample(parts, 2)
+    for _ in range(rng.choice([0, 1, 1, 2])):
+        rule["where"].append(_between(rng, *(rng.sample(parts, 2) if len(parts) > 1 else parts * 2)))
+    for name in rng.sample(NUMBERS, rng.randint(0, 2)):
         values = [("is", f"{part}.{name}") for part in parts]
         single = len(values) == 1
-        rule["attributes"][name] = values[0] if single else ("call", dice.choice(["min", "max"]), *values)
-    if dice.random() < 0.3:
+        rule["attributes"][name] = values[0] if single else ("call", rng.choice(["min", "max"]), *values)
+    if rng.random() < 0.3:
         rule["attributes"] |= {axis: ("is", f"{parts[0]}.{axis}") for axis in ("north", "east")}
-    if dice.random() < 0.3:
+    if rng.random() < 0.3:
         rule["attributes"]["slot"] = ("is", f"{parts[-1]}.slot")
     return rule
 
 
-def _between(dice: random.Random, one: str, other: str) -> Tree:
+def _between(rng: random.Random, one: str, other: str) -> Tree:
     """A condition over two parts, or over one."""
-    number = dice.choice(NUMBERS)
+    number = rng.choice(NUMBERS)
     first, second = ("is", f"{one}.{number}"), ("is", f"{other}.{number}")
-    return dice.choice(
+    return rng.choice(
         [
             ("==", ("is", f"{one}.slot"), ("is", f"{other}.slot")),
             ("==", ("is", f"{one}.tools"), ("is", f"{other}.tools")),
             ("!=", ("is", f"{one}.robot"), ("is", f"{other}.robot")),
             (">=", ("+", first, second), ("number", 2.0)),
             ("<=", first, second),
-            (dice.choice(["<", ">="]), ("call", dice.choice(["min", "max"]), first, second), ("number", 1.0)),
-            (dice.choice(["<", ">="]), ("number", 1.0), ("call", dice.choice(["min", "max"]), first, second)),
+            (rng.choice(["<", ">="]), ("call", rng.choice(["min", "max"]), first, second), ("number", 1.0)),
+            (rng.choice(["<", ">="]), ("number", 1.0), ("call", rng.choice(["min", "max"]), first, second)),
             ("<=", ("call", "distance", ("is", one), ("is", other)), ("number", 4.0))
             if one != other
             else (">=", first, ("number", 1.0)),
-            ("==", ("is", f"{one}.agent"), ("word", f"x{dice.randint(0, 3)}")),
+            ("==", ("is", f"{one}.agent"), ("word", f"x{rng.randint(0, 3)}")),
             ("||", ("==", ("is", f"{one}.slot"), ("number", 1)), (">", second, ("number", 1.0))),
         ]
     )
 
 
-def _has_tool(dice: random.Random) -> Tree:
-    return ("==", ("is", "tools"), ("word", dice.choice(["arm", "hook", "sling"])))
+def _has_tool(rng: random.Random) -> Tree:
+    return ("==", ("is", "tools"), ("word", rng.choice(["arm", "hook", "sling"])))
 
 
-def condition(dice: random.Random, depth: int) -> Tree:
+def condition(rng: random.Random, depth: int) -> Tree:
     """A condition over the attributes of one offer."""
-    if depth > 0 and dice.random() < 0.5:
-        sign = dice.choice(["&&", "&&", "||", "!"])
+    if depth > 0 and rng.random() < 0.5:
+        sign = rng.choice(["&&", "&&", "||", "!"])
         if sign == "!":
-            return ("!", condition(dice, depth - 1))
-        return (sign, condition(dice, depth - 1), condition(dice, depth - 1))
-    name = dice.choice((*NUMBERS, "battery", "slot"))
-    return dice.choice(
+            return ("!", condition(rng, depth - 1))
+        return (sign, condition(rng, depth - 1), condition(rng, depth - 1))
+    name = rng.choice((*NUMBERS, "battery", "slot"))
+    return rng.choice(
         [
-            (dice.choice(["<", "<=", ">", ">=", "=="]), ("is", name), ("number", dice.choice(AMOUNTS))),
+            (rng.choice(["<", "<=", ">", ">=", "=="]), ("is", name), ("number", rng.choice(AMOUNTS))),
             (">=", ("number", 2.0), ("is", name)),
             (">", ("+", ("is", "payload"), ("is", "reach")), ("number", 2.0)),
-            _has_tool(dice),
-            (dice.choice(["==", "!="]), ("is", "agent"), ("word", f"x{dice.randint(0, 4)}")),
-            (dice.choice(["==", "!="]), ("is", "robot"), ("word", dice.choice(HOSTS))),
+            _has_tool(rng),
+            (rng.choice(["==", "!="]), ("is", "agent"), ("word", f"x{rng.randint(0, 4)}")),
+            (rng.choice(["==", "!="]), ("is", "robot"), ("word", rng.choice(HOSTS))),
             ("<=", ("call", "distance", ("number", 1.0), ("number", 2.0)), ("number", 4.0)),
         ]
     )
 
 
-def question(made: World, dice: random.Random) -> Asked:
+def question(made: World, rng: random.Random) -> Asked:
     """A question to such a world, most often for what some rule serves."""
     rules = (*made.one_to_one.values(), *made.one_to_many.values(), *made.one_to_many.values())
     ruled = [rule["serves"] for rule in rules]
@@ -244,12 +244,12 @@ def question(made: World, dice: random.Random) -> Asked:
         ("call", "distance", ("number", 1.0), ("number", 3.0)),
         ("call", "distance", ("number", 0.0), ("number", 3.0), ("number", 1.0)),
     ]
-    chosen = dice.sample(keys, dice.choice([0, 0, 0, 1, 2]))
+    chosen = rng.sample(keys, rng.choice([0, 0, 0, 1, 2]))
     return Asked(
-        dice.choice(ruled if dice.random() < 0.8 else PRIMITIVES),
-        dice.choice(HOSTS),
-        condition(dice, 2) if dice.random() < 0.5 else None,
-        [(key, dice.random() < 0.5) for key in chosen],
-        dice.choice([None, None, None, 1, 3]),
-        dice.choice([1, 2, 2, 3, 4]),
+        rng.choice(ruled if rng.random() < 0.8 else PRIMITIVES),
+        rng.choice(HOSTS),
+        condition(rng, 2) if rng.random() < 0.5 else None,
+        [(key, rng.random() < 0.5) for key in chosen],
+        rng.choice([None, None, None, 1, 3]),
+        rng.choice([1, 2, 2, 3, 4]),
     )

@@ -6,8 +6,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
-from lfield.text.source import Diagnostics, Source
-from lfield.text.yaml_source import Listing, Mapping, Node, parse
+from lfield.text.source_text import Diagnostics, Source
+from lfield.text.yaml_source import YamlList, YamlMapping, YamlNode, parse
 
 
 def plain(text: str) -> object:
@@ -19,10 +19,10 @@ def plain(text: str) -> object:
     return _plain(node)
 
 
-def _plain(node: Node) -> object:
-    if isinstance(node, Mapping):
+def _plain(node: YamlNode) -> object:
+    if isinstance(node, YamlMapping):
         return {key: _plain(entry.value) for key, entry in node.entries.items()}
-    if isinstance(node, Listing):
+    if isinstance(node, YamlList):
         return [_plain(item) for item in node.items]
     return node.value
 

@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from registry_expectations import BASE, GOLDEN, assert_exactly, expected
 
-from lfield.capability.reading.messages import TABLE
-from lfield.capability.reading.reader import check_files
+from lfield.capability.registry_reader.messages import TABLE
+from lfield.capability.registry_reader.registry_files import check_files
 
 CASES = sorted(path for path in (GOLDEN / "errors").iterdir())
 

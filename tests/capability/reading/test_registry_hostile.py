@@ -10,8 +10,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from registry_expectations import BASE, GOLDEN
 
-from lfield.capability.reading.draft import MAX_ENTRIES
-from lfield.capability.reading.reader import check_files
+from lfield.capability.registry_reader.registry_builder import MAX_ENTRIES
+from lfield.capability.registry_reader.registry_files import check_files
 from lfield.text.yaml_source import MAX_BYTES
 
 #: Processor seconds that no file may take: a hundred times what a big and good one does.

@@ -8,13 +8,13 @@ import pytest
 from registry_expectations import BASE, GOLDEN
 
 from lfield.capability import ways
-from lfield.capability.model import Argument, Live, Registry, Weights
-from lfield.capability.reading.reader import check_files, read_registry, shipped
-from lfield.capability.types.generate import prelude
+from lfield.capability.model import Argument, LiveAttribute, Registry, Weights
+from lfield.capability.program_types.class_generator import prelude
+from lfield.capability.registry_reader.registry_files import check_files, read_registry, shipped
 from lfield.errors import InputFileError, ProgramError
-from lfield.lang.capabilities import OFFER_METHODS
-from lfield.lang.parser import parse
-from lfield.text.source import Diagnostic, Diagnostics
+from lfield.lang.capability_port import OFFER_METHODS
+from lfield.lang.parser import parse_file
+from lfield.text.source_text import Diagnostic, Diagnostics
 
 CRANE = """
 registry: 1
@@ -71,7 +71,7 @@ def test_a_provider_in_si(write) -> None:
         "legal": True,
         "chassis": "hull",
     }
-    assert crane.live["battery"] == Live(
+    assert crane.live["battery"] == LiveAttribute(
         "battery", "fc", "battery", crane.live["battery"].span, 0.01, 0.0, None, "%"
     )
     assert (crane.live["north"].index, crane.live["north"].unit) == (0, "")
@@ -303,5 +303,5 @@ def test_a_finding_is_drawn_with_a_caret_and_a_hint(write) -> None:
 
 
 def test_no_portal_may_be_named_like_what_offers_tell_of_themselves():
-    offer = parse(prelude(), Diagnostics()).units[0]
+    offer = parse_file(prelude(), Diagnostics()).units[0]
     assert {method.name for method in offer.methods if method.public} == OFFER_METHODS

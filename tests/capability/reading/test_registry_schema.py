@@ -15,11 +15,11 @@ from registry_expectations import BASE, GOLDEN
 from registry_texts import plain, registries
 
 from lfield.capability.model import AttributeType, Better, Weights
-from lfield.capability.reading.draft import MAX_NAME
-from lfield.capability.reading.reader import check_files, shipped, shipped_folder
-from lfield.capability.reading.rules import MAX_NEEDS
-from lfield.capability.reading.signatures import PORTAL_TYPES
-from lfield.lang.capabilities import OFFER_METHODS
+from lfield.capability.registry_reader.registry_builder import MAX_NAME
+from lfield.capability.registry_reader.registry_files import check_files, shipped, shipped_folder
+from lfield.capability.registry_reader.rule_reader import MAX_NEEDS
+from lfield.capability.registry_reader.unit_signatures import PORTAL_TYPES
+from lfield.lang.capability_port import OFFER_METHODS
 from lfield.manifest import Effect
 
 SCHEMA = json.loads((shipped_folder() / "schema.json").read_text(encoding="utf-8"))

@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from registry_expectations import GOLDEN
 
-from lfield.capability.reading.reader import check_files
+from lfield.capability.registry_reader.registry_files import check_files
 
 SOURCE = GOLDEN / "L" / "grip_and_climb.L"
 NAMES = [f"P{n}" for n in range(6)]

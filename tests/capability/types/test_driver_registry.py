@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from lfield.capability.reading.reader import check_files, read_registry
+from lfield.capability.registry_reader.registry_files import check_files, read_registry
 from lfield.cli.main import main
 from lfield.driver.plugin import Plugin
-from lfield.driver.plugins import Installed, Plugins
+from lfield.driver.plugins import InstalledPlugin, Plugins
 from lfield.errors import ProgramError
-from lfield.mission import load, registry_check
-from lfield.mission.load import load_mission
+from lfield.mission import loader, registry_check
+from lfield.mission.loader import load_mission
 
 PROGRAM = """include <hall/lorry.L>;
 coordinator Shift {
@@ -46,8 +46,8 @@ def hall(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (package / "capabilities.yaml").write_text(SAID)
     monkeypatch.syspath_prepend(str(tmp_path))
     plugin = Plugin("hall", "lfield_hall", "lfield_hall.driver:None", manifests=())
-    known = Plugins({"hall": Installed("hall", "lfield_hall:PLUGIN", {}, {}, "", plugin=plugin)})
-    for module in (load, registry_check):
+    known = Plugins({"hall": InstalledPlugin("hall", "lfield_hall:PLUGIN", {}, {}, "", plugin=plugin)})
+    for module in (loader, registry_check):
         monkeypatch.setattr(module, "discover", lambda: known)
     folder = tmp_path / "mission"
     folder.mkdir()

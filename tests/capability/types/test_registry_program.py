@@ -9,16 +9,16 @@ from registry_expectations import BASE, ROVER
 
 from lfield.bytecode.encoding import encode
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import check_files, read_registry
-from lfield.capability.reading.signatures import Signature, signatures_of
-from lfield.capability.types.live_units import settle_live
-from lfield.capability.types.program_check import check_against, check_classes, fulfilled
-from lfield.capability.units import known
+from lfield.capability.program_types.live_units import convert_live_units
+from lfield.capability.program_types.program_check import check_against, check_classes, satisfied
+from lfield.capability.registry_reader.registry_files import check_files, read_registry
+from lfield.capability.registry_reader.unit_signatures import Signature, signatures_of
 from lfield.driver.plugins import discover
 from lfield.errors import ProgramError
-from lfield.lang.parser import parse
-from lfield.mission.load import compile_file, load_mission
-from lfield.text.source import Diagnostics, Source
+from lfield.lang.parser import parse_file
+from lfield.mission.loader import compile_file, load_mission
+from lfield.text.source_text import Diagnostics, Source
+from lfield.units import is_unit
 
 SOURCES = sorted(Path(__file__).parents[3].glob("drivers/*/L/*.L"))
 
@@ -48,7 +48,7 @@ class Both coordinator specific {
 
 def signatures(text: str = PROGRAM) -> dict[str, Signature]:
     found = Diagnostics()
-    units = signatures_of([parse(Source("program.L", text), found)])
+    units = signatures_of([parse_file(Source("program.L", text), found)])
     assert [d.render() for d in found.found] == []
     return units
 
@@ -105,7 +105,7 @@ def test_a_live_attribute_comes_in_the_unit_of_its_manifest(tmp_path: Path) -> N
         tmp_path, "{live: {battery: fc.battery, heat: {from: fc.heat, unit: K}, down: 'fc.position[2]'}}"
     )
     found = Diagnostics()
-    settled = settle_live(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
+    settled = convert_live_units(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
     assert found.found == []
     live = settled.providers["Crane"].live
     assert {name: (source.factor, source.offset) for name, source in live.items()} == {
@@ -114,13 +114,13 @@ def test_a_live_attribute_comes_in_the_unit_of_its_manifest(tmp_path: Path) -> N
         "down": (1.0, 0.0),
     }
     # What the file says of its unit counts, also against the manifest; another program's types stay.
-    assert settle_live(registry, {}, {}, found) == registry
+    assert convert_live_units(registry, {}, {}, found) == registry
 
 
 def test_what_does_not_fit_is_left_out(tmp_path: Path) -> None:
     registry = registry_of(tmp_path, "{live: {battery: fc.battery, heat: other.heat}}")
     found = Diagnostics()
-    settled = settle_live(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
+    settled = convert_live_units(registry, {"Crane": {"fc": "Rover"}}, {"Rover": ROVER}, found)
     assert list(settled.providers["Crane"].live) == ["battery"]
     assert [d.code for d in found.found] == ["C172"]
 
@@ -129,18 +129,18 @@ def test_every_unit_of_a_driver_is_known() -> None:
     devices = discover().device_types.values()
     told = {quantity.unit for device in devices for quantity in device.telemetry}
     taken = {p.unit for device in devices for i in device.instructions for p in i.parameters}
-    assert [unit for unit in told | taken if not known(unit)] == []
+    assert [unit for unit in told | taken if not is_unit(unit)] == []
     assert "°C" in told
 
 
 def test_what_we_ship_fits_what_we_ship() -> None:
     registry, found = read_registry(), Diagnostics()
-    files = [parse(Source(str(path), path.read_text(encoding="utf-8")), found) for path in SOURCES]
+    files = [parse_file(Source(str(path), path.read_text(encoding="utf-8")), found) for path in SOURCES]
     units = signatures_of(files)
     check_against(registry, units, found)
     check_classes(registry, found)
     devices = {name: unit.devices for name, unit in units.items() if unit.kind == "resource"}
-    settle_live(registry, devices, discover().device_types, found)
+    convert_live_units(registry, devices, discover().device_types, found)
     assert [d.render() for d in found.in_order()] == []
     assert set(registry.providers) <= set(units)
 
@@ -194,6 +194,6 @@ def test_what_is_not_fulfilled_is_not_in_the_registry_of_the_hosts(tmp_path: Pat
         tmp_path,
         "{serves: {Lift: {portals: {lift: secret}}, Grip: {}}, live: {battery: gone()}}",
     )
-    crane = fulfilled(registry, signatures()).providers["Crane"]
+    crane = satisfied(registry, signatures()).providers["Crane"]
     assert (list(crane.serves), dict(crane.live)) == (["Grip"], {})
-    assert fulfilled(registry, {}) == registry
+    assert satisfied(registry, {}) == registry

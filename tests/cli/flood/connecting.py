@@ -1,4 +1,4 @@
-"""A stranger that connects without an end and sends nothing: `python connecting.py PORT KEEP`.
+"""A stranger that connects without an end and sends nothing: `python address_race.py PORT KEEP`.
 
 Prints how often it has connected, once a second. `KEEP` connections stay open, the oldest is closed first.
 """

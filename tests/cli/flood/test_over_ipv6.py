@@ -22,6 +22,7 @@ def has_ipv6() -> bool:
         return False
 
 
+@pytest.mark.few(0)
 @pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
 def test_hosts_at_addresses_of_ipv6_link_and_are_asked_and_stopped(lfield, alone):
     one, two = lfield.ports.take(2)
@@ -31,7 +32,7 @@ def test_hosts_at_addresses_of_ipv6_link_and_are_asked_and_stopped(lfield, alone
     team = ("--deploy", deployment, "--map", f"bravo=[::1]:{two}")
     up = ("up", *team, "--first-start", "--host")
     here = lfield.start(*up, "[::1]", env=alone)
-    here.wait_for(rf"is up on \[::1\]:{one}")
+    here.wait_for(rf"listening on \[::1\]:{one}")
     lfield.start(*up, "bravo", env=alone)
     here.wait_for("greeted")
     # Not at the doors of their runs, but over the network.

@@ -10,7 +10,7 @@ import pytest
 
 from lfield.cli.main import main
 
-ASK = "import sys; from lfield.cli.yes import says_yes; sys.exit(10 + says_yes('really? '))"
+ASK = "import sys; from lfield.cli.confirmation import confirm; sys.exit(10 + confirm('really? '))"
 
 
 @pytest.mark.process
@@ -33,4 +33,4 @@ def test_a_host_that_keeps_nothing_is_not_told_where(tmp_path, capsys) -> None:
     (tmp_path / "one.dL").write_text("//Post:post@home\n")
     words = ["up", str(tmp_path / "one.dL"), "--host", "home", "--volatile", "--state", str(tmp_path)]
     assert main(words) == 64
-    assert "--volatile keeps nothing, and --state says where" in capsys.readouterr().err
+    assert "--volatile runs without a journal, and --state names" in capsys.readouterr().err

@@ -69,6 +69,7 @@ def test_the_programs_of_the_thesis_print_what_it_prints(lfield, name):
     assert len(by_host) == 3
 
 
+@pytest.mark.few(0)
 @pytest.mark.timeout(240)
 def test_first_flight(lfield):
     """The product's main job: two copters on fakes, one policy that travels between them."""
@@ -98,6 +99,7 @@ def test_first_flight(lfield):
     assert lfield.left() == []
 
 
+@pytest.mark.few(0)
 @pytest.mark.timeout(240)
 def test_mixed_team(lfield):
     """Three drivers on three hosts: a parcel goes from a copter to a gripper, under the hook of a winch."""
@@ -116,10 +118,11 @@ def test_mixed_team(lfield):
     assert "at 1.20 m" in steps[1][1]
     assert "closed on nothing" not in team.said
     for device, state in (("carrier.fc", "land"), ("hoist.axis", "brake"), ("hand.motor", "torque_hold")):
-        assert f"{device}: is in its safe state '{state}': the host is stopping" in team.said
+        assert f"{device} in safe state '{state}': the host is stopping" in team.said
     assert lfield.left() == []
 
 
+@pytest.mark.few(0)
 @pytest.mark.timeout(360)
 def test_two_carry_one(lfield):
     """Two of four copters carry a beam, by a rule of the mission's, and the others bring crates.

@@ -14,6 +14,7 @@ coordinator Pilot {
 """
 
 
+@pytest.mark.few(0)
 def test_what_lies_beside_a_mission_is_no_module_of_its_processes(here, lfield):
     """Neither of the hosts, nor of their guards, fakes and compilers, nor of what builds the bundle."""
     deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n")

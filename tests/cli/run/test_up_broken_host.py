@@ -16,7 +16,7 @@ coordinator Pilot {
 #: Loaded by Python before anything else: soon after the line of the coordinator nothing works in the host.
 BROKEN = """
 import lfield.host.core as core
-import lfield.host.team.world as world
+import lfield.host.team.host_services as world
 import os
 
 going_on, air = core.HostCore.run, []
@@ -26,13 +26,13 @@ def run(self):
         raise ZeroDivisionError("planted")
     return going_on(self)
 
-say = world.HostWorld.log
+say = world.HostServices.log
 
 def log(self, agent, text):
     air.append(text)
     say(self, agent, text)
 
-core.HostCore.run, world.HostWorld.log = run, log
+core.HostCore.run, world.HostServices.log = run, log
 """
 
 
@@ -44,5 +44,5 @@ def test_a_host_with_a_bug_ends_with_70_and_its_copter_lands(lfield):
     host = lfield.start(*words, env=path)
     status = host.wait()
     assert status == 70, host.said
-    assert "alpha ends because of a bug in lfield itself: ZeroDivisionError: planted" in host.said
-    assert "lead.fc: is in its safe state 'land'" in host.said
+    assert "alpha stopped: bug in lfield: ZeroDivisionError: planted" in host.said
+    assert "lead.fc in safe state 'land'" in host.said

@@ -30,19 +30,21 @@ def run(lfield):
     return to_the_end
 
 
+@pytest.mark.few(0)
 def test_a_dump_is_for_its_user_alone(lfield, run):
-    assert "dumped tom: lfield inspect dumps/tom.block" in run().err
+    assert "tom dumped: read it with 'lfield inspect dumps/tom.block'" in run().err
     folder = lfield.folder / "dumps"
     assert [stat.S_IMODE(path.stat().st_mode) for path in (folder, folder / "tom.block")] == [0o700, 0o600]
     assert [path.name for path in folder.iterdir()] == ["tom.block"]
 
 
+@pytest.mark.few(0)
 def test_a_dump_onto_a_fifo_is_refused_and_the_host_goes_on(lfield, run):
     dumps = lfield.folder / "dumps"
     dumps.mkdir(mode=0o700)
     os.mkfifo(dumps / "tom.block")
     path = "dumps/tom.block"
-    refused = f"cannot dump tom to {path}: cannot write {path}: it is there and is no plain file; remove it"
+    refused = f"tom not dumped to {path}: cannot write {path}: it exists and is not a plain file; remove it"
     assert refused in run().err
 
 
@@ -55,7 +57,7 @@ def test_a_folder_that_will_not_do_is_told_before_anything_moves(lfield, here, k
         why = "it is not a folder"
     elif kind == "link":
         dumps.symlink_to(elsewhere)
-        why = "it is a link; name the folder that is meant"
+        why = "it is a link; name its target instead"
     else:
         dumps.mkdir()
         dumps.chmod(0o777)

@@ -27,7 +27,7 @@ coordinator Ringer {
 DEPLOYMENT = "//Bell:bell@alpha\n//Ringer:tom@bravo?bell\n"
 
 NOT_OURS = "the peer does not speak lfield"
-NO_TLS = "its first bytes are no TLS: it is no lfield host, or one of an earlier version"
+NO_TLS = "received data is not TLS: the peer is no lfield host, or an outdated one"
 CASES = {
     "garbage": (b"\xff\xfe\x00\x01" * 500, f"{NOT_OURS}: a frame of kind 255"),
     "zeros": (bytes(5000), f"{NOT_OURS}: a frame of kind 0 and length 0"),
@@ -49,7 +49,7 @@ def alpha(shared_lfield):
     deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
     maps = shared_lfield.maps(["alpha", "bravo"])
     host = shared_lfield.start("up", "--deploy", deployment, "--host", "alpha", *maps)
-    host.address = host.wait_for(r"alpha is up on 127\.0\.0\.1:(\d+)")[1]
+    host.address = host.wait_for(r"alpha listening on 127\.0\.0\.1:(\d+)")[1]
     host.deployment, host.maps, host.keys = deployment, maps, shared_lfield.keys
     return host
 
@@ -88,9 +88,10 @@ def frames(data: bytes) -> list:
 
 def told(host, words: str) -> None:
     """Wait for the host's sentence on a caller it has shown out."""
-    host.wait_for(f"^closed a link from 127[.]0[.]0[.]1: {re.escape(words)}")
+    host.wait_for(f"^link from 127[.]0[.]0[.]1 closed: {re.escape(words)}")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
 def test_a_stranger_with_bad_bytes_hears_nothing(alpha, name):
     with connect(alpha) as sock:
@@ -104,7 +105,7 @@ def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c6010000c20303") + bytes(192))
         assert b"alpha" not in drain(sock)
-    told(alpha, "this is no TLS 1.3, or it was bent on the way")
+    told(alpha, "received data is no TLS 1.3, or was corrupted in transit")
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     with (
@@ -112,9 +113,10 @@ def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
         pytest.raises(ssl.SSLError, match="CERTIFICATE_REQUIRED"),
     ):
         sock.recv(1)
-    told(alpha, "it shows no certificate")
+    told(alpha, "peer sent no certificate")
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", CASES)
 def test_bad_bytes_of_a_host_close_one_link_and_are_told(alpha, name):
     data, words = CASES[name]
@@ -131,7 +133,7 @@ def test_a_frame_that_stops_in_the_middle(alpha):
         sock.sendall(whole[: len(whole) // 2])
         sock.shutdown(socket.SHUT_WR)
         drain(sock)
-    told(alpha, "it closed the link in the middle of a message")
+    told(alpha, "peer closed the link in the middle of a message")
 
 
 def test_a_greeting_copied_from_another_host_is_not_believed(alpha):
@@ -140,12 +142,12 @@ def test_a_greeting_copied_from_another_host_is_not_believed(alpha):
         sock.sendall(encode(Hello("observer", "observer", 0)))
         (hello,) = frames(sock.recv(65536))
     assert hello.host == "alpha"
-    for name, who in (("bravo", "host bravo calls itself alpha"), ("me", "operator only gives commands")):
+    for name, who in (("bravo", "host bravo calls itself alpha"), ("me", "operator may only send commands")):
         with connect_as(alpha, name) as sock:
             sock.sendall(encode(hello))
             said = frames(drain(sock))
         assert who in said[-1].reason
-        alpha.wait_for(f"^closed a link from 127[.]0[.]0[.]1: greeting refused: .*{who}")
+        alpha.wait_for(f"^link from 127[.]0[.]0[.]1 closed: handshake refused: .*{who}")
 
 
 def test_who_tries_again_and_again_is_told_once(alpha):
@@ -161,6 +163,7 @@ def test_who_tries_again_and_again_is_told_once(alpha):
     assert sum("a frame of kind 50" in line for line in alpha.err) == 1
 
 
+@pytest.mark.few(0)
 def test_half_a_handshake_held_open_keeps_nobody_out_and_is_closed_in_the_end(alpha, shared_lfield):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c601"))

@@ -9,7 +9,7 @@ import time
 import pytest
 
 from lfield.authority.identity import Right
-from lfield.testing.keys import Keyring
+from lfield.testing.keyring import Keyring
 
 pytestmark = pytest.mark.process
 
@@ -67,14 +67,14 @@ def test_what_is_built_from_files_is_signed_by_whoever_runs_it(lfield, made) -> 
 
 def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_path) -> None:
     maps = made()
-    assert "nobody has signed it: 'lfield sign' does" in refused(lfield, *maps)
+    assert "it is not signed: sign it with 'lfield sign'" in refused(lfield, *maps)
     # Who may only operate signs nothing, and what they build does not run either.
     mine = lfield.keys.made("person", "olga", Right.OPERATE)
     lfield.keys.put("me", mine)
     assert here("sign", "mission.lfm").status == 65
     built = lfield("up", "--deploy", "mission.dL", "--host", "alpha", *maps)
     assert lfield.status(built) == 65
-    assert "nobody has signed it" in built.said
+    assert "it is not signed" in built.said
     # Nor does what is signed by somebody of another team.
     foreign = Keyring(tmp_path / "foreign")
     foreign.sign(lfield.folder / "mission.lfm")
@@ -84,7 +84,7 @@ def test_what_nobody_has_signed_who_may_does_not_run(lfield, here, made, tmp_pat
 def test_a_bundle_that_is_refused_leaves_no_folder_and_throws_none_away(lfield, here, made) -> None:
     maps = made()
     state = lfield.folder / "kept"
-    assert "nobody has signed it" in refused(lfield, *maps, "--state", state)
+    assert "it is not signed" in refused(lfield, *maps, "--state", state)
     assert not state.exists()
     assert here("sign", "mission.lfm").status == 0
     words = ("up", "mission.lfm", *maps, "--first-start", "--until-done", "--state", state, "--host")
@@ -92,7 +92,7 @@ def test_a_bundle_that_is_refused_leaves_no_folder_and_throws_none_away(lfield, 
     journal = next(path for path in state.rglob("*") if path.is_file() and "alpha" in str(path))
     before = journal.stat().st_ino
     assert here("build", "mission.dL").status == 0
-    assert "nobody has signed it" in refused(lfield, *maps, "--state", state, "--fresh", "--yes")
+    assert "it is not signed" in refused(lfield, *maps, "--state", state, "--fresh", "--yes")
     assert journal.stat().st_ino == before
 
 
@@ -103,7 +103,7 @@ def test_a_robots_own_devices_file_needs_no_other_signature(lfield, here, made) 
     lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
     unsigned = lfield(*words, "--host", "alpha")
     assert lfield.status(unsigned) == 65
-    assert "nobody has signed it" in unsigned.said
+    assert "it is not signed" in unsigned.said
     lfield.keys.put("me", lfield.keys.made("person", "carl", Right.COMMAND))
     lfield.keys.sign(lfield.folder / "mission.lfm")
     lfield.keys.put("me", lfield.keys.made("person", "olga", Right.OPERATE))
@@ -118,7 +118,7 @@ def test_two_signed_bundles_that_differ_in_bindings_alone_do_not_link_and_both_a
     maps = made("?stays")
     assert here("sign", "mission.lfm").status == 0
     alpha = lfield.start("up", "mission.lfm", *maps, "--first-start", "--host", "alpha")
-    alpha.wait_for("is up on")
+    alpha.wait_for("listening on")
     lfield.write("mission.devices.yaml", "unreachable_after: 5\n")
     for words in (("build", "mission.dL", "-o", "other.lfm"), ("sign", "other.lfm")):
         assert here(*words).status == 0

@@ -78,7 +78,7 @@ def read_some(reading: int) -> list[bytes]:
     return lines[:-1]
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("everything", [False, True], ids=["host", "all"])
 def test_a_host_whose_output_nobody_reads_flies_on_and_answers(lfield, alone, unread, everything):
     reading, writing = unread

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from flight import Flight
+from copter_flight import Flight
 from groups import Group
 
 

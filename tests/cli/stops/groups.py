@@ -42,7 +42,7 @@ class Group:
 
     def remove(self) -> None:
         """Remove it, as soon as the processes in it that were killed have gone."""
-        end = time.monotonic() + 30
+        end = time.monotonic() + 60
         while self._folder.is_dir():
             try:
                 self._folder.rmdir()

@@ -45,14 +45,14 @@ def leave_descriptors(pid: int, spare: int) -> None:
 def knock(stack: ExitStack, address: tuple[str, int], count: int = STRANGERS) -> None:
     """Call so often, say nothing, and hold the line."""
     for _ in range(count):
-        stack.enter_context(socket.create_connection(address, timeout=10.0))
+        stack.enter_context(socket.create_connection(address, timeout=60.0))
 
 
 def flies(flown) -> bool:
     return flown.witness.armed and flown.witness.mode == "GUIDED" and flown.witness.height > 2.0
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("spare", [0, 5])
 def test_callers_that_cannot_be_let_in_end_no_flight(starved, spare):
     flown = starved(spare)
@@ -73,7 +73,7 @@ def test_an_emergency_stop_gets_through_a_crowd_of_strangers(starved):
         pressed = flown.ask("estop", "--reason", "a crowd")
         assert "alpha: lead.fc: safe" in pressed.said, flown.host.said
         flown.landed()
-    assert "closed a link from 127.0.0.1: this computer lets this host open no more links" in flown.host.err
+    assert "link from 127.0.0.1 closed: this host has reached its limit of open files" in flown.host.err
 
 
 @pytest.mark.few(0)
@@ -81,8 +81,8 @@ def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
     flown = starved(3)
     died = flown.guard
     flown.kill_guard()
-    flown.host.wait_for("cannot be started again yet: .* does not start: Too many open files")
-    flown.host.wait_for("cannot be started again yet: .* does not start: Too many open files")
+    flown.host.wait_for("not restarted: .* does not start: Too many open files")
+    flown.host.wait_for("not restarted: .* does not start: Too many open files")
     assert flown.host.popen.poll() is None
     leave_descriptors(flown.host.pid, 50)
     flown.has_a_guard_again(after=died)
@@ -91,15 +91,15 @@ def test_a_guard_that_cannot_be_started_again_is_tried_again_and_lands(starved):
     assert flown.host.wait() == 0, flown.host.said
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 def test_a_guard_that_is_never_started_again_is_named_and_its_vehicle_lands_by_itself(starved):
     flown = starved(3, within=2.0)
     flown.kill_guard()
-    flown.host.wait_for("cannot be started again yet")
+    flown.host.wait_for("guard of .* not restarted")
     flown.host.signal(signal.SIGTERM)
     assert flown.host.wait() == 3, flown.host.said
     (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
-    assert line.startswith("lead.fc: NOT SAFE: its safe state was not seen")
+    assert line.startswith("lead.fc NOT SAFE: its safe state was not confirmed")
     # The autopilot's own failsafe: its station is gone.
     flown.landed()
 
@@ -110,7 +110,7 @@ def test_a_guard_for_which_there_is_no_process_left_is_tried_again_and_lands(fli
     died = flown.guard
     group.bound(0, flown.host.pid)
     flown.kill_guard()
-    flown.host.wait_for("cannot be started again yet: .* does not start: ")
+    flown.host.wait_for("not restarted: .* does not start: ")
     assert flown.host.popen.poll() is None
     group.bound(1000)
     flown.has_a_guard_again(after=died)

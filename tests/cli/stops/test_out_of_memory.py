@@ -11,7 +11,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from flight import DEPLOYMENT, PROGRAM
+from copter_flight import DEPLOYMENT, PROGRAM
 
 pytestmark = pytest.mark.process
 
@@ -83,15 +83,17 @@ class Leaking:
         self.flown.landed()
 
 
+@pytest.mark.few(0)
 def test_a_host_that_gets_no_memory_says_so_and_ends_with_70_its_copter_on_the_ground(flight, lfield):
     lfield.write("broken/sitecustomize.py", REFUSED.format(file=str(lfield.folder / "refuse")))
     flown = flight(env={"PYTHONPATH": str(lfield.folder / "broken")})
     lfield.write("refuse", "")
     assert flown.host.wait() == 70, flown.host.said
-    assert "alpha ends because there is no memory left; its devices are made safe" in flown.host.err
+    assert "alpha stopped: out of memory; its devices go to their safe states" in flown.host.err
     flown.is_down()
 
 
+@pytest.mark.few(0)
 def test_the_copter_of_a_host_whose_memory_is_eaten_lands(flight, lfield):
     leaking = Leaking(flight, lfield, HOST, within=2.0)
     leaking.starve(2 * MIB)
@@ -104,6 +106,7 @@ def test_the_copter_of_a_host_whose_memory_is_eaten_lands(flight, lfield):
     leaking.flown.host.popen.wait(60)
 
 
+@pytest.mark.few(0)
 def test_a_guard_whose_memory_is_eaten_ends_and_the_next_one_lands_the_copter(flight, lfield):
     leaking = Leaking(flight, lfield, GUARD)
     guard = leaking.flown.guard
@@ -130,6 +133,7 @@ coordinator Greedy {
 """
 
 
+@pytest.mark.few(0)
 def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(flight, lfield):
     agents = "".join(f"//Greedy:greedy{i}@alpha?2.0\n" for i in range(6))
     flown = flight(program=PROGRAM + GREEDY, deployment=DEPLOYMENT + agents, heap="4 MiB")
@@ -142,7 +146,7 @@ def test_agents_that_take_more_than_the_host_may_have_do_not_keep_the_copter_up(
     assert flown.host.wait() in (0, 70), flown.host.said
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("victims", ["host", "guard", "host of both"])
 def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, bounded, victims):
     group = bounded("memory")
@@ -152,7 +156,7 @@ def test_what_the_kernel_kills_for_its_memory_lands_the_copter(flight, lfield, b
     leaking.starve(0)
     leaking.lands()
     if victims == "guard":
-        host.wait_for("the guard of lead.fc died with status -9; starting it again")
+        host.wait_for("guard of lead.fc died with status -9: restarting it")
         leaking.flown.has_a_guard_again(after=guard)
         assert "lead.fc" in leaking.flown.ask("ps").said
         host.signal(signal.SIGTERM)

@@ -37,7 +37,7 @@ def maps(lfield, here):
 
 def test_a_start_waits_until_a_person_wants_it_without_the_host_that_is_off(lfield, here, maps) -> None:
     alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
-    alpha.wait_for(r"^tom is not started: waiting for bravo \(it has not been linked yet\)")
+    alpha.wait_for(r"^tom not started: waiting for bravo \(no link yet\)")
     shown = here("ps", "mission.lfm", *maps)
     assert shown.status == 69
     assert any(re.search(r"alpha +tom +waits for bravo to start", line) for line in shown.out)
@@ -68,7 +68,7 @@ def test_a_host_with_an_old_bundle_is_named_by_the_digests_that_build_sign_and_i
 ) -> None:
     (old,) = (re.search(r"bundle +(\w+)", line)[1] for line in here("inspect", "mission.lfm").out[:1])
     bravo = lfield.start("up", "mission.lfm", *maps, "--host", "bravo", "--first-start")
-    bravo.wait_for("bravo is up")
+    bravo.wait_for("bravo listening ")
     lfield.mission(PROGRAM.replace("here", "there"), TEAM)
     built, signed = here("build", "mission.dL"), here("sign", "mission.lfm")
     (new,) = {re.search(r"bundle (\w+)", said.err[0])[1] for said in (built, signed)}
@@ -76,7 +76,7 @@ def test_a_host_with_an_old_bundle_is_named_by_the_digests_that_build_sign_and_i
     alpha = lfield.start("up", "mission.lfm", *maps, "--host", "alpha", "--first-start")
     why = f"alpha runs bundle {new} and bravo runs bundle {old}, which differ in their program"
     also = f"bravo runs bundle {old} and alpha runs bundle {new}, which differ in their program"
-    alpha.wait_for(rf"^tom is not started: waiting for bravo \(refused: ({why}|{also})")
+    alpha.wait_for(rf"^tom not started: waiting for bravo \(refused: ({why}|{also})")
     bravo.wait_for(f"{why}|{also}")
     shown = here("ps", "mission.lfm", *maps).out
     assert any(re.match(f"alpha refuses bravo: ({why}|{also})", line) for line in shown), shown

@@ -13,8 +13,8 @@ import threading
 import time
 
 import pytest
-from flight import BRISK, SLOW, copter, devices, landed
-from witness import Witness
+from copter_flight import BRISK, SLOW, copter, devices, landed, signal_in_a_hurry
+from mavlink_observer import MavlinkObserver
 
 pytestmark = pytest.mark.process
 
@@ -38,7 +38,7 @@ class Team:
         file = lfield.mission(PROGRAM, DEPLOYMENT, devices(endpoints, 60.0))
         words = ("up", "--deploy", file, "--all", "--until-done")
         self.run = lfield.start(*words, env=environment, **started)
-        self.witnesses = [Witness(endpoint) for endpoint in endpoints.values()]
+        self.witnesses = [MavlinkObserver(endpoint) for endpoint in endpoints.values()]
         for witness in self.witnesses:
             witness.until(lambda seen: seen.height > 2.0 and seen.armed)
 
@@ -50,7 +50,9 @@ class Team:
 
     def are_down(self) -> None:
         """They stand on the ground now."""
-        assert all(witness.height < 0.3 for witness in self.witnesses)
+        for witness in self.witnesses:
+            witness.catch_up()
+            assert witness.height < 0.3
         self.have_landed()
 
     def land(self) -> None:
@@ -117,7 +119,7 @@ class Terminal:
 
 @pytest.mark.few(0)
 def test_ctrl_c_in_a_hurry_is_one_word_and_lands_the_team_before_it_ends(team):
-    _lands_before_it_ends(team, signal.SIGINT)
+    _lands_before_it_ends(team, signal.SIGINT, signal.SIGTERM)
 
 
 @pytest.mark.few(0)
@@ -126,15 +128,14 @@ def test_another_signal_lands_the_team_too(team, number):
     _lands_before_it_ends(team, number)
 
 
-def _lands_before_it_ends(team, number: signal.Signals) -> None:
+def _lands_before_it_ends(team, *numbers: signal.Signals) -> None:
     flown = team(land=SLOW)
-    for _ in range(3):
-        flown.run.signal(number)
-        time.sleep(0.05)
+    signal_in_a_hurry(flown.run, *numbers)
     assert flown.run.wait() == 130, flown.run.said
     flown.are_down()
 
 
+@pytest.mark.few(0)
 def test_a_later_second_ctrl_c_ends_the_team_and_names_who_is_still_up(team):
     flown = team(land=("--land", "0.2", "--descend", "0.2"))
     flown.run.signal(signal.SIGINT)
@@ -146,11 +147,12 @@ def test_a_later_second_ctrl_c_ends_the_team_and_names_who_is_still_up(team):
     named = [line for line in flown.run.err if "NOT SAFE" in line]
     assert len(named) == 2
     for line, device in zip(sorted(named), ("lead.fc", "wing.fc"), strict=True):
-        assert f"{device}: NOT SAFE: it is in its safe state and not at rest: " in line
+        assert f"{device} NOT SAFE: it is in its safe state and not at rest: " in line
     # Their autopilots bring them down by themselves.
     flown.have_landed()
 
 
+@pytest.mark.few(0)
 def test_the_team_of_a_killed_parent_lands_and_ends(lfield, team):
     flown = team(land=SLOW)
     hosts = set(lfield.left())
@@ -160,6 +162,7 @@ def test_the_team_of_a_killed_parent_lands_and_ends(lfield, team):
     _ended(lfield, hosts)
 
 
+@pytest.mark.few(0)
 def test_the_team_of_a_terminal_that_is_closed_lands(lfield, team):
     terminal = Terminal()
     flown = team(land=SLOW, **terminal.options)

@@ -53,6 +53,7 @@ def team(lfield, alone):
     return page.wait_for(r"http://127\.0\.0\.1:\d+/\?token=\S+")[0], page
 
 
+@pytest.mark.few(0)
 @needs_browser
 @pytest.mark.browser
 def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
@@ -96,13 +97,14 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     browser.says("trouble", "what it shows is old")
 
 
+@pytest.mark.few(0)
 @needs_browser
 @pytest.mark.browser
 def test_a_question_is_answered_as_by_the_command(browser, team):
     link, _ = team
     browser.open(link)
     browser.thing("query").send_keys("Lift where payload >= 2.0\n")
-    browser.says("answer", "nobody can")
+    browser.says("answer", "no agent can")
     browser.thing("query").clear()
     browser.thing("query").send_keys("Lift where payloud >= 2.0\n")
     browser.says("answer", "payloud")
@@ -148,11 +150,14 @@ def test_without_nicegui_the_sentence_says_what_to_install(here, lfield, monkeyp
 def test_a_page_of_a_team_that_is_not_there_waits_for_it(lfield, alone):
     page = lfield.start("watch", "--deploy", lfield.mission(PROGRAM, DEPLOYMENT), env=alone)
     page.wait_for("open this link: ")
-    page.wait_for("nobody runs .*mission.dL on this computer: the page waits for alpha at .* and bravo at ")
+    page.wait_for(
+        ".*mission.dL is not running on this computer: the page waits for alpha at .* and bravo at "
+    )
     page.signal(signal.SIGINT)
     assert page.wait() == 130, page.said
 
 
+@pytest.mark.few(0)
 @needs_browser
 @pytest.mark.browser
 def test_ctrl_c_twice_after_a_browser_ends_it_as_once(browser, lfield, alone):

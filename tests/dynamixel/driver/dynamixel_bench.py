@@ -9,9 +9,9 @@ from typing import Any
 from lfield.testing.driver_bench import DriverBench, bind
 from lfield_dynamixel import PLUGIN
 from lfield_dynamixel.driver import DynamixelDriver
-from lfield_sim.dynamixel.ax import make_servo
-from lfield_sim.dynamixel.chain import Chain
-from lfield_sim.dynamixel.model import BAUDS, model_named
+from lfield_sim.dynamixel.ax_series import make_servo
+from lfield_sim.dynamixel.servo_chain import ServoChain
+from lfield_sim.dynamixel.servo_model import BAUDS, model_named
 
 BAUD = 1_000_000
 #: Its code in the register of an AX.
@@ -24,7 +24,7 @@ class MemoryPort:
 
     baud, latency = BAUD, 0.0
 
-    def __init__(self, chain: Chain) -> None:
+    def __init__(self, chain: ServoChain) -> None:
         self.chain, self.plugged = chain, True
         self.sent: list[tuple[float, bytes]] = []
 
@@ -74,7 +74,7 @@ class Bench(DriverBench):
             servo.table.put("id", number)
             servo.table.put("baud_rate", BAUDS.index(BAUD) if servo.protocol == 2 else AX_BAUD)
         self.servos = dict(zip(numbers, servos, strict=True))
-        self.port = MemoryPort(Chain(servos))
+        self.port = MemoryPort(ServoChain(servos))
         group = len(numbers) > 1
         self.binding = bind(
             PLUGIN, "DynamixelGroup" if group else "Dynamixel", agent="alpha", field="joint",
@@ -86,7 +86,7 @@ class Bench(DriverBench):
         super().__init__(PLUGIN, self.binding, *extra, make=make)
 
     @property
-    def chain(self) -> Chain:
+    def chain(self) -> ServoChain:
         return self.port.chain
 
     @property

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.errors import DeviceError
-from lfield_dynamixel.bus.chain import FAST_AGAIN, Chain, Node
 from lfield_dynamixel.bus.packets import EchoFilter, Protocol1, Protocol2, Reader1, Status, harmless
-from lfield_sim.dynamixel.ax import make_servo
-from lfield_sim.dynamixel.model import model_named
+from lfield_dynamixel.bus.servo_chain import FAST_RETRY_READS, Chain, Node
+from lfield_sim.dynamixel.ax_series import make_servo
+from lfield_sim.dynamixel.servo_model import model_named
 
-ECHO = "the adapter returns what is sent (echo); it is taken out"
+ECHO = "echo removed: the adapter returns what is sent"
 
 
 def bench(protocol: int, *ids: int, **more) -> Bench:
@@ -114,9 +114,9 @@ def test_a_servo_that_dies_behind_an_echo_is_missed_and_found(protocol):
 
     async def story(servo):
         b.fault("dead@1=true")
-        await b.until(lambda: any("does not answer any more" in note for note in b.notes))
+        await b.until(lambda: any("not responding" in note for note in b.notes))
         b.fault("dead@1=false")
-        await b.until(lambda: any("answers again" in note for note in b.notes))
+        await b.until(lambda: any("responding again" in note for note in b.notes))
 
     b.run(story)
 
@@ -204,7 +204,7 @@ def test_what_looks_for_the_echo_does_nothing(codec):
 
 @pytest.mark.parametrize("protocol", [1, 2])
 @pytest.mark.parametrize(
-    ("delay", "words"), [(254, "two servos answer to the id 1"), (None, "come damaged: look whether two")]
+    ("delay", "words"), [(254, "two servos answer to the id 1"), (None, "are damaged: check whether two")]
 )
 def test_two_servos_with_one_id_are_named(protocol, delay, words):
     b = bench(protocol, 1)
@@ -225,7 +225,7 @@ def test_a_second_servo_that_joins_is_named_and_nothing_moves():
     async def story(servo):
         await call(servo, "torque", True)
         b.fault("dead@1=true")
-        await b.until(lambda: any("does not answer any more" in note for note in b.notes))
+        await b.until(lambda: any("not responding" in note for note in b.notes))
         twin(b, 1, delay=254)
         b.fault("dead@1=false")
         await b.until(lambda: any("two servos answer to the id 1" in note for note in b.notes))
@@ -233,7 +233,7 @@ def test_a_second_servo_that_joins_is_named_and_nothing_moves():
             await call(servo, "moveTo", 0.5)
         await asyncio.sleep(5.0)
         b.chain.servos.pop()
-        await b.until(lambda: any("answers again" in note for note in b.notes))
+        await b.until(lambda: any("responding again" in note for note in b.notes))
         await call(servo, "torque", True)
         await call(servo, "moveTo", 0.5)
 
@@ -318,7 +318,7 @@ def test_fast_reads_that_failed_are_tried_again():
     async def story():
         assert await read(10) == [False]
         bus.knows_fast = True
-        await read(FAST_AGAIN)
+        await read(FAST_RETRY_READS)
         assert await read(1) == [True]
         assert await read(10) == [True]
 

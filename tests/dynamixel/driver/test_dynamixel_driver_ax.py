@@ -8,7 +8,7 @@ import math
 import pytest
 from dynamixel_bench import Bench, call
 
-from lfield.errors import DeviceError, NotSetUp
+from lfield.errors import DeviceError, DeviceNotSetUp
 
 
 def ax(*ids: int, **more) -> Bench:
@@ -60,7 +60,7 @@ def test_what_it_keeps_is_not_written_at_opening():
     bench.servos[4].table.put("status_return_level", 1)
 
     async def story(servo):
-        with pytest.raises(NotSetUp, match="status_return_level of servo 4 is 1 and must be 2"):
+        with pytest.raises(DeviceNotSetUp, match="status_return_level of servo 4 is 1 and must be 2"):
             await servo.open()
         assert bench.servos[4].table["status_return_level"] == 1
         (setting,) = await servo.settings()
@@ -76,11 +76,11 @@ def test_what_it_keeps_is_not_written_at_opening():
     ("instruction", "match"),
     [
         (("mode", "velocity"), "it has no operating mode"),
-        (("setVelocity", 1.0), "needs the mode velocity"),
-        (("setCurrent", 0.1), "measures no current"),
+        (("setVelocity", 1.0), "requires the mode velocity"),
+        (("setCurrent", 0.1), "does not measure its current"),
         (("calibrate", 0.0), "it has no homing offset"),
-        (("reboot",), "knows no reboot"),
-        (("moveTo", 2.7), "only goes from -2.62"),
+        (("reboot",), "does not support reboot"),
+        (("moveTo", 2.7), "only moves from -2.62"),
     ],
 )
 def test_what_it_cannot_do_is_said(instruction, match):
@@ -130,7 +130,7 @@ def test_overload_is_told():
     async def story(servo):
         await call(servo, "torque", True)
         bench.fault("overload=true")
-        with pytest.raises(DeviceError, match=r"has shut down: .*; torque\(true\) brings it back"):
+        with pytest.raises(DeviceError, match=r"has shut down: .*; torque\(true\) restores it"):
             await call(servo, "moveTo", 1.0)
         bench.fault("overload=false")
         await asyncio.sleep(2.0)

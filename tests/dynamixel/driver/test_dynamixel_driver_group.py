@@ -68,9 +68,9 @@ def test_one_that_is_missing_is_named_and_has_no_number():
         bench.fault("dead@2=false")
         await asyncio.sleep(1.0)
         assert bench.values["missing"] == []
-        told = [note for note in bench.notes if "servo 2" in note and "answer" in note]
-        assert told[0] == "servo 2 does not answer any more; it is looked for"
-        assert told[1].startswith("servo 2 answers again: torque on, stopped by its watchdog")
+        told = [note for note in bench.notes if "servo 2" in note and "respond" in note]
+        assert told[0] == "servo 2 not responding; retrying"
+        assert told[1].startswith("servo 2 responding again: torque on, stopped by its watchdog")
         assert len(told) == 2
 
     bench.run(story)
@@ -184,7 +184,7 @@ def test_opening_names_all_that_are_missing():
 def test_as_many_angles_as_members():
     async def story(group):
         await stiff(group)
-        with pytest.raises(DeviceError, match="needs 2 angles, one for each id, not 3"):
+        with pytest.raises(DeviceError, match="requires 2 angles, one for each id, not 3"):
             await call(group, "moveTo", [0.0, 0.0, 0.0])
         with pytest.raises(DeviceError, match="outside"):
             await call(group, "setPositions", [0.0, math.nan])
@@ -207,7 +207,7 @@ def test_a_servo_belongs_to_one_device():
         options={"id": 2, "protocol": 2, "model": ""},
     )  # fmt: skip
     bench = Bench(1, 2, extra=[other])
-    with pytest.raises(DeviceError, match=r"servo 2 on .* is alpha\.joint's already"):
+    with pytest.raises(DeviceError, match=r"servo 2 on .* already belongs to alpha\.joint"):
         bench.run(lambda group: group.open())
 
 
@@ -252,7 +252,7 @@ def test_one_that_lost_its_power_is_set_up_again():
         bench.fault("dead@2=false")
         await asyncio.sleep(2.0)
         assert bench.servos[2].table["bus_watchdog"] == 50
-        assert "servo 2 answers again: torque off, restarted" in bench.notes
+        assert "servo 2 responding again: torque off, restarted" in bench.notes
         assert not bench.values["torqueOn"]
 
     bench.run(story)

@@ -9,8 +9,8 @@ import pytest
 from dynamixel_bench import Bench, call
 
 from lfield.errors import DeviceError
-from lfield_sim.dynamixel.model import DRIVE_MODES, DUAL_DRIVE_MODES
-from lfield_sim.dynamixel.motion import COUNTS
+from lfield_sim.dynamixel.servo_model import DRIVE_MODES, DUAL_DRIVE_MODES
+from lfield_sim.dynamixel.servo_motion import COUNTS
 
 REVERSE, SLAVE, TIME_BASED, TORQUE_BY_GOAL = 1, 2, 4, 8
 
@@ -94,7 +94,7 @@ def test_limits_are_in_the_direction_of_the_servo(drive_mode):
     async def story(servo):
         await call(servo, "setRange", 0.0, 1.0)
         await call(servo, "torque", True)
-        with pytest.raises(DeviceError, match=r"only goes from 0\.000 to"):
+        with pytest.raises(DeviceError, match=r"only moves from 0\.000 to"):
             await call(servo, "moveTo", -0.5)
         await call(servo, "moveTo", 1.0)
         assert (motor.angle - begun) * way(drive_mode) == pytest.approx(1.0, abs=0.02)
@@ -136,7 +136,7 @@ def test_a_way_that_is_longer_than_a_profile_is_refused_not_hurried():
     async def story(servo):
         await call(servo, "mode", "extended")
         await call(servo, "torque", True)
-        with pytest.raises(DeviceError, match=r"takes 35\.0 s for this way at 0\.2 rad/s"):
+        with pytest.raises(DeviceError, match=r"takes 35\.0 s for this motion at 0\.2 rad/s"):
             await call(servo, "moveTo", 7.0)
         await call(servo, "moveTo", 1.0)
 

@@ -8,7 +8,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from lfield_dynamixel.bus.packets import (
-    KEPT,
+    MAX_BUFFER,
     Protocol1,
     Protocol2,
     Reader1,
@@ -123,7 +123,7 @@ def test_any_bytes_at_all(reader, chunks):
     for chunk in chunks:
         for status in taken.feed(chunk):
             assert 0 <= status.number <= 255
-        assert len(taken._buffer) <= KEPT
+        assert len(taken._buffer) <= MAX_BUFFER
 
 
 @given(st.binary(min_size=15, max_size=15), st.integers(0, 25), st.integers(1, 255))

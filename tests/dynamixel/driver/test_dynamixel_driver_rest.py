@@ -113,13 +113,13 @@ def test_what_was_measured_before_a_stop_is_no_rest():
 
     async def story(servo):
         await under_way(servo, 1.5)
-        at, seen = servo._seen[1]
-        servo._seen[1] = (at, replace(seen, velocity=0.0))  # as it was before it set out
+        at, seen = servo._readings[1]
+        servo._readings[1] = (at, replace(seen, velocity=0.0))  # as it was before it set out
         turned = bench.servos[1].motion.motor.speed
         await servo.make_safe()
         told = servo.moving()
-        assert servo._seen[1][0] > at
+        assert servo._readings[1][0] > at
         assert turned
-        assert bool(told) == (abs(servo._seen[1][1].velocity) > 0.2), told
+        assert bool(told) == (abs(servo._readings[1][1].velocity) > 0.2), told
 
     bench.run(story)

@@ -97,7 +97,9 @@ def test_velocity_and_current_need_their_mode():
 
     async def story(servo):
         await stiff(servo)
-        with pytest.raises(DeviceError, match="setVelocity needs the mode velocity; servo 1 is in position"):
+        with pytest.raises(
+            DeviceError, match="setVelocity requires the mode velocity; servo 1 is in position"
+        ):
             await call(servo, "setVelocity", 1.0)
         await call(servo, "mode", "velocity")
         assert bench.servos[1].table["operating_mode"] == 1
@@ -121,12 +123,12 @@ def test_velocity_and_current_need_their_mode():
         (("moveTo", 2.0), "2 rad is outside -1 to 1.5 rad"),
         (("setPosition", math.inf), "inf rad is outside"),
         (("setProfile", 9.0, 1.0), "9 rad/s is above the limit of 4 rad/s"),
-        (("setProfile", -1.0, 1.0), "finite numbers from 0"),
-        (("setProfile", 1.0, NAN), "finite numbers from 0"),
+        (("setProfile", -1.0, 1.0), "finite numbers of at least 0"),
+        (("setProfile", 1.0, NAN), "finite numbers of at least 0"),
         (("setVelocity", NAN), "nan rad/s is above the limit"),
         (("setCurrent", NAN), "nan A is above the limit"),
         (("moveUntil", 0.5, 9.0), "9 A is above the limit of 0.6 A"),
-        (("moveUntil", 0.5, 0.3), "needs the mode currentPosition"),
+        (("moveUntil", 0.5, 0.3), "requires the mode currentPosition"),
         (("moveUntil", 0.5, -0.3), "a current above 0"),
         (("mode", "sideways"), "has no mode 'sideways'"),
         (("calibrate", NAN), "finite angle"),
@@ -142,7 +144,7 @@ def test_what_is_refused_before_anything_is_sent(instruction, match):
 def test_its_own_position_limits_are_told_in_words():
     bench = Bench()
     bench.servos[1].table.put("max_position_limit", 2500)
-    refused(bench, "moveTo", 1.0, match="only goes from -3.142 to 0.693 rad")
+    refused(bench, "moveTo", 1.0, match="only moves from -3.142 to 0.693 rad")
 
 
 def test_a_limp_servo_is_not_moved():
@@ -170,7 +172,7 @@ def test_a_model_without_current_says_so():
         pass
 
     bench = Bench(fake="XL430-W250")
-    refused(bench, "moveUntil", 0.1, 0.2, match="a XL430-W250 measures no current", prepare=nothing)
+    refused(bench, "moveUntil", 0.1, 0.2, match="a XL430-W250 does not measure its current", prepare=nothing)
     assert math.isnan(bench.values["current"])
 
 
@@ -198,9 +200,7 @@ def test_overload_shuts_down_is_told_and_reboot_cures_it():
         await asyncio.sleep(3.0)
         assert bench.values["fault"] == "overload"
         assert not bench.values["torqueOn"]
-        assert [note for note in bench.notes if "overload" in note] == [
-            "servo 1: overload; the torque is off"
-        ]
+        assert [note for note in bench.notes if "overload" in note] == ["servo 1 fault: overload; torque off"]
         with pytest.raises(DeviceError, match=r"has shut down: overload; reboot\(\)"):
             await call(servo, "torque", True)
         bench.fault("overload=false")
@@ -260,7 +260,7 @@ def test_the_range_is_written_with_the_torque_off_and_restored():
         table = bench.servos[1].table
         assert (table["min_position_limit"], table["max_position_limit"]) == (1722, 2374)
         assert table["torque_enable"] == 1
-        with pytest.raises(DeviceError, match=r"only goes from -0\.500 to 0\.500"):
+        with pytest.raises(DeviceError, match=r"only moves from -0\.500 to 0\.500"):
             await call(servo, "moveTo", 0.6)
 
     bench.run(story)
@@ -374,7 +374,7 @@ def test_a_silent_owner_lets_the_watchdog_fire_and_only_release_frees_it():
         await servo.make_safe()  # stopped by its watchdog is stopped
         bench.driver.resume()
         await asyncio.sleep(1.0)
-        assert "servo 1 was stopped by its own watchdog; release() frees it" in bench.notes
+        assert "servo 1 stopped by its own watchdog; release() frees it" in bench.notes
         with pytest.raises(DeviceError, match=r"stopped by its own watchdog; call release\(\)"):
             await call(servo, "moveTo", 0.0)
         place = bench.values["position"]
@@ -418,8 +418,8 @@ def test_a_servo_that_answers_pings_only_is_told_to_answer():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"model": "XM430-W350"}, "is a XL330-M288; its binding says"),
-        ({"id": 9}, "servo 9 does not answer: is"),
+        ({"model": "XM430-W350"}, "is a XL330-M288, but its binding says"),
+        ({"id": 9}, "servo 9 does not answer: check"),
     ],
 )
 def test_who_is_not_the_one_is_not_opened(options, match):

@@ -9,11 +9,11 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from lfield_dynamixel.bus.chain import Chain, Node
+from lfield_dynamixel.bus.error_text import fault_text, has_alert, refusal_text
 from lfield_dynamixel.bus.packets import Status
-from lfield_dynamixel.bus.words import alerted, faults, refusal
+from lfield_dynamixel.bus.servo_chain import Chain, Node
+from lfield_dynamixel.control_tables import Item, Model, models
 from lfield_dynamixel.servo import MODES, Servo, condition, present
-from lfield_dynamixel.tables import Item, Model, models
 
 X = models()[2, 1200]
 AX = models()[1, 12]
@@ -42,6 +42,7 @@ def test_a_goal_with_its_profile_is_one_write(model: Model):
     assert all(a.address + a.size == b.address for a, b in pairwise(items))
 
 
+@pytest.mark.few(4)
 @EVERY
 @given(angle=st.floats(-2.6, 2.6))
 def test_angles_come_back(model: Model, angle: float):
@@ -63,6 +64,7 @@ def test_values_with_a_direction(value):
     assert AX.items["present_velocity"].decode(raw.to_bytes(2, "little"), 38) == value
 
 
+@pytest.mark.few(4)
 @EVERY
 @given(data=st.data(), error=st.integers(0, 255))
 def test_any_bytes_are_some_state(model: Model, data, error):
@@ -107,11 +109,11 @@ def test_the_figures_of_the_manual():
 @given(st.integers(0, 255))
 def test_every_error_byte_has_words(error):
     status = Status(1, error, b"")
-    assert bool(refusal(2, status)) == bool(error & 0x7F)
-    assert isinstance(refusal(1, status), str)
-    assert alerted(1, status) == bool(error & 0b100101)
-    assert alerted(2, status) == (error >= 0x80)
-    assert "overload" in faults(2, error | 0x20)
+    assert bool(refusal_text(2, status)) == bool(error & 0x7F)
+    assert isinstance(refusal_text(1, status), str)
+    assert has_alert(1, status) == bool(error & 0b100101)
+    assert has_alert(2, status) == (error >= 0x80)
+    assert "overload" in fault_text(2, error | 0x20)
 
 
 def test_the_modes_are_the_manuals():

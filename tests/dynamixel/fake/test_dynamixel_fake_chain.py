@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lfield_sim.dynamixel.chain import Chain
-from lfield_sim.dynamixel.model import model_named
 from lfield_sim.dynamixel.packets import Instruction, crc16, encode, encode1, unstuff
 from lfield_sim.dynamixel.servo import Servo
+from lfield_sim.dynamixel.servo_chain import ServoChain
+from lfield_sim.dynamixel.servo_model import model_named
 
 PING, READ, WRITE, REG_WRITE, ACTION = 1, 2, 3, 4, 5
 RESET, REBOOT, CLEAR, BROADCAST = 6, 8, 0x10, 0xFE
@@ -43,7 +43,7 @@ class Bus:
             servos.append(Servo(model_named(model)))
             for name, value in {"id": id, **settings}.items():
                 servos[-1].table.put(name, value)
-        self.chain = Chain(servos)
+        self.chain = ServoChain(servos)
         self.now, self.baud = 1.0, None
 
     def send(self, raw: bytes) -> bytes:

@@ -9,11 +9,18 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from lfield_sim.dynamixel.ax import make_servo
-from lfield_sim.dynamixel.model import MODELS, model_named
-from lfield_sim.dynamixel.motion import ACCELERATION_UNIT, COUNTS, VELOCITY_UNIT
-from lfield_sim.dynamixel.profile import RECTANGULAR, STEP, TRAPEZOIDAL, TRIANGULAR, Profile, timed
-from lfield_sim.dynamixel.table import Refused
+from lfield_sim.dynamixel.ax_series import make_servo
+from lfield_sim.dynamixel.control_table import InstructionRefused
+from lfield_sim.dynamixel.motion_profile import (
+    RECTANGULAR,
+    STEP,
+    TRAPEZOIDAL,
+    TRIANGULAR,
+    MotionProfile,
+    timed,
+)
+from lfield_sim.dynamixel.servo_model import MODELS, model_named
+from lfield_sim.dynamixel.servo_motion import ACCELERATION_UNIT, COUNTS, VELOCITY_UNIT
 
 
 class Bench:
@@ -42,7 +49,7 @@ class Bench:
             self.now = min(end, self.now + 0.02)
             self.servo.advance(self.now)
             if listening:
-                self.servo.hear(self.now)
+                self.servo.on_packet(self.now)
         return self
 
 
@@ -54,7 +61,7 @@ speeds = st.floats(1.0, 1e5)
 
 @given(places, st.floats(-1e4, 1e4), places, speeds, speeds)
 def test_a_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastest, acceleration):
-    profile = Profile(start, speed, goal, fastest, acceleration)
+    profile = MotionProfile(start, speed, goal, fastest, acceleration)
     assert profile.at(profile.duration + 1.0) == (goal, 0.0)
     most, before, last = max(fastest, abs(speed)), speed, 0.0
     for number in range(201):
@@ -73,15 +80,15 @@ def test_a_profile_reaches_its_goal_within_its_bounds(start, speed, goal, fastes
 @given(places, places, st.floats(0.01, 30.0), st.floats(0.0, 30.0))
 def test_a_timed_profile_takes_its_time(start, goal, total, rising):
     assume(abs(goal - start) > 1.0)
-    profile = Profile(start, 0.0, goal, *timed(goal - start, total, rising))
+    profile = MotionProfile(start, 0.0, goal, *timed(goal - start, total, rising))
     assert profile.duration == pytest.approx(total, rel=1e-6)
 
 
 def test_kinds_of_profiles():
-    assert Profile(0, 0, 100, math.inf, 10.0).kind == STEP
-    assert Profile(0, 0, 100, 10.0, math.inf).kind == RECTANGULAR
-    assert Profile(0, 0, 100, 10.0, 10.0).kind == TRAPEZOIDAL
-    assert Profile(0, 0, 100, 1000.0, 10.0).kind == TRIANGULAR
+    assert MotionProfile(0, 0, 100, math.inf, 10.0).kind == STEP
+    assert MotionProfile(0, 0, 100, 10.0, math.inf).kind == RECTANGULAR
+    assert MotionProfile(0, 0, 100, 10.0, 10.0).kind == TRAPEZOIDAL
+    assert MotionProfile(0, 0, 100, 1000.0, 10.0).kind == TRIANGULAR
 
 
 # ---- operating modes --------------------------------------------------------------------------------
@@ -256,7 +263,7 @@ def test_the_bus_watchdog_stops_it_and_keeps_goals_read_only():
     bench.wait(0.5, listening=False)
     assert (bench["bus_watchdog"], bench["present_velocity"], bench["torque_enable"]) == (255, 0, 1)
     for name, value in (("goal_velocity", 50), ("bus_watchdog", 10)):
-        with pytest.raises(Refused, match="RANGE"):
+        with pytest.raises(InstructionRefused, match="RANGE"):
             bench[name] = value
     bench["bus_watchdog"] = 0
     bench["goal_velocity"] = 50
@@ -305,7 +312,7 @@ def test_an_ax_as_a_wheel():
 def test_an_ax_refuses_goals_beyond_its_angles_and_locks():
     bench = Bench("AX-12A", cw_angle_limit=300, lock=1)
     for name, value, reason in (("goal_position", 200, "LIMIT"), ("id", 5, "ACCESS"), ("lock", 0, "RANGE")):
-        with pytest.raises(Refused, match=reason):
+        with pytest.raises(InstructionRefused, match=reason):
             bench[name] = value
 
 
@@ -330,7 +337,7 @@ def test_whatever_is_written_nothing_breaks(model, writes):
     bench = Bench(model)
     names = sorted(bench.servo.model.items)
     for number, value in writes:
-        with contextlib.suppress(Refused):
+        with contextlib.suppress(InstructionRefused):
             bench[names[number % len(names)]] = value
         bench.wait(0.06)
     assert len(bench.servo.read(0, 50)) == 50

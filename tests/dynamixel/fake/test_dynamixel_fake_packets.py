@@ -41,7 +41,7 @@ def test_examples_of_the_manual(raw, id, instruction, parameters):
         instruction,
         bytes.fromhex(parameters).hex(),
     )
-    assert read.sound
+    assert read.is_valid
     assert read.size == len(packet)
 
 
@@ -76,7 +76,7 @@ def test_packets_come_back_however_they_are_cut(id, instruction, parameters, cut
         parameters = parameters[:200]
         raw = make(id, instruction, parameters)
         found = [p for at in range(0, len(raw), cut) for p in codec.feed(raw[at : at + cut])]
-        assert [(p.id, p.instruction, p.parameters, p.sound) for p in found] == [
+        assert [(p.id, p.instruction, p.parameters, p.is_valid) for p in found] == [
             (id, instruction, parameters, True)
         ]
 
@@ -90,14 +90,14 @@ def test_noise_is_skipped_and_the_next_packet_is_found(pieces):
     packet = encode(7, 2, b"\x84\x00\x04\x00")
     # A broken length may hide one packet; the header of the next ends it.
     found = codec.feed(packet) + codec.feed(packet)
-    assert [p.id for p in found if p.sound][-1:] == [7]
+    assert [p.id for p in found if p.is_valid][-1:] == [7]
 
 
 @given(st.integers(7, 12), st.integers(1, 255))
 def test_a_wrong_byte_is_noticed(place, change):
     raw = bytearray(encode(1, 2, b"\x84\x00\x04\x00"))
     raw[place] ^= change
-    assert [p.sound for p in Codec2().feed(bytes(raw))] == [False]
+    assert [p.is_valid for p in Codec2().feed(bytes(raw))] == [False]
 
 
 def test_a_shared_status_ends_every_block_with_the_sum_of_all_before():

@@ -45,7 +45,7 @@ async def up(team, program: str, access: str = RULES, **options):
 def test_what_may_not_be_called_is_not_offered_and_explained(fleet):
     async def story(team):
         alpha, _ = await up(team, IDLE)
-        world = alpha.host.core.world
+        world = alpha.host.core.services
         for _ in range(2):
             # One host answers for both in turn: each hears what is so for itself.
             assert [found.agent for found in world.offers(FOREMAN, "Lift", None)] == ["near", "far"]

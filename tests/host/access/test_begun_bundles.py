@@ -7,20 +7,20 @@ from dataclasses import replace
 
 import pytest
 
-from lfield.authority.admission import Judged
-from lfield.authority.believed import BelievedTime
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.bundle_signature import sign_bundle
+from lfield.authority.certificate_reader import identity_in
 from lfield.authority.identity import Right
-from lfield.authority.judge import Revoked
-from lfield.authority.reading import identity_in
-from lfield.authority.signature import sign
+from lfield.authority.peer_verification import RevocationList
+from lfield.authority.trusted_clock import TrustedClock
 from lfield.clock import SystemClock
 from lfield.errors import SignatureError
-from lfield.host.process.proving import Proof, insist_on_signature
-from lfield.host.team.keeping import Recovery
-from lfield.journal.pages import BundlePage, CopyPage
-from lfield.mission.access.release import Release
-from lfield.testing.keys import Keyring
-from lfield.wire.coordinators import Known
+from lfield.host.migration.write_ahead import JournalContents
+from lfield.host.process.credentials import HostCredentials, require_signature
+from lfield.journal.records import BundleRecord, CoordinatorRecord
+from lfield.mission.access.signed_bundle import BundleId
+from lfield.testing.keyring import Keyring
+from lfield.wire.coordinator_messages import CoordinatorState
 
 PROGRAM = """
 resource Echo { init(string[] arg) { } portal say() { sleep(1.0); } }
@@ -35,11 +35,11 @@ DIGEST = b"b" * 32
 
 
 def kept(team, host):
-    return [page.digest for page in team.disks[host].pages() if isinstance(page, BundlePage)]
+    return [page.digest for page in team.disks[host].pages() if isinstance(page, BundleRecord)]
 
 
 def signed(mission, by="anna"):
-    return replace(mission, release=Release(DIGEST, b"", by, time.time()))
+    return replace(mission, release=BundleId(DIGEST, b"", by, time.time()))
 
 
 @pytest.mark.parametrize(("deployment", "left"), [(DONE, [b""]), (ENDLESS, [DIGEST])])
@@ -77,7 +77,7 @@ def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(fleet):
         once = signed(team.mission(GUEST, "//Caller:tom@alpha\n//Echo:echo@bravo\n"))
         alpha, bravo = await team.up(once, keeps=True)
         await team.ended("tom")
-        await team.until(lambda: any(row.state == "EXITED" for row in bravo.host.mobility.knowledge()))
+        await team.until(lambda: any(row.state == "EXITED" for row in bravo.host.mobility.known_states()))
         await bravo.host.stop()
         await alpha.host.stop()
         assert [kept(team, host) for host in ("alpha", "bravo")] == [[b""], [b""]]
@@ -91,16 +91,18 @@ def test_an_ending_of_an_earlier_run_does_not_end_the_bundle_of_this_one(fleet):
 
 
 def test_what_ended_before_a_restart_in_flight_has_ended_after_it():
-    pages = [CopyPage("tom", 1, "EXITED", 1, 1, outcome="done")]
-    tom, ann = Known("tom", 1, 1, 1, "EXITED"), Known("ann", 1, 1, 1, "EXITED")
-    again = Recovery([*pages, BundlePage(DIGEST)], b"", DIGEST)
-    assert again.over(("tom",), [tom])
-    assert again.over(("tom", "ann"), [tom, ann])
+    pages = [CoordinatorRecord("tom", 1, "EXITED", 1, 1, outcome="done")]
+    tom, ann = CoordinatorState("tom", 1, 1, 1, "EXITED"), CoordinatorState("ann", 1, 1, 1, "EXITED")
+    again = JournalContents([*pages, BundleRecord(DIGEST)], b"", DIGEST)
+    assert again.is_mission_over(("tom",), [tom])
+    assert again.is_mission_over(("tom", "ann"), [tom, ann])
     # Nothing is heard of ann; tom runs again.
-    assert not again.over(("tom", "ann"), [tom])
-    assert not again.over(("tom",), [tom, Known("tom", 2, 1, 1, "RUN")])
+    assert not again.is_mission_over(("tom", "ann"), [tom])
+    assert not again.is_mission_over(("tom",), [tom, CoordinatorState("tom", 2, 1, 1, "RUN")])
     for other in (b"", b"c" * 32):
-        assert not Recovery([*pages, BundlePage(other)], b"", DIGEST).over(("tom",), [tom])
+        assert not JournalContents([*pages, BundleRecord(other)], b"", DIGEST).is_mission_over(
+            ("tom",), [tom]
+        )
 
 
 def test_of_a_bundle_that_nobody_had_to_sign_nothing_is_kept(fleet):
@@ -118,27 +120,30 @@ def test_after_a_restart_in_flight_a_signature_counts_that_no_start_would_take(f
     anna, host = ring.made("person", "anna", Right.COMMAND), ring.made("host", "alpha")
 
     async def story(team):
-        release = Release(DIGEST, sign(DIGEST, anna, time.time()))
+        release = BundleId(DIGEST, sign_bundle(DIGEST, anna, time.time()))
         mission = replace(team.mission(PROGRAM, ENDLESS), release=release)
         own = identity_in(host.certificate, host.authority)
         who = identity_in(anna.certificate, anna.authority)
-        revoked = Revoked(4, frozenset({who.serial}), time.time())
-        good, bad = (Judged(host, own, BelievedTime(SystemClock()), found) for found in (Revoked(), revoked))
-        proof = Proof(host)
-        first = insist_on_signature(mission, proof, good, ())
-        assert (first.release.by, first.doubt) == ("anna", "")
+        revoked = RevocationList(4, frozenset({who.serial}), time.time())
+        good, bad = (
+            CertificateAdmission(host, own, TrustedClock(SystemClock()), found)
+            for found in (RevocationList(), revoked)
+        )
+        proof = HostCredentials(host)
+        first = require_signature(mission, proof, good, ())
+        assert (first.bundle.by, first.warning) == ("anna", "")
         with pytest.raises(SignatureError, match=r"are revoked \(list 4\)"):
-            insist_on_signature(mission, proof, bad, [BundlePage(b"")])
+            require_signature(mission, proof, bad, [BundleRecord(b"")])
         with pytest.raises(SignatureError, match=r"are revoked \(list 4\)"):
-            insist_on_signature(mission, proof, bad, [BundlePage(b"c" * 32)])
-        again = insist_on_signature(mission, proof, bad, [BundlePage(DIGEST)])
-        assert again.release == first.release
-        assert "are revoked (list 4)" in again.doubt
+            require_signature(mission, proof, bad, [BundleRecord(b"c" * 32)])
+        again = require_signature(mission, proof, bad, [BundleRecord(DIGEST)])
+        assert again.bundle == first.bundle
+        assert "are revoked (list 4)" in again.warning
         # Whoever made the keys for this run alone has said what runs.
-        vouched = Release(DIGEST, by="whoever started it", at=1.0)
-        assert insist_on_signature(mission, replace(proof, vouched=vouched), bad, ()).release == vouched
-        other = replace(mission, release=Release(b"c" * 32))
-        with pytest.raises(SignatureError, match="nobody has signed it"):
-            insist_on_signature(other, replace(proof, vouched=vouched), good, ())
+        vouched = BundleId(DIGEST, by="whoever started it", at=1.0)
+        assert require_signature(mission, replace(proof, accepted_bundle=vouched), bad, ()).bundle == vouched
+        other = replace(mission, release=BundleId(b"c" * 32))
+        with pytest.raises(SignatureError, match="it is not signed"):
+            require_signature(other, replace(proof, accepted_bundle=vouched), good, ())
 
     fleet(story)

@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import time
 
+import memory_network
 import msgspec
 import pytest
 
-from lfield.authority.admission import Judged
-from lfield.authority.believed import BelievedTime
-from lfield.authority.identity import ALL, NONE, Identity
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.identity import ALL_RIGHTS, NO_RIGHTS, Identity
+from lfield.authority.trusted_clock import TrustedClock
 from lfield.clock import SystemClock
-from lfield.errors import GreetingError
-from lfield.operator.ask import STATUS, emergency_stop, pause
-from lfield.operator.observing import ask
-from lfield.simulate import network
-from lfield.testing.keys import Keyring
+from lfield.errors import HandshakeError
+from lfield.operator.client import SNAPSHOT, emergency_stop, pause
+from lfield.operator.observer_link import send_request
+from lfield.testing.keyring import Keyring
 from lfield.wire.messages import Hello
-from lfield.wire.observing import EmergencyStopped
+from lfield.wire.observer_messages import EmergencyStopResult
 
 PROGRAM = """
 resource Echo { init(string[] arg) { } portal say() { sleep(1.0); } }
@@ -37,13 +37,15 @@ def named(monkeypatch, tmp_path):
 
     def at(address: str) -> Identity:
         name, now = address.partition(":")[0], time.time()
-        kind, may = ("host", NONE) if name == "alpha" else ("person", ALL)
+        kind, may = ("host", NO_RIGHTS) if name == "alpha" else ("person", ALL_RIGHTS)
         return Identity(kind, name, may, name, now - 1000.0, now + 1000.0, "ours")
 
-    monkeypatch.setattr(network, "resident", at)
+    monkeypatch.setattr(memory_network, "host_at_address", at)
 
-    def admission() -> Judged:
-        return Judged(Keyring(tmp_path).made("host", "alpha"), at("alpha"), BelievedTime(SystemClock()))
+    def admission() -> CertificateAdmission:
+        return CertificateAdmission(
+            Keyring(tmp_path).made("host", "alpha"), at("alpha"), TrustedClock(SystemClock())
+        )
 
     return admission
 
@@ -55,21 +57,21 @@ async def up(team, named, access):
 
 
 async def asked(team, who, request):
-    return await ask(team.network.transport(who), "alpha:8181", request)
+    return await send_request(team.network.transport(who), "alpha:8181", request)
 
 
 def test_who_is_left_less_hears_by_which_line_and_may_stop_all_the_same(fleet, named):
     async def story(team):
         alpha = await up(team, named, PEOPLE)
-        assert (await asked(team, "anna", STATUS)).host == "alpha"
-        told = "anna may not operate in this mission: mission.access.yaml:2 gives anna observe, stop"
-        with pytest.raises(GreetingError, match=told):
+        assert (await asked(team, "anna", SNAPSHOT)).snapshot.host == "alpha"
+        told = "anna may not operate in this mission: mission.access.yaml:2 limits anna to: observe, stop"
+        with pytest.raises(HandshakeError, match=told):
             await asked(team, "anna", pause(lift=True))
         with pytest.raises(
-            GreetingError, match=r"bob may not observe in this mission: .*:3 gives bob nothing"
+            HandshakeError, match=r"bob may not observe in this mission: .*:3 limits bob to: nothing"
         ):
-            await asked(team, "bob", STATUS)
-        assert isinstance(await asked(team, "bob", emergency_stop("fog")), EmergencyStopped)
+            await asked(team, "bob", SNAPSHOT)
+        assert isinstance(await asked(team, "bob", emergency_stop("fog")), EmergencyStopResult)
         assert "fog" in alpha.log
 
     fleet(story)
@@ -104,7 +106,7 @@ def test_without_a_line_a_person_has_what_the_certificate_says(fleet, named):
 def test_others_are_whoever_has_no_line(fleet, named):
     async def story(team):
         await up(team, named, PEOPLE + "  others: [stop]\n")
-        with pytest.raises(GreetingError, match=r"carl may not operate .*:4 gives others stop"):
+        with pytest.raises(HandshakeError, match=r"carl may not operate .*:4 limits others to: stop"):
             await asked(team, "carl", emergency_stop("", lift=True))
 
     fleet(story)

@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 
 import pytest
+from scripted_snapshots import states_of
 
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
-from lfield.host.process.until_done import until_done
-from lfield.operator.ask import STATUS, ask_all, forget
-from lfield.operator.observing import ask
-from lfield.operator.whereabouts import insist_on_doubt
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.operator.client import SNAPSHOT, ask_all, forget
+from lfield.operator.coordinator_location import require_in_doubt
+from lfield.operator.observer_link import send_request
+from lfield.operator.team_model.host_model import host_states
 
 PROGRAM = """
 resource Post {
@@ -27,11 +29,12 @@ NAMES = {"home": "home", "away": "away"}
 
 
 async def looked(team, *hosts):
-    return await ask_all(team.network.transport("desk"), {host: f"{host}:8181" for host in hosts}, STATUS)
+    addresses = {host: f"{host}:8181" for host in hosts}
+    return host_states(await ask_all(team.network.transport("desk"), addresses, SNAPSHOT))
 
 
 def records(running):
-    return [(known.state, known.outcome) for known in running.host.mobility.knowledge()]
+    return [(known.state, known.outcome) for known in running.host.mobility.known_states()]
 
 
 def test_a_coordinator_in_doubt_ends_by_a_persons_word(fleet):
@@ -40,19 +43,19 @@ def test_a_coordinator_in_doubt_ends_by_a_persons_word(fleet):
         (home,) = await team.up(mission, "home", keeps=True)
         away = team.make(mission, "away", keeps=True)
         # The transfer is taken from the link, and no answer ever leaves.
-        away.host.arrived = lambda host, header, block: None
+        away.host.on_transfer = lambda host, header, block: None
         await away.host.start()
         await team.until(lambda: records(home) == [("IN DOUBT", "")])
-        insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
-        said = await ask(team.network.transport("desk"), "home:8181", forget("guest"))
+        require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
+        said = await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
         assert said.starts == [1]
         assert records(home) == [("EXITED", "lost")]
         await team.until(lambda: not home.holds("guest"))
         await team.until(lambda: records(away) == [("EXITED", "lost")])
-        assert "guest is given up as lost: somebody ran 'lfield forget'" in home.log
-        assert (await ask(team.network.transport("desk"), "home:8181", forget("guest"))).starts == []
+        assert "guest declared lost: 'lfield forget'" in home.log
+        assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == []
         with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): there is nothing to end"):
-            insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+            require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
 
     fleet(story)
 
@@ -60,14 +63,14 @@ def test_a_coordinator_in_doubt_ends_by_a_persons_word(fleet):
 def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(fleet):
     async def story(team):
         home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
-        await team.until(lambda: away.output and "PREPARED" not in str(home.host.mobility.knowledge()))
+        await team.until(lambda: away.output and "PREPARED" not in str(home.host.mobility.known_states()))
         with pytest.raises(CoordinatorAlive, match=r"alive on away \(start 1\), in a portal: nothing"):
-            insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+            require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
         with pytest.raises(UsageError, match="no host that answers knows of a coordinator geust"):
-            insist_on_doubt("geust", await looked(team, "home", "away"), NAMES)
+            require_in_doubt("geust", await looked(team, "home", "away"), NAMES)
         # Said of one that is alive all the same: its shadow is given up, and it goes on.
-        await ask(team.network.transport("desk"), "home:8181", forget("guest"))
-        await ask(team.network.transport("desk"), "away:8181", forget("guest"))
+        await send_request(team.network.transport("desk"), "home:8181", forget("guest"))
+        await send_request(team.network.transport("desk"), "away:8181", forget("guest"))
         await asyncio.sleep(5.0)
         assert away.holds("guest")
         assert records(away) == [("RUN", "")]
@@ -84,8 +87,10 @@ def test_what_is_parked_for_another_program_is_given_up(fleet):
         (again,) = await team.up(other, "away", keeps=True)
         assert len(again.host.status().journal.parked) == 1
         answers = {"away": again.host.status(), "home": AddressError("home:8181", "nobody listens there")}
-        insist_on_doubt("guest", answers, NAMES)
-        assert (await ask(team.network.transport("desk"), "away:8181", forget("guest"))).starts == [1]
+        require_in_doubt("guest", states_of(answers), NAMES)
+        assert (await send_request(team.network.transport("desk"), "away:8181", forget("guest"))).starts == [
+            1
+        ]
         assert again.host.status().journal.parked == []
         await again.host.stop()
         (again,) = await team.up(other, "away", keeps=True)
@@ -110,19 +115,21 @@ def test_what_is_parked_ends_for_good_where_nobody_has_its_name(fleet, others, a
         await stopped(away, home)
         other = team.mission(PROGRAM, f"//Post:post@away\n{others}")
         home, away = await team.up(other, "home", "away", keeps=True)
-        insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+        require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
         assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [1], "away": [1]}
         assert {host: (await word(team, host)).starts for host in NAMES} == {"home": [], "away": []}
         assert [running.host.status().journal.parked for running in (home, away)] == [[], []]
         with pytest.raises(UsageError, match=r"guest has ended on \w+ \(lost\): there is nothing to end"):
-            insist_on_doubt("guest", await looked(team, "home", "away"), NAMES)
+            require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
         assert home.holds("guest") == ("Post:guest" in others)
         await stopped(away, home)
         _, away = await team.up(first, keeps=True)
         await team.until(lambda: away.output)
-        starts = {known.generation: known.outcome or known.state for known in away.host.mobility.knowledge()}
+        starts = {
+            known.generation: known.outcome or known.state for known in away.host.mobility.known_states()
+        }
         assert starts == {1: "lost", anew: "RUN"}
-        assert "goes on where it was kept" not in away.log
+        assert "resumed from the journal" not in away.log
 
     fleet(story)
 
@@ -139,14 +146,14 @@ def test_who_waits_for_the_end_of_a_mission_does_not_wait_for_what_was_parked(fl
         home, away = await team.up(mission, keeps=True)
         assert (await word(team, "away")).starts == [1]
         await team.until(lambda: ("EXITED", "lost") in records(home))
-        (fate,) = await until_done(home.host, 15.0)
+        (fate,) = await wait_until_done(home.host, 15.0)
         assert (fate.agent, fate.outcome) == ("other", "done")
 
     fleet(story)
 
 
 async def word(team, host):
-    return await ask(team.network.transport("desk"), f"{host}:8181", forget("guest"))
+    return await send_request(team.network.transport("desk"), f"{host}:8181", forget("guest"))
 
 
 async def stopped(*hosts):

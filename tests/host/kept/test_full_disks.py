@@ -30,15 +30,15 @@ def test_senders_wait_for_room_on_the_disk(fleet):
         home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True)
         await team.until(lambda: len(away.output) > 2)
         team.disks["away"].full = True
-        await team.until(lambda: "no coordinator is taken in: its disk is full" in away.log)
+        await team.until(lambda: "rejecting migrations to this host: its disk is full" in away.log)
         visits = len(away.output)
-        (waiting,) = home.host.mobility.knowledge()
-        await team.until(lambda: home.host.mobility.knowledge()[0].state == "FROZEN")
+        (waiting,) = home.host.mobility.known_states()
+        await team.until(lambda: home.host.mobility.known_states()[0].state == "FROZEN")
         await asyncio.sleep(5.0)
         assert len(away.output) == visits
         team.disks["away"].full = False
         await team.until(lambda: len(away.output) > visits)
-        assert "coordinators are taken in again" in away.log
+        assert "accepting migrations to this host again" in away.log
         assert waiting.generation == 1
 
     fleet(story)
@@ -49,7 +49,7 @@ def test_what_waits_too_long_is_told_why(fleet):
         home, away = await team.up(team.mission(PROGRAM, DEPLOYMENT), keeps=True, unreachable_after=3.0)
         await team.until(lambda: away.output)
         team.disks["away"].full = True
-        await team.until(lambda: "guest: away could not keep guest within 3 s: its disk is full" in home.log)
+        await team.until(lambda: "guest: away could not store guest within 3 s: its disk is full" in home.log)
 
     fleet(story)
 
@@ -62,12 +62,12 @@ def test_where_nothing_can_be_kept_no_call_that_acts_begins(fleet):
         )
         await team.until(lambda: len(home.output) > 4)
         team.disks["home"].broken = True
-        await team.until(lambda: "guest: home can keep nothing: " in home.log)
+        await team.until(lambda: "guest: home cannot write its journal: " in home.log)
         calls = len(home.output)
         await asyncio.sleep(3.0)
         assert len(home.output) == calls
         team.disks["home"].broken = False
         await team.until(lambda: len(home.output) > calls)
-        assert "what happens can be kept again" in home.log
+        assert "journal writable again" in home.log
 
     fleet(story)

@@ -35,7 +35,7 @@ async def with_a_new_disk(team, first):
 def test_what_runs_under_leases_goes_on_from_its_shadow(fleet):
     async def story(team):
         home, away = await with_a_new_disk(team, "heartbeatInterval(3.0);")
-        told = "guest has left away, where a copy of it is kept: not started again"
+        told = "guest not started again: it has left away, where a copy of it is kept"
         await team.until(lambda: told in home.log)
         await team.until(lambda: "guest: told: guest was recovered on away" in away.log)
         assert not home.holds("guest")

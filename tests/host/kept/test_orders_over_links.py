@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from lfield.authority.identity import ALL, Identity
-from lfield.journal.pages import Paused, Stopped
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet
-from lfield.wire.observing import EmergencyStop, EmergencyStopped, OrderChallenge, Pause
-from lfield.wire.orders import Epochs
+from lfield.authority.identity import ALL_RIGHTS, Identity
+from lfield.journal.records import EmergencyStopFlag, PauseFlag
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.order_messages import Epochs
 
 PROGRAM = """
 resource Post {
@@ -35,30 +35,32 @@ class Desk:
     def __init__(self, folder: Path) -> None:
         (folder / "mission.L").write_text(PROGRAM)
         (folder / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
-        self.fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1, keeps=True)
-        self.who = Identity("person", "anna", ALL)
-        self.answers: list[EmergencyStopped | OrderChallenge] = []
+        self.fleet = Fleet(
+            load_mission(folder / "mission.dL", simulate=True), 1, options=FleetOptions(keeps=True)
+        )
+        self.who = Identity("person", "anna", ALL_RIGHTS)
+        self.answers: list[EmergencyStopResult | OrderChallenge] = []
         self.fleet.run(3.0)
 
     def send(self, message: object) -> None:
         """The host answers."""
-        assert isinstance(message, EmergencyStopped | OrderChallenge)
+        assert isinstance(message, EmergencyStopResult | OrderChallenge)
         self.answers.append(message)
 
     @property
     def epochs(self) -> Epochs:
         return self.fleet.lives["alpha"].core.orders.epochs
 
-    def say(self, message: EmergencyStop | Pause) -> EmergencyStopped | OrderChallenge:
+    def say(self, message: EmergencyStop | Pause) -> EmergencyStopResult | OrderChallenge:
         life = self.fleet.lives["alpha"]
-        life.process.loop.enter(lambda: life.host.received("", message, self))  # type: ignore[arg-type]
+        life.process.loop.enter(lambda: life.host.on_message("", message, self))  # type: ignore[arg-type]
         self.fleet.run(6.0)
         return self.answers[-1]
 
-    def stop(self, id: bytes, epoch: bytes) -> EmergencyStopped | OrderChallenge:
+    def stop(self, id: bytes, epoch: bytes) -> EmergencyStopResult | OrderChallenge:
         return self.say(EmergencyStop(id, "fog", epoch=epoch))
 
-    def lift(self, id: bytes, epoch: bytes) -> EmergencyStopped | OrderChallenge:
+    def lift(self, id: bytes, epoch: bytes) -> EmergencyStopResult | OrderChallenge:
         return self.say(EmergencyStop(id, "", lift=True, epoch=epoch))
 
     @property
@@ -70,7 +72,7 @@ class Desk:
 
     def kept(self) -> set[bytes]:
         pages = self.fleet.disks["alpha"].pages()
-        return {page.order for page in pages if isinstance(page, Stopped | Paused)}
+        return {page.order for page in pages if isinstance(page, EmergencyStopFlag | PauseFlag)}
 
 
 @pytest.fixture
@@ -80,7 +82,7 @@ def desk(tmp_path: Path) -> Desk:
 
 def test_an_order_is_executed_once_and_then_only_confirmed(desk: Desk) -> None:
     first = desk.stop(A, desk.epochs.hold)
-    assert first == EmergencyStopped({"p.fc": ""}, "", A, desk.epochs)
+    assert first == EmergencyStopResult({"p.fc": ""}, "", A, desk.epochs)
     assert desk.stop(A, bytes(8)) == first
     assert desk.presses() == 1
     assert desk.kept() == {A}
@@ -91,12 +93,12 @@ def test_a_copy_of_a_stop_after_its_lift_does_nothing_and_says_so(desk: Desk) ->
     desk.stop(A, before)
     desk.lift(B, desk.epochs.end)
     copy = desk.stop(A, before)
-    assert isinstance(copy, EmergencyStopped)
+    assert isinstance(copy, EmergencyStopResult)
     assert copy.trouble == "this emergency stop was carried out, and a later order has ended it"
     assert desk.stopped == ""
     assert desk.stop(C, before) == OrderChallenge(C, desk.epochs)
     assert (desk.stopped, desk.presses()) == ("", 1)
-    assert isinstance(desk.stop(C, desk.epochs.hold), EmergencyStopped)
+    assert isinstance(desk.stop(C, desk.epochs.hold), EmergencyStopResult)
     assert desk.stopped == "fog"
 
 
@@ -105,12 +107,12 @@ def test_a_lift_that_was_given_before_a_stop_or_a_pause_does_not_end_it(desk: De
     seen = desk.epochs.end
     desk.say(Pause(B, epoch=desk.epochs.hold))
     refused = desk.lift(C, seen)
-    assert isinstance(refused, EmergencyStopped)
+    assert isinstance(refused, EmergencyStopResult)
     assert refused.trouble.startswith("a newer emergency stop arrived before this order")
     assert refused.devices == {"p.fc": refused.trouble}
     assert desk.stopped == "fog"
     assert desk.lift(C, bytes(8)) == OrderChallenge(C, desk.epochs)
-    assert desk.lift(C, desk.epochs.end) == EmergencyStopped({"p.fc": ""}, "", C, desk.epochs)
+    assert desk.lift(C, desk.epochs.end) == EmergencyStopResult({"p.fc": ""}, "", C, desk.epochs)
     assert desk.stopped == ""
     assert desk.fleet.lives["alpha"].host.status().paused
 
@@ -118,10 +120,10 @@ def test_a_lift_that_was_given_before_a_stop_or_a_pause_does_not_end_it(desk: De
 def test_a_lift_that_comes_twice_is_confirmed_and_ends_no_newer_stop(desk: Desk) -> None:
     desk.stop(A, desk.epochs.hold)
     seen = desk.epochs.end
-    assert desk.lift(B, seen) == desk.lift(B, seen) == EmergencyStopped({"p.fc": ""}, "", B, desk.epochs)
+    assert desk.lift(B, seen) == desk.lift(B, seen) == EmergencyStopResult({"p.fc": ""}, "", B, desk.epochs)
     desk.stop(C, desk.epochs.hold)
     again = desk.lift(B, seen)
-    assert isinstance(again, EmergencyStopped)
+    assert isinstance(again, EmergencyStopResult)
     assert again.devices == {"p.fc": "fog"}
     assert desk.stopped == "fog"
 
@@ -133,7 +135,7 @@ def test_after_a_restart_the_journal_knows_the_last_order_and_no_epoch_is_left(d
     desk.fleet.boot("alpha")
     desk.fleet.run(5.0)
     assert not {desk.epochs.hold, desk.epochs.end} & {before.hold, before.end}
-    assert desk.stop(A, before.hold) == EmergencyStopped({"p.fc": ""}, "", A, desk.epochs)
+    assert desk.stop(A, before.hold) == EmergencyStopResult({"p.fc": ""}, "", A, desk.epochs)
     assert desk.stop(B, before.hold) == OrderChallenge(B, desk.epochs)
     assert desk.presses() == 1
     assert desk.stopped == "fog"
@@ -141,10 +143,10 @@ def test_after_a_restart_the_journal_knows_the_last_order_and_no_epoch_is_left(d
 
 def test_a_pause_takes_the_same_way(desk: Desk) -> None:
     before = desk.epochs
-    assert isinstance(desk.say(Pause(A, epoch=before.hold)), EmergencyStopped)
-    assert isinstance(desk.say(Pause(A, epoch=before.hold)), EmergencyStopped)
+    assert isinstance(desk.say(Pause(A, epoch=before.hold)), EmergencyStopResult)
+    assert isinstance(desk.say(Pause(A, epoch=before.hold)), EmergencyStopResult)
     refused = desk.say(Pause(B, lift=True, epoch=before.end))
-    assert isinstance(refused, EmergencyStopped)
+    assert isinstance(refused, EmergencyStopResult)
     assert refused.trouble.startswith("a newer pause arrived")
     desk.say(Pause(B, lift=True, epoch=desk.epochs.end))
     assert not desk.fleet.lives["alpha"].host.status().paused

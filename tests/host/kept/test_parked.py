@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from lfield.host.team.keeping import Recovery
-from lfield.journal.pages import CopyPage, ProgramPage
-from lfield.mobility.core import Mobility
-from lfield.mobility.effects import Persist, Send
-from lfield.wire.coordinators import Accepted, Inquire, Transfer
+from lfield.host.migration.write_ahead import JournalContents
+from lfield.journal.records import CoordinatorRecord, ProgramRecord
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import PersistRecord, Send
+from lfield.wire.coordinator_messages import Transfer, TransferAccepted, TransferQuery
 from lfield.wire.messages import Hello
 
 PROGRAM = """
@@ -43,7 +43,7 @@ def test_a_home_with_a_new_disk_does_not_begin_what_is_parked_elsewhere(fleet):
         home, away = await team.up(team.mission(CHANGED, FROM_HOME), keeps=True)
         await team.until(
             lambda: (
-                "guest is parked on away for the program and deployment that it belongs to: not started again"
+                "guest not started again: it is parked on away for the program and deployment that it belongs"
                 in home.log
             )
         )
@@ -52,7 +52,7 @@ def test_a_home_with_a_new_disk_does_not_begin_what_is_parked_elsewhere(fleet):
         await home.host.stop()
         await away.host.stop()
         _, away = await team.up(team.mission(PROGRAM, FROM_HOME), keeps=True)
-        await team.until(lambda: "guest goes on where it was kept" in away.log)
+        await team.until(lambda: "guest resumed from the journal" in away.log)
 
     fleet(story)
 
@@ -64,7 +64,7 @@ def test_a_home_that_was_changed_does_not_begin_it_either(fleet):
         await away.host.stop()
         await home.host.stop()
         home, away = await team.up(team.mission(PROGRAM, FROM_HOME), keeps=True)
-        await team.until(lambda: "guest is parked on away" in home.log)
+        await team.until(lambda: "guest not started again: it is parked on away" in home.log)
         assert not home.holds("guest")
         assert parked(away) == [("guest", 1, "RUN")]
 
@@ -83,7 +83,7 @@ def test_its_number_is_not_given_out_again(fleet):
         await home.host.start()
         await team.until(lambda: home.holds("guest"))
         await away.host.start()
-        await team.until(lambda: "keeps another start of guest under that number" in home.log)
+        await team.until(lambda: "has another start of guest under that number" in home.log)
         assert parked(away) == [("guest", 1, "RUN")]
         await away.host.stop()
         (again,) = await team.up(other, "away", keeps=True)
@@ -93,38 +93,46 @@ def test_its_number_is_not_given_out_again(fleet):
 
 
 def test_a_program_of_which_no_block_is_left_is_not_kept():
-    old, new, waits = (ProgramPage(bytes([n]) * 32, b"") for n in range(3))
-    copies = [CopyPage("guest", 1, "RUN", program=waits.digest, block=b"..."), CopyPage("guest", 2, "ABSENT")]
-    found = Recovery([old, new, waits, *copies], new.digest)
+    old, new, waits = (ProgramRecord(bytes([n]) * 32, b"") for n in range(3))
+    copies = [
+        CoordinatorRecord("guest", 1, "RUN", program=waits.digest, block=b"..."),
+        CoordinatorRecord("guest", 2, "ABSENT"),
+    ]
+    found = JournalContents([old, new, waits, *copies], new.digest)
     assert found.outdated == [old]
     assert (found.parked, found.copies) == ([copies[0]], [copies[1]])
 
 
 def test_a_persons_word_ends_all_that_is_parked_of_an_agent():
     """Two starts of two missions; and one under whose number something came, which was not taken."""
-    own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, memory=5)
-    mobility = Mobility(own, peers=["home", "away"], agents=["guest"], inject=lambda *_: None)
+    own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, journal_id=5)
+    mobility = Mobility(own, peers=["home", "away"], agents=["guest"])
     agents = [("other", 1, b"a"), ("other", 2, b"b"), ("guest", 1, b"a"), ("third", 1, b"a")]
-    mobility.restore([], [CopyPage(*one, "RUN", program=of * 32, block=b"...") for *one, of in agents])
-    (refusal,) = mobility.arrive("home", Transfer("guest", 1, 1, 1, b"n" * 32, 5, 3), b"new")
-    assert "keeps another start of guest under that number" in refusal.message.reason
+    mobility.restore(
+        [], [CoordinatorRecord(*one, "RUN", program=of * 32, block=b"...") for *one, of in agents]
+    )
+    came = Transfer("guest", 1, 1, 1, b"n" * 32, 5, 3)
+    (refusal,) = mobility.on_transfer("home", came, b"new", lambda *_: None)
+    assert "has another start of guest under that number" in refusal.message.reason
     for agent, starts in (("guest", [1]), ("other", [1, 2])):
-        ended, effects = mobility.forget(agent, "by a word")
-        pages = [effect.page for effect in effects if isinstance(effect, Persist)]
+        ended, effects = mobility.declare_lost(agent, "by a word")
+        pages = [effect.record for effect in effects if isinstance(effect, PersistRecord)]
         assert ended == starts == [page.generation for page in pages]
         assert {(page.state, page.outcome, page.block) for page in pages} == {("EXITED", "lost", b"")}
-        assert mobility.forget(agent, "again")[0] == []
+        assert mobility.declare_lost(agent, "again")[0] == []
     assert [page.agent for page in mobility.parked] == ["third"]
 
 
 def test_one_that_was_ended_while_it_was_parked_is_known_to_have_come():
     """Whoever sent it and was down meanwhile asks once more: it does not do again what was done here."""
-    own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, memory=5)
-    mobility = Mobility(own, peers=["home"], agents=["other"], inject=lambda *_: None)
-    mobility.restore([], [CopyPage("guest", 1, "RUN", 2, 2, program=b"a" * 32, block=b"...")])
-    (page,) = (effect.page for effect in mobility.forget("guest", "")[1] if isinstance(effect, Persist))
+    own = Hello("host", "away", 9, b"n" * 32, b"n" * 32, 1000, journal_id=5)
+    mobility = Mobility(own, peers=["home"], agents=["other"])
+    mobility.restore([], [CoordinatorRecord("guest", 1, "RUN", 2, 2, program=b"a" * 32, block=b"...")])
+    (page,) = (
+        effect.record for effect in mobility.declare_lost("guest", "")[1] if isinstance(effect, PersistRecord)
+    )
     assert (page.sequence, page.hops) == (2, 2)
-    again = Mobility(own, peers=["home"], agents=["guest"], inject=lambda *_: None)
+    again = Mobility(own, peers=["home"], agents=["guest"])
     again.restore([page])
-    answers = again.receive("home", Inquire("guest", 1, 2, 5), 0.0)
-    assert Send("home", Accepted("guest", 1, 2)) in answers
+    answers = again.on_message("home", TransferQuery("guest", 1, 2, 5), 0.0)
+    assert Send("home", TransferAccepted("guest", 1, 2)) in answers

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
-from lfield.cli.views.picture import as_data
-from lfield.operator.ask import pause
-from lfield.operator.observing import ask
+from scripted_snapshots import states_of
+
+from lfield.cli.views.team_status_view import as_data
+from lfield.operator.client import pause
+from lfield.operator.observer_link import send_request
 
 PROGRAM = """
 resource Post {
@@ -40,11 +42,11 @@ TOLD = "guest: told: the mission was paused; this call may have begun"
 
 
 async def said(team, host, *, lift=False):
-    return await ask(team.network.transport("desk"), f"{host}:8181", pause(lift=lift))
+    return await send_request(team.network.transport("desk"), f"{host}:8181", pause(lift=lift))
 
 
 def waits(running, agent):
-    known = running.host.mobility.knowledge()
+    known = running.host.mobility.known_states()
     return (agent, "FROZEN") in [(one.agent, one.state) for one in known]
 
 
@@ -59,7 +61,7 @@ def test_no_agent_runs_until_it_is_resumed_and_the_call_under_way_is_told_of(fle
         home, away = await begun(team)
         for host in ("home", "away"):
             assert (await said(team, host)).devices == {}
-        assert as_data({"away": away.host.status()})["away"]["paused"]
+        assert as_data(states_of({"away": away.host.status()}))["away"]["paused"]
         before = away.log
         await asyncio.sleep(300.0)
         assert away.log == before
@@ -73,7 +75,7 @@ def test_no_agent_runs_until_it_is_resumed_and_the_call_under_way_is_told_of(fle
         await team.until(lambda: "late: late came" in away.log)
         assert not away.host.status().paused
         await said(team, "away", lift=True)
-        assert away.log.count("the mission goes on") == 1
+        assert away.log.count("mission resumed") == 1
 
     fleet(story)
 
@@ -83,7 +85,7 @@ def test_who_is_on_its_way_to_a_paused_host_waits_and_does_not_give_up(fleet):
         home, away = await begun(team)
         await said(team, "away")
         await team.until(
-            lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.knowledge()]
+            lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
         )
         await asyncio.sleep(60.0)
         assert "late gave up" not in home.log
@@ -98,7 +100,7 @@ def test_who_is_on_its_way_to_a_paused_host_that_is_gone_gives_up(fleet):
         home, away = await begun(team)
         await said(team, "away")
         await team.until(
-            lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.knowledge()]
+            lambda: ("late", "FROZEN") in [(k.agent, k.state) for k in home.host.mobility.known_states()]
         )
         await away.host.stop()
         await team.until(lambda: "late gave up" in home.log)
@@ -113,11 +115,11 @@ def test_a_host_that_is_started_again_is_still_paused(fleet):
         await away.host.stop()
         (again,) = await team.up(away.host.mission, "away", keeps=True)
         assert again.host.status().paused
-        assert "the mission is still paused: no agent runs here until 'lfield resume'" in again.log
+        assert "mission still paused: no agent runs here until 'lfield resume'" in again.log
         await asyncio.sleep(20.0)
         assert "told" not in again.log
         await said(team, "away", lift=True)
-        await team.until(lambda: "guest: told: away was started again; this call" in again.log)
+        await team.until(lambda: "guest: told: away restarted; this call" in again.log)
         await again.host.stop()
         (last,) = await team.up(away.host.mission, "away", keeps=True)
         assert not last.host.status().paused

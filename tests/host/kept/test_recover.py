@@ -8,15 +8,16 @@ import io
 import pytest
 from rich.console import Console
 
-from lfield.cli.views.picture import picture
+from lfield.cli.views.team_status_view import team_tables
 from lfield.errors import AddressError, CoordinatorAlive, UsageError
-from lfield.mobility.generations import STRIDE
-from lfield.operator.addressed import Place
-from lfield.operator.ask import STATUS, ask_all, forget, recover
-from lfield.operator.observing import ask
-from lfield.operator.recover import believed
-from lfield.operator.whereabouts import what_can_be_done
-from lfield.wire.observing import Recover
+from lfield.operator.client import SNAPSHOT, ask_all, forget, recover
+from lfield.operator.coordinator_location import doubt_advice
+from lfield.operator.observer_link import send_request
+from lfield.operator.recovery_candidates import best_candidate
+from lfield.operator.targets import HostRef
+from lfield.operator.team_model.host_model import host_states
+from lfield.replication.transfer.generations import GENERATION_STRIDE
+from lfield.wire.observer_messages import RecoverRequest
 
 PROGRAM = """
 resource Post {
@@ -33,18 +34,20 @@ coordinator Guest {
 """
 DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@away\n"
 HOSTS = ("home", "away")
-NAMES = {Place("", host): host for host in HOSTS}
+NAMES = {HostRef("", host): host for host in HOSTS}
 
 
 async def looked(team, *hosts):
     """What the hosts say; those that are not named do not answer."""
-    answers = await ask_all(team.network.transport("desk"), {host: f"{host}:8181" for host in hosts}, STATUS)
+    answers = await ask_all(
+        team.network.transport("desk"), {host: f"{host}:8181" for host in hosts}, SNAPSHOT
+    )
     silent = {host: AddressError(f"{host}:8181", "nobody listens there") for host in HOSTS}
-    return {Place("", host): {**silent, **answers}[host] for host in HOSTS}
+    return host_states({HostRef("", host): {**silent, **answers}[host] for host in HOSTS})
 
 
 def outcomes(running):
-    return {known.generation: known.outcome or known.state for known in running.host.mobility.knowledge()}
+    return {known.generation: known.outcome or known.state for known in running.host.mobility.known_states()}
 
 
 async def with_guest_away(team):
@@ -59,22 +62,22 @@ def test_the_home_goes_on_and_the_host_that_comes_back_does_not(fleet):
         home, away = await with_guest_away(team)
         await away.host.stop()
         answers = await looked(team, "home")
-        assert list(what_can_be_done({place.host: answer for place, answer in answers.items()})) == [
+        assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
             "guest: start away again; if that is gone for good, go on without it: lfield recover guest, "
             "or end it: lfield forget guest"
         ]
-        belief = believed("guest", answers, NAMES)
-        assert belief.place == Place("", "home")
+        belief = best_candidate("guest", answers, NAMES)
+        assert belief.host_ref == HostRef("", "home")
         assert belief.lines[0] == (
             "guest, start 1: the newest copy is on home, as it left for away after 0 hops (transfer 1)"
         )
         assert "away does not answer" in belief.lines[1]
-        answer = await ask(team.network.transport("desk"), "home:8181", recover(belief.word))
-        assert answer.generation == STRIDE + 1 + home.host.core.here
+        answer = await send_request(team.network.transport("desk"), "home:8181", recover(belief.request))
+        assert answer.generation == GENERATION_STRIDE + 1 + home.host.core.here
         assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
         told = (
-            "told: guest was recovered on home from where it left for away; this call may have begun, "
-            "and what came after it is not known"
+            "told: guest was recovered on home from its departure for away; this call may have begun, "
+            "and later actions are unknown"
         )
         await team.until(lambda: told in home.log)
         pages = team.disks["home"].pages()
@@ -83,7 +86,7 @@ def test_the_home_goes_on_and_the_host_that_comes_back_does_not(fleet):
         (again,) = await team.up(away.host.mission, "away", keeps=True)
         await team.until(lambda: outcomes(again).get(1) == "superseded")
         assert not again.holds("guest")
-        assert "goes on where it was kept" not in again.log
+        assert "resumed from the journal" not in again.log
         assert home.holds("guest")
 
     fleet(story)
@@ -95,16 +98,16 @@ def test_one_that_is_alive_is_not_recovered_and_whoever_asks_is_told_where(fleet
         with pytest.raises(
             CoordinatorAlive, match=r"guest is alive on away \(start 1\), in a portal: nothing was"
         ):
-            believed("guest", await looked(team, *HOSTS), NAMES)
+            best_candidate("guest", await looked(team, *HOSTS), NAMES)
         everybody = await looked(team, *HOSTS)
-        assert list(what_can_be_done({place.host: answer for place, answer in everybody.items()})) == []
+        assert list(doubt_advice({place.host: answer for place, answer in everybody.items()})) == []
         with pytest.raises(UsageError, match="no host that answers knows of a coordinator geust"):
-            believed("geust", await looked(team, *HOSTS), NAMES)
-        word = Recover("guest", 1, 1, 1)
-        answer = await ask(team.network.transport("desk"), "away:8181", recover(word))
+            best_candidate("geust", await looked(team, *HOSTS), NAMES)
+        word = RecoverRequest("guest", 1, 1, 1)
+        answer = await send_request(team.network.transport("desk"), "away:8181", recover(word))
         assert (answer.generation, answer.reason) == (
             0,
-            "away has nothing of guest to go on with, or it is alive there",
+            "away has no copy of guest to resume, or it is alive there",
         )
         assert away.holds("guest")
 
@@ -115,11 +118,17 @@ def test_what_has_changed_since_the_person_was_told_is_not_gone_on_with(fleet):
     async def story(team):
         home, away = await with_guest_away(team)
         await away.host.stop()
-        answer = await ask(team.network.transport("desk"), "home:8181", recover(Recover("guest", 1, 7, 1)))
-        assert answer.reason == "what home has of guest has changed meanwhile; ask again"
+        answer = await send_request(
+            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 7, 1))
+        )
+        assert answer.reason == "the copy of guest on home has changed meanwhile; repeat the command"
         assert outcomes(home) == {1: "MOVED"}
-        first = await ask(team.network.transport("desk"), "home:8181", recover(Recover("guest", 1, 1, 1)))
-        again = await ask(team.network.transport("desk"), "home:8181", recover(Recover("guest", 1, 1, 1)))
+        first = await send_request(
+            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
+        )
+        again = await send_request(
+            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
+        )
         assert first.generation > 1
         assert "it is alive there" in again.reason
 
@@ -134,8 +143,8 @@ def test_one_that_is_kept_for_another_mission_is_named(fleet):
         await team.up(other, "away", keeps=True)
         answers = await looked(team, "away")
         with pytest.raises(CoordinatorAlive, match="away keeps guest for another mission"):
-            believed("guest", answers, NAMES)
-        hints = list(what_can_be_done({place.host: answer for place, answer in answers.items()}))
+            best_candidate("guest", answers, NAMES)
+        hints = list(doubt_advice({place.host: answer for place, answer in answers.items()}))
         assert hints == ["guest: start its own mission again, or end it: lfield forget guest"]
 
     fleet(story)
@@ -148,23 +157,25 @@ def test_a_shadow_that_is_of_another_mission_is_gone_on_with_in_that_mission(fle
         await team.up(team.mission(PROGRAM, "//Post:other@home\n"), "home", keeps=True)
         answers = await looked(team, "home")
         with pytest.raises(UsageError, match=r"guest is of another mission .* home keeps a copy: start that"):
-            believed("guest", answers, NAMES)
-        assert (await ask(team.network.transport("desk"), "home:8181", forget("guest"))).starts == [1]
-        with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): there is nothing to go on"):
-            believed("guest", await looked(team, "home"), NAMES)
+            best_candidate("guest", answers, NAMES)
+        assert (await send_request(team.network.transport("desk"), "home:8181", forget("guest"))).starts == [
+            1
+        ]
+        with pytest.raises(UsageError, match=r"guest has ended on home \(lost\): it cannot be recovered"):
+            best_candidate("guest", await looked(team, "home"), NAMES)
 
     fleet(story)
 
 
 @pytest.mark.parametrize(
-    "request_", [recover(Recover("guest", 1, 1, 1)), forget("guest")], ids=["recover", "forget"]
+    "request_", [recover(RecoverRequest("guest", 1, 1, 1)), forget("guest")], ids=["recover", "forget"]
 )
 def test_the_answer_waits_for_the_disk(fleet, request_):
     async def story(team):
         home, away = await with_guest_away(team)
         await away.host.stop()
         team.disks["home"].broken = True
-        asked = asyncio.create_task(ask(team.network.transport("desk"), "home:8181", request_))
+        asked = asyncio.create_task(send_request(team.network.transport("desk"), "home:8181", request_))
         await asyncio.sleep(3.0)
         assert not asked.done()
         assert "told: guest was recovered" not in home.log
@@ -186,37 +197,38 @@ def test_what_cannot_be_read_is_told_and_a_person_may_go_on_from_an_older_copy(f
         await team.until(lambda: far.output)
         await team.until(lambda: outcomes(away) == {1: "MOVED"})
         await far.host.stop()
-        names = {Place("", host): host for host in ("home", "away", "far")}
+        names = {HostRef("", host): host for host in ("home", "away", "far")}
         desk = team.network.transport("desk")
 
         async def told():
-            answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, STATUS)
-            return {Place("", host): answer for host, answer in answers.items()}
+            answers = await ask_all(desk, {host: f"{host}:8181" for host in ("home", "away")}, SNAPSHOT)
+            return host_states({HostRef("", host): answer for host, answer in answers.items()})
 
-        belief = believed("guest", await told(), names)
-        assert belief.place == Place("", "away")
-        copy = away.host.mobility.newest("guest")
+        belief = best_candidate("guest", await told(), names)
+        assert belief.host_ref == HostRef("", "away")
+        copy = away.host.mobility.newest_copy("guest")
         copy.block = bytes(len(copy.block))
-        answer = await ask(desk, "away:8181", recover(belief.word))
+        answer = await send_request(desk, "away:8181", recover(belief.request))
         assert (answer.generation, answer.reason) == (
             0,
-            "what away has kept of guest cannot be read; ask again: another host may have an older copy",
+            "the copy of guest on away cannot be read; repeat the command: another host may have an older "
+            "copy",
         )
         out = io.StringIO()
         Console(file=out, width=200).print(
-            picture({place.host: answer for place, answer in (await told()).items()})
+            team_tables({place.host: answer for place, answer in (await told()).items()})
         )
-        assert "in doubt: what was kept of it here cannot be read" in out.getvalue()
-        belief = believed("guest", await told(), names)
-        assert belief.place == Place("", "home")
+        assert "in doubt: its stored copy here cannot be read" in out.getvalue()
+        belief = best_candidate("guest", await told(), names)
+        assert belief.host_ref == HostRef("", "home")
         assert belief.lines[1] == (
             "  away has a newer one, of after 1 hop, that cannot be read: what guest did in between may be "
             "done again"
         )
-        answer = await ask(desk, "home:8181", recover(belief.word))
+        answer = await send_request(desk, "home:8181", recover(belief.request))
         assert outcomes(home) == {1: "superseded", answer.generation: "RUN"}
         await team.until(lambda: outcomes(away)[1] == "superseded")
-        assert not away.host.mobility.newest("guest")
+        assert not away.host.mobility.newest_copy("guest")
 
     fleet(story)
 
@@ -225,13 +237,15 @@ def test_when_nothing_can_be_read_a_person_is_told_where_it_is(fleet):
     async def story(team):
         home, away = await with_guest_away(team)
         await away.host.stop()
-        copy = home.host.mobility.newest("guest")
+        copy = home.host.mobility.newest_copy("guest")
         copy.block = bytes(len(copy.block))
-        await ask(team.network.transport("desk"), "home:8181", recover(Recover("guest", 1, 1, 1)))
+        await send_request(
+            team.network.transport("desk"), "home:8181", recover(RecoverRequest("guest", 1, 1, 1))
+        )
         answers = await looked(team, "home")
-        with pytest.raises(UsageError, match="what home has kept of guest cannot be read: there is nothing"):
-            believed("guest", answers, NAMES)
-        assert list(what_can_be_done({place.host: answer for place, answer in answers.items()})) == [
+        with pytest.raises(UsageError, match="the copy of guest on home cannot be read: it cannot"):
+            best_candidate("guest", answers, NAMES)
+        assert list(doubt_advice({place.host: answer for place, answer in answers.items()})) == [
             "guest: start away again; if that is gone for good, end it: lfield forget guest"
         ]
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 import io
 
 from rich.console import Console
+from scripted_snapshots import states_of
 
-from lfield.cli.views.picture import as_data, picture
-from lfield.journal.pages import ProgramPage
+from lfield.cli.views.team_status_view import as_data, team_tables
+from lfield.journal.records import ProgramRecord
 
 PROGRAM = """
 resource Post {
@@ -31,7 +32,7 @@ DEPLOYMENT = "//Guest:guest@home?post\n//Post:post@home\n"
 def shown(*hosts) -> str:
     out = io.StringIO()
     Console(file=out, width=240).print(
-        picture({running.host.name: running.host.status() for running in hosts})
+        team_tables(states_of({running.host.name: running.host.status() for running in hosts}))
     )
     return out.getvalue()
 
@@ -55,7 +56,7 @@ def test_a_coordinator_whose_disk_fails_waits_for_it(fleet):
         await team.until(lambda: home.host.status().journal.trouble)
         (guest,) = home.host.status().agents
         assert (guest.id, guest.state) == ("guest", "waits for its disk")
-        assert "in trouble: " in shown(home)
+        assert "failing: " in shown(home)
         assert "its disk fails" in shown(home)
         team.disks["home"].broken = False
         await team.until(lambda: away.output == ["call"])
@@ -76,7 +77,7 @@ def test_a_coordinator_that_is_being_kept_does_not_leave(fleet):
             return len(home.output) == 3
 
         await team.until(seen)
-        assert "being kept" in states
+        assert "persisting" in states
         assert "leaving" not in states
 
     fleet(story)
@@ -91,13 +92,15 @@ def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
         (again,) = await team.up(
             team.mission(PROGRAM + "\n// another\nclass Other { }\n", DEPLOYMENT), keeps=True
         )
-        digest = home.host.hello().mission
+        digest = home.host.hello().mission_hash
         (parked,) = again.host.status().journal.parked
         assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
         assert f"parked: it is of another mission ({digest.hex()[:16]})" in shown(again)
-        assert as_data({"home": again.host.status()})["home"]["journal"]["parked"][0]["id"] == "guest"
-        pages = again.host.scribe.pages
-        (explained,) = (page for page in pages if isinstance(page, ProgramPage))
+        assert (
+            as_data(states_of({"home": again.host.status()}))["home"]["journal"]["parked"][0]["id"] == "guest"
+        )
+        pages = again.host.journal_writer.records
+        (explained,) = (page for page in pages if isinstance(page, ProgramRecord))
         assert (explained.digest, explained.members) == (digest, ("guest", "post"))
 
     fleet(story)
@@ -106,10 +109,12 @@ def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
 def test_a_revocation_list_that_is_not_kept_is_told(fleet):
     async def story(team):
         (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
-        assert "in trouble" not in shown(home)
-        home.host.options.admission.unkept = "revocation list 3 is not kept: the disk is full"
-        assert "home is in trouble: revocation list 3 is not kept: the disk is full" in shown(home)
-        assert as_data({"home": home.host.status()})["home"]["unkept"].startswith("revocation list 3")
+        assert "failing" not in shown(home)
+        home.host.options.admission.persist_error = "revocation list 3 is not kept: the disk is full"
+        assert "home is failing: revocation list 3 is not kept: the disk is full" in shown(home)
+        assert as_data(states_of({"home": home.host.status()}))["home"]["unkept"].startswith(
+            "revocation list 3"
+        )
 
     fleet(story)
 
@@ -118,7 +123,7 @@ def test_a_host_that_keeps_nothing_says_so(fleet):
     async def story(team):
         (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT))
         assert home.host.status().journal is None
-        assert "keeps nothing" in shown(home)
+        assert "not saved" in shown(home)
 
     fleet(story)
 

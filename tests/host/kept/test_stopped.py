@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from secrets import token_bytes
 
-from lfield.authority.identity import ALL, Identity
-from lfield.journal.pages import Stopped
-from lfield.mission.load import load_mission
-from lfield.simulate.fleet import Fleet
-from lfield.wire.observing import EmergencyStop, EmergencyStopped, Pause, named
+from lfield.authority.identity import ALL_RIGHTS, Identity
+from lfield.journal.records import EmergencyStopFlag
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, Pause, with_epoch
 
 #: It climbs for ever, and releases its copter whenever it may.
 PROGRAM = """
@@ -33,22 +33,22 @@ coordinator Walker {
 }
 """
 WHY = "the emergency stop was pressed: person on the field"
-STILL = f"EMERGENCY STOP still holds: {WHY}; 'lfield estop --lift' ends it"
+STILL = f"EMERGENCY STOP still active: {WHY}; end it with 'lfield estop --lift'"
 
 
 class Person:
     """Presses and lifts the stop of the host of a fleet; `kept` is what was on the disk at each answer."""
 
     def __init__(self, fleet: Fleet) -> None:
-        self._fleet, self.who = fleet, Identity("person", "anna", ALL)
-        self.answers: list[EmergencyStopped] = []
+        self._fleet, self.who = fleet, Identity("person", "anna", ALL_RIGHTS)
+        self.answers: list[EmergencyStopResult] = []
         self.kept: list[str] = []
 
     def send(self, message: object) -> None:
         """The host answers."""
-        assert isinstance(message, EmergencyStopped)
+        assert isinstance(message, EmergencyStopResult)
         assert len(message.id) == 16
-        self.answers.append(EmergencyStopped(message.devices, message.trouble))
+        self.answers.append(EmergencyStopResult(message.devices, message.trouble))
         self.kept.append(kept(self._fleet))
 
     def stop(self, *, lift: bool = False) -> None:
@@ -59,21 +59,23 @@ class Person:
 
     def _say(self, message: EmergencyStop | Pause) -> None:
         life = self._fleet.lives["alpha"]
-        order = named(message, life.core.orders.epochs)
-        life.process.loop.enter(lambda: life.host.received("", order, self))  # type: ignore[arg-type]
+        order = with_epoch(message, life.core.orders.epochs)
+        life.process.loop.enter(lambda: life.host.on_message("", order, self))  # type: ignore[arg-type]
 
 
 def flying(folder: Path, *, keeps: bool = True) -> tuple[Fleet, Person]:
     (folder / "mission.L").write_text(PROGRAM)
     (folder / "mission.dL").write_text("//Post:p@alpha\n//Walker:walker@alpha\n")
-    fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1, keeps=keeps)
+    fleet = Fleet(load_mission(folder / "mission.dL", simulate=True), 1, options=FleetOptions(keeps=keeps))
     fleet.run(8.0)
     assert climbs(fleet, 0)
     return fleet, Person(fleet)
 
 
 def kept(fleet: Fleet) -> str:
-    return "".join(page.reason for page in fleet.disks["alpha"].pages() if isinstance(page, Stopped))
+    return "".join(
+        page.reason for page in fleet.disks["alpha"].pages() if isinstance(page, EmergencyStopFlag)
+    )
 
 
 def latched(fleet: Fleet) -> str:
@@ -101,7 +103,7 @@ def test_a_host_that_is_started_again_holds_its_devices_until_the_stop_is_lifted
     fleet, person = flying(tmp_path)
     person.stop()
     fleet.run(5.0)
-    assert (person.answers, person.kept) == ([EmergencyStopped({"p.fc": ""})], [WHY])
+    assert (person.answers, person.kept) == ([EmergencyStopResult({"p.fc": ""})], [WHY])
     for _ in range(2):
         began = started_again(fleet)
         assert said(fleet, STILL, began)
@@ -111,7 +113,7 @@ def test_a_host_that_is_started_again_holds_its_devices_until_the_stop_is_lifted
     person.stop(lift=True)
     lifted = len(fleet.log)
     fleet.run(10.0)
-    assert (person.answers[-1], person.kept[-1]) == (EmergencyStopped({"p.fc": ""}), "")
+    assert (person.answers[-1], person.kept[-1]) == (EmergencyStopResult({"p.fc": ""}), "")
     assert climbs(fleet, lifted)
     began = started_again(fleet)
     assert not said(fleet, "EMERGENCY", began)
@@ -138,14 +140,14 @@ def test_a_disk_that_takes_nothing_is_told_of_and_the_stop_holds(tmp_path: Path)
     (answer,) = person.answers
     assert answer.devices == {"p.fc": ""}
     assert answer.trouble == (
-        "the stop is not on the disk (cannot use the journal of a simulation: its disk fails): "
-        "started again, this host may know nothing of it"
+        "emergency stop not stored: cannot use the journal of a simulation: its disk fails; after a restart "
+        "this host would not restore it"
     )
     assert said(fleet, answer.trouble, 0)
     person.stop(lift=True)
     fleet.run(4.0)
-    assert person.answers[-1].trouble.startswith("its end is not on the disk (")
-    assert person.answers[-1].trouble.endswith("): started again, this host may still hold its devices")
+    assert person.answers[-1].trouble.startswith("end of the emergency stop not stored: ")
+    assert person.answers[-1].trouble.endswith("; after a restart this host would hold its devices again")
     fleet.disks["alpha"].broken = False
     person.stop()
     fleet.run(8.0)
@@ -157,7 +159,7 @@ def test_a_host_without_a_journal_forgets_it_and_waits_for_no_disk(tmp_path: Pat
     fleet, person = flying(tmp_path, keeps=False)
     person.stop()
     fleet.run(5.0)
-    assert person.answers == [EmergencyStopped({"p.fc": ""})]
+    assert person.answers == [EmergencyStopResult({"p.fc": ""})]
     began = started_again(fleet)
     assert latched(fleet) == ""
     assert not said(fleet, "EMERGENCY", began)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import asyncio
 from dataclasses import replace
 
+import memory_network
 import msgspec
 
-from lfield.authority.identity import ALL, NONE, Identity
+from lfield.authority.identity import ALL_RIGHTS, NO_RIGHTS, Identity
 from lfield.errors import AddressError
-from lfield.mission.access.release import Release
-from lfield.net.owner import Complaints
-from lfield.net.peers import MOST_OBSERVERS
+from lfield.mission.access.signed_bundle import BundleId
+from lfield.net.link_manager import MAX_OBSERVERS
+from lfield.net.link_owner import RateLimitedLog
 from lfield.net.session import Session
-from lfield.simulate import network
-from lfield.wire.messages import Hello, Refuse
-from lfield.wire.observing import Status, StatusRequest
+from lfield.wire.messages import HandshakeRefused, Hello
+from lfield.wire.subscription_messages import EventBatch, Subscribe
 
 PROGRAM = """
 resource Echo {
@@ -46,7 +46,7 @@ def test_hosts_of_two_programs(fleet):
         (bravo,) = await team.up(team.mission(PROGRAM.replace("here", "there"), DEPLOYMENT), "bravo")
         (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT, without=("bravo",)), "alpha")
         await _stays_refused(team, alpha, bravo, "start both from the same program file")
-        assert "cannot talk to bravo" in alpha.log
+        assert "link to bravo refused" in alpha.log
 
     fleet(story)
 
@@ -63,7 +63,7 @@ def test_hosts_of_two_deployments(fleet):
 def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT, without=("bravo",))
-        one, other = (replace(mission, release=Release(digest * 32, by="anna")) for digest in (b"1", b"2"))
+        one, other = (replace(mission, release=BundleId(digest * 32, by="anna")) for digest in (b"1", b"2"))
         (bravo,) = await team.up(other, "bravo")
         (alpha,) = await team.up(one, "alpha")
         await _stays_refused(team, alpha, bravo, "copy one of the two to both")
@@ -74,9 +74,9 @@ def test_hosts_of_two_bundles_that_differ_in_their_bindings_alone(fleet):
 def test_a_host_of_files_and_one_of_a_bundle_talk(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        files = replace(mission, release=Release(b"1" * 32, by="anna", of_files=True))
+        files = replace(mission, release=BundleId(b"1" * 32, by="anna", is_from_files=True))
         (bravo,) = await team.up(files, "bravo")
-        await team.up(replace(mission, release=Release(b"2" * 32, by="anna")), "alpha")
+        await team.up(replace(mission, release=BundleId(b"2" * 32, by="anna")), "alpha")
         assert await team.ended("tom") == "done"
         assert bravo.output == ["here"]
 
@@ -113,12 +113,12 @@ class StrangersPeers:
     """Who keeps a link of a caller that never greets."""
 
     def __init__(self, note):
-        self.complain = Complaints(note, self.now).say
+        self.log_once = RateLimitedLog(note, self.now).write
 
     def now(self):
         return 0.0
 
-    def gone(self, session):
+    def on_link_closed(self, session):
         pass
 
 
@@ -129,7 +129,7 @@ def test_a_caller_that_resets_again_and_again_is_told_once():
         session = Session(peers, None)
         session.link = type("Reset", (), {"peer": f"192.0.2.7:{port}"})()
         session.on_closed(session.link, AddressError(session.link.peer, "the connection was lost: reset"))
-    assert log == ["closed a link from 192.0.2.7: the connection was lost: reset"]
+    assert log == ["link from 192.0.2.7 closed: the connection was lost: reset"]
 
 
 class EagerTransport:
@@ -156,7 +156,7 @@ def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(fleet):
         await alpha.host.start()
         assert await team.ended("tom") == "done"
         assert bravo.output == ["here"]
-        assert "closed a link" not in alpha.log + bravo.log
+        assert "link from " not in alpha.log + bravo.log
         assert team.network.sent["Hello"] == 2
 
     fleet(story)
@@ -194,24 +194,24 @@ def test_a_greeting_tells_what_is_known_when_the_call_is_taken(fleet):
         await team.until(lambda: away.output)
         await carol.host.stop()
         _, home = await team.up(mission, "carol", "home", first_start=False)
-        await team.until(lambda: _told(home, "linked with away"))
-        assert _told(home, "tom is alive on another host: not started again")
+        await team.until(lambda: _told(home, "link to away established"))
+        assert _told(home, "tom not started again: it is alive on another host")
         assert not home.holds("tom")
 
     fleet(story)
 
 
 class Caller:
-    """Whoever calls at a door: says hello, asks for the status, and keeps what comes back."""
+    """Whoever calls at a door: says hello, asks for a snapshot, and keeps what comes back."""
 
     def __init__(self, hello):
         self.hello, self.heard, self.ends = hello, [], []
 
     def on_message(self, link, message):
-        link.greeted("host")
+        link.accept_role("host")
         self.heard.append(message)
         if self.hello.role == "observer" and isinstance(message, Hello):
-            link.send(StatusRequest())
+            link.send(Subscribe(once=True))
 
     def on_closed(self, link, error):
         self.ends.append(error)
@@ -221,7 +221,7 @@ async def calls(team, address, hello):
     caller = Caller(hello)
     link = await team.network.transport("bravo").connect(address, caller)
     link.send(hello)
-    await team.until(lambda: caller.ends or any(isinstance(said, Status) for said in caller.heard))
+    await team.until(lambda: caller.ends or any(isinstance(said, EventBatch) for said in caller.heard))
     link.close()
     return caller.heard[-1]
 
@@ -231,19 +231,19 @@ def test_a_user_of_this_computer_gives_commands_and_is_no_host(fleet, monkeypatc
 
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        (alpha,) = await team.up(mission, "alpha", door="alpha:1")
-        monkeypatch.setattr(network, "resident", lambda _: Identity("local", "bob", ALL))
-        assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), Status)
+        (alpha,) = await team.up(mission, "alpha", control_socket="alpha:1")
+        monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", ALL_RIGHTS))
+        assert isinstance(await calls(team, "alpha:1", Hello("observer", "observer", 0)), EventBatch)
         known = alpha.host.hello()
         bravo = msgspec.structs.replace(known, host="bravo", incarnation=7)
         refused = await calls(team, "alpha:1", bravo)
-        assert isinstance(refused, Refuse)
-        assert "and user bob of this computer only gives commands" in refused.reason
-        assert _told(alpha, "only gives commands")
+        assert isinstance(refused, HandshakeRefused)
+        assert "and user bob of this computer may only send commands" in refused.reason
+        assert _told(alpha, "may only send commands")
         assert "bravo" not in alpha.host.peers.incarnations
-        monkeypatch.setattr(network, "resident", lambda _: Identity("local", "bob", NONE))
+        monkeypatch.setattr(memory_network, "host_at_address", lambda _: Identity("local", "bob", NO_RIGHTS))
         refused = await calls(team, "alpha:1", Hello("observer", "observer", 0))
-        assert "user bob of this computer may nothing here" in refused.reason
+        assert "user bob of this computer has no permission here" in refused.reason
 
     fleet(story)
 
@@ -252,8 +252,8 @@ def test_a_host_without_its_door_says_so_and_runs(fleet):
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         await team.up(mission, "bravo")
-        (alpha,) = await team.up(mission, "alpha", door="bravo:8181")
-        assert _told(alpha, "commands find this host over the network only, with a person's keys: ")
+        (alpha,) = await team.up(mission, "alpha", control_socket="bravo:8181")
+        assert _told(alpha, "no control socket: ")
         assert await team.ended("tom") == "done"
 
     fleet(story)
@@ -264,19 +264,21 @@ def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(fleet,
 
     async def story(team):
         mission = team.mission(PROGRAM, DEPLOYMENT)
-        await team.up(mission, "alpha", door="alpha:1")
+        await team.up(mission, "alpha", control_socket="alpha:1")
         desk, hello = team.network.transport("desk"), Hello("observer", "observer", 0)
 
         async def looks(name):
             caller = Caller(hello)
-            monkeypatch.setattr(network, "resident", lambda _: Identity("local", name, ALL))
+            monkeypatch.setattr(
+                memory_network, "host_at_address", lambda _: Identity("local", name, ALL_RIGHTS)
+            )
             (await desk.connect("alpha:1", caller)).send(hello)
-            await team.until(lambda: any(isinstance(said, Status) for said in caller.heard))
+            await team.until(lambda: any(isinstance(said, EventBatch) for said in caller.heard))
             return caller
 
         ben = await looks("ben")
-        annas = [await looks("anna") for _ in range(5 * MOST_OBSERVERS)]
-        await team.until(lambda: sum(not anna.ends for anna in annas) == MOST_OBSERVERS - 1)
+        annas = [await looks("anna") for _ in range(5 * MAX_OBSERVERS)]
+        await team.until(lambda: sum(not anna.ends for anna in annas) == MAX_OBSERVERS - 1)
         assert ben.ends == []
 
     fleet(story)
@@ -284,7 +286,7 @@ def test_one_with_too_many_links_to_look_loses_their_own_and_nobody_elses(fleet,
 
 def test_a_host_that_stops_leaves_no_link_behind_of_whoever_has_said_nothing(fleet):
     async def story(team):
-        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", door="alpha:1")
+        (alpha,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "alpha", control_socket="alpha:1")
         silent = Quiet()
         await team.network.transport("desk").connect("alpha:1", silent)
         await asyncio.sleep(1.0)

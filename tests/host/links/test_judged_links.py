@@ -6,23 +6,23 @@ import asyncio
 import time
 from dataclasses import replace
 
+import memory_network
 import msgspec
 import pytest
 
-from lfield.authority.admission import Judged
-from lfield.authority.believed import BelievedTime
-from lfield.authority.identity import ALL, NONE, Identity
-from lfield.authority.judge import NOBODY
-from lfield.authority.reading import revoked_in
-from lfield.errors import GreetingError
-from lfield.operator.ask import STATUS, emergency_stop
-from lfield.operator.observing import ask
-from lfield.simulate import network
-from lfield.simulate.time import LoopClock
-from lfield.testing.keys import Keyring
-from lfield.wire.messages import Hello, Refuse, Revocations
-from lfield.wire.observing import EmergencyStop
-from lfield.wire.watching import Watch
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.certificate_reader import revoked_in
+from lfield.authority.identity import ALL_RIGHTS, NO_RIGHTS, Identity
+from lfield.authority.peer_verification import NONE_REVOKED
+from lfield.authority.trusted_clock import TrustedClock
+from lfield.errors import HandshakeError
+from lfield.operator.client import SNAPSHOT, emergency_stop
+from lfield.operator.observer_link import send_request
+from lfield.simulate.jumping_loop import LoopClock
+from lfield.testing.keyring import Keyring
+from lfield.wire.messages import HandshakeRefused, Hello, RevocationUpdate
+from lfield.wire.observer_messages import EmergencyStop
+from lfield.wire.subscription_messages import Subscribe
 
 OBSERVER = Hello("observer", "observer", 0)
 
@@ -60,26 +60,33 @@ class Judges:
         self.who: dict[str, Identity] = {}
         self.kept: list[bytes] = []
         for number, name in enumerate(("alpha", "bravo", "desk")):
-            kind, may = ("person", ALL) if name == "desk" else ("host", NONE)
+            kind, may = ("person", ALL_RIGHTS) if name == "desk" else ("host", NO_RIGHTS)
             at = self.now + 1000.0
             self.who[name] = Identity(kind, name, may, f"a{number}", at - DAY, at + DAY, "ours")
-        monkeypatch.setattr(network, "resident", lambda address: self.who[address.partition(":")[0]])
+        monkeypatch.setattr(
+            memory_network, "host_at_address", lambda address: self.who[address.partition(":")[0]]
+        )
 
     def set(self, name: str, **fields) -> None:
         self.who[name] = replace(self.who[name], **fields)
 
     def ends(self, name: str, after: float) -> None:
-        self.set(name, ends=self.now + 1000.0 + after)
+        self.set(name, valid_until=self.now + 1000.0 + after)
 
     def list(self, number: int, *serials: str) -> bytes:
-        return self.ring.listed(number, *serials, at=self.now)
+        return self.ring.revocation_list(number, *serials, at=self.now)
 
-    def admission(self, name: str, data: bytes = b"", begin: float | None = None) -> Judged:
-        revoked = revoked_in(data, self.keys.authority) if data else NOBODY
+    def admission(self, name: str, data: bytes = b"", begin: float | None = None) -> CertificateAdmission:
+        revoked = revoked_in(data, self.keys.authority) if data else NONE_REVOKED
         clock = Wall(self.now if begin is None else begin)
-        made = Judged(self.keys, self.who[name], BelievedTime(clock), revoked, data)
-        made.keep = self.kept.append
-        return made
+        return CertificateAdmission(
+            self.keys,
+            self.who[name],
+            TrustedClock(clock),
+            revoked,
+            data,
+            lambda data, _: self.kept.append(data),
+        )
 
 
 @pytest.fixture
@@ -111,7 +118,7 @@ def test_in_flight_a_known_peer_whose_certificate_ends_may_finish(fleet, judges)
         team.network.cut("alpha", "bravo")
         await team.until(lambda: not linked(alpha))
         await team.until(lambda: linked(alpha))
-        await ask(team.network.transport("desk"), "alpha:8181", emergency_stop("enough"))
+        await send_request(team.network.transport("desk"), "alpha:8181", emergency_stop("enough"))
         await team.until(lambda: not linked(alpha))
         await team.until(lambda: "renew it with 'lfield keys renew host bravo'" in bravo.log)
 
@@ -146,13 +153,13 @@ def test_a_revocation_list_travels_with_greetings_and_is_kept(fleet, judges):
     async def story(team):
         new = judges.list(4, "ff")
         alpha, bravo = await both_up(team, judges, DONE, alpha=new, bravo=judges.list(3))
-        await team.until(lambda: "revocation list 4 has come" in bravo.log)
+        await team.until(lambda: "revocation list 4 received" in bravo.log)
         assert judges.kept == [new]
         assert bravo.host.hello().revoked == 0, "what links say of it is theirs"
         assert linked(alpha)
         assert linked(bravo)
         await asyncio.sleep(20.0)
-        assert "has come" not in alpha.log
+        assert "revocation list" not in alpha.log
 
     fleet(story)
 
@@ -166,10 +173,10 @@ def test_what_any_list_has_revoked_stays_so_and_where_lists_differ_it_is_told(fl
         await team.until(lambda: linked(alpha))
         desk = await _looks(team, "desk")
         for number, serial in ((first, "aa11"), (second, "bb22"), (second, "bb22")):
-            desk.link.send(Revocations(judges.list(number, serial)))
+            desk.link.send(RevocationUpdate(judges.list(number, serial)))
         missing, has, newest = ("aa11", first, second) if second > first else ("bb22", second, first)
         other = f"list {has}" if first != second else "another one of that number"
-        line = f"list {newest} does not revoke {missing}, which {other} does"
+        line = f"list {newest} incomplete: it does not revoke {missing}, and {other} does"
         for host in (alpha, bravo):
             await team.until(lambda host=host: line in host.log)
             await asyncio.sleep(5.0)
@@ -179,8 +186,8 @@ def test_what_any_list_has_revoked_stays_so_and_where_lists_differ_it_is_told(fl
             assert (admission.number, admission.revoked.serials) == (newest, {"aa11", "bb22"})
             assert admission.list == judges.list(newest, "aa11" if newest == first else "bb22")
         both = judges.list(9, "aa11", "bb22")
-        desk.link.send(Revocations(both))
-        await team.until(lambda: "revocation list 9 has come\n" in bravo.log)
+        desk.link.send(RevocationUpdate(both))
+        await team.until(lambda: "revocation list 9 received\n" in bravo.log)
         assert judges.kept[-2:] == [both, both]
 
     fleet(story)
@@ -219,9 +226,9 @@ def test_a_revoked_host_keeps_no_link_on_which_it_only_looks_even_in_flight(flee
     async def story(team):
         alpha, _ = await both_up(team, judges, ENDLESS)
         await team.until(lambda: linked(alpha))
-        looks = await _looks(team, "bravo", Watch())
+        looks = await _looks(team, "bravo", Subscribe())
         desk = await _looks(team, "desk")
-        desk.link.send(Revocations(judges.list(7, judges.who["bravo"].serial)))
+        desk.link.send(RevocationUpdate(judges.list(7, judges.who["bravo"].serial)))
         await team.until(lambda: looks.over)
         assert "the keys of host bravo are revoked (list 7)" in looks.refused
         assert linked(alpha), "the link of the host itself stays, to finish"
@@ -268,9 +275,9 @@ def test_a_list_that_the_authority_has_not_signed_closes_that_link_and_no_other(
     async def story(team):
         alpha, _ = await both_up(team, judges, DONE)
         await team.until(lambda: linked(alpha))
-        for data in (b"no list", Keyring(judges.ring.folder).listed(9, "a1", at=judges.now)):
+        for data in (b"no list", Keyring(judges.ring.folder).revocation_list(9, "a1", at=judges.now)):
             await _says(team, data)
-            await team.until(lambda: "closed a link from desk: the revocation list" in alpha.log)
+            await team.until(lambda: "link from desk closed: the revocation list" in alpha.log)
         assert linked(alpha)
         assert alpha.host.options.admission.number == 0
 
@@ -280,8 +287,8 @@ def test_a_list_that_the_authority_has_not_signed_closes_that_link_and_no_other(
 def test_a_revoked_person_may_nothing(fleet, judges):
     async def story(team):
         await both_up(team, judges, ENDLESS, alpha=judges.list(1, judges.who["desk"].serial))
-        with pytest.raises(GreetingError, match="the keys of desk are revoked"):
-            await ask(team.network.transport("desk"), "alpha:8181", STATUS)
+        with pytest.raises(HandshakeError, match="the keys of desk are revoked"):
+            await send_request(team.network.transport("desk"), "alpha:8181", SNAPSHOT)
 
     fleet(story)
 
@@ -291,14 +298,14 @@ def test_a_person_who_was_known_and_whose_certificate_has_ended_may_stop_what_fl
         judges.ends("desk", 5.0)
         alpha, _ = await both_up(team, judges, ENDLESS)
         desk = team.network.transport("desk")
-        await ask(desk, "alpha:8181", STATUS)
+        await send_request(desk, "alpha:8181", SNAPSHOT)
         await asyncio.sleep(30.0)
-        await ask(desk, "alpha:8181", STATUS)
-        with pytest.raises(GreetingError, match=r"ended .*; until then desk may only look and stop"):
-            await ask(desk, "alpha:8181", emergency_stop("", lift=True))
-        await ask(desk, "alpha:8181", emergency_stop("enough"))
-        with pytest.raises(GreetingError, match="the certificate of desk ended"):
-            await ask(desk, "alpha:8181", STATUS)
+        await send_request(desk, "alpha:8181", SNAPSHOT)
+        with pytest.raises(HandshakeError, match=r"ended .*; until then desk may only look and stop"):
+            await send_request(desk, "alpha:8181", emergency_stop("", lift=True))
+        await send_request(desk, "alpha:8181", emergency_stop("enough"))
+        with pytest.raises(HandshakeError, match="the certificate of desk ended"):
+            await send_request(desk, "alpha:8181", SNAPSHOT)
         assert "EMERGENCY STOP by desk: enough" in alpha.log
 
     fleet(story)
@@ -309,11 +316,11 @@ def test_a_clock_that_stopped_years_ago_goes_by_what_the_authority_and_the_team_
         mission = team.mission(PROGRAM, DONE)
         old = judges.admission("alpha", begin=0.0)
         (alpha,) = await team.up(mission, "alpha", admission=old)
-        assert "the clock of this computer says 1970-01-01" in alpha.log
+        assert "system clock behind: it shows 1970-01-01" in alpha.log
         assert "since the certificate of host alpha began then" in alpha.log
         (bravo,) = await team.up(mission, "bravo", admission=judges.admission("bravo"))
         await team.until(lambda: linked(alpha) and linked(bravo))
-        assert "since host bravo says so" in alpha.log
+        assert "since host bravo has sent that time" in alpha.log
         assert abs(old.time.now() - judges.now - LoopClock().monotonic()) < 5.0
 
     fleet(story)
@@ -327,8 +334,8 @@ class Looker:
 
     def on_message(self, link, message):
         self.heard = True
-        link.greeted("host")
-        if isinstance(message, Refuse):
+        link.accept_role("host")
+        if isinstance(message, HandshakeRefused):
             self.refused = message.reason
 
     def on_closed(self, link, error):
@@ -349,4 +356,4 @@ async def _looks(team, name, *words, greets=None):
 
 async def _says(team, data):
     """A person brings a revocation list."""
-    return (await _looks(team, "desk", Revocations(data))).link
+    return (await _looks(team, "desk", RevocationUpdate(data))).link

@@ -5,20 +5,19 @@ from __future__ import annotations
 import asyncio
 import time
 from dataclasses import replace
-from functools import partial
 
 import pytest
 
-from lfield.authority import folder, reading
-from lfield.authority.admission import Judged
-from lfield.authority.reading import identity_in, revoked_in
+from lfield.authority import certificate_reader, keystore
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.certificate_reader import identity_in, revoked_in
 from lfield.clock import ManualClock
 from lfield.errors import KeysError, UsageError
-from lfield.host.process import own_list
-from lfield.host.process.own_list import keep_list
-from lfield.host.process.proving import Proof, admitted, insist_on_keys
-from lfield.net.tls import Tls
-from lfield.testing.keys import LASTS, Keyring
+from lfield.host.process import crl_store
+from lfield.host.process.credentials import HostCredentials, admission_for, require_credentials
+from lfield.host.process.crl_store import CrlStore, write_crl
+from lfield.net.tls import TlsIdentity
+from lfield.testing.keyring import VALIDITY, Keyring
 from lfield.wire.messages import Hello
 
 DAY = 86400.0
@@ -34,136 +33,150 @@ def now(at: float = 0.0) -> ManualClock:
     return ManualClock(time.time() + at)
 
 
-def judged(proof: Proof, clock: ManualClock | None = None, times=()) -> Judged:
-    _, admission = admitted(proof, "alpha", clock or now(), times)
-    assert isinstance(admission, Judged)
+def judged(proof: HostCredentials, clock: ManualClock | None = None, times=()) -> CertificateAdmission:
+    _, admission = admission_for(proof, "alpha", clock or now(), times)
+    assert isinstance(admission, CertificateAdmission)
     return admission
 
 
 def test_good_keys_are_taken(ring):
     keys = ring.made("host", "alpha")
-    tls, admission = admitted(Proof(keys), "alpha", now(), ())
-    assert str(tls.own()) == "host alpha"
-    assert (admission.number, admission.list, admission.line()) == (0, b"", "")
+    tls, admission = admission_for(HostCredentials(keys), "alpha", now(), ())
+    assert str(tls.own_identity()) == "host alpha"
+    assert (admission.number, admission.list, admission.clock_warning()) == (0, b"", None)
 
 
 def test_keys_of_somebody_else_are_not(ring):
     for keys, sentence in (
         (ring.made("host", "bravo"), "these are the keys of host bravo, not of host alpha"),
-        (ring.made("person", "alpha"), "these keys are no good for a host"),
-        (replace(ring.made("host", "alpha"), key=ring.made("host", "bravo").key), "do not belong together"),
+        (ring.made("person", "alpha"), "keys rejected for a host"),
+        (replace(ring.made("host", "alpha"), key=ring.made("host", "bravo").key), "damaged or mismatched"),
     ):
         with pytest.raises(KeysError, match=sentence):
-            admitted(Proof(keys), "alpha", now(), ())
+            admission_for(HostCredentials(keys), "alpha", now(), ())
 
 
 def test_keys_that_end_before_the_mission_does_are_not(ring):
     keys = ring.made("host", "alpha", lasts=3600.0)
-    judged(Proof(keys, lasts=3000.0))
+    judged(HostCredentials(keys, min_lifetime=3000.0))
     with pytest.raises(KeysError, match=r"and the mission may last 4000 s from .*say with --lasts"):
-        judged(Proof(keys, lasts=4000.0))
+        judged(HostCredentials(keys, min_lifetime=4000.0))
     with pytest.raises(KeysError, match="renew it with 'lfield keys renew host alpha'"):
-        judged(Proof(keys), now(3601.0))
+        judged(HostCredentials(keys), now(3601.0))
 
 
 def test_a_clock_before_the_certificate_is_not_believed(ring):
-    admission = judged(Proof(ring.made("host", "alpha"), lasts=LASTS - 3600.0), ManualClock(0.0))
+    admission = judged(
+        HostCredentials(ring.made("host", "alpha"), min_lifetime=VALIDITY - 3600.0), ManualClock(0.0)
+    )
     assert abs(admission.time.now() - time.time()) < 5.0
-    assert "since the certificate of host alpha began then; set the clock" in admission.line()
+    assert "since the certificate of host alpha began then; set the clock" in admission.clock_warning()
 
 
 def test_what_the_journal_kept_counts_unless_it_is_after_the_keys_have_ended(ring):
-    proof = Proof(ring.made("host", "alpha"))
+    proof = HostCredentials(ring.made("host", "alpha"))
     later = time.time() + DAY
-    admission = judged(proof, times=(5.0, later, later + 10 * LASTS))
+    admission = judged(proof, times=(5.0, later, later + 10 * VALIDITY))
     assert abs(admission.time.now() - later) < 5.0
-    assert "it was so late already when this host ran before" in admission.line()
+    assert "the journal of this host has that time" in admission.clock_warning()
 
 
-def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_path):
+def store_in(monkeypatch, *folders):
+    """Lists are written at once, into the first of these folders that permits it."""
+    monkeypatch.setattr(CrlStore, "store", lambda _, data, on_stored: on_stored(write_crl(folders, data)))
+
+
+def test_the_newest_list_counts_wherever_it_is_and_a_new_one_is_kept(ring, tmp_path, monkeypatch):
     keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
-    keys = replace(keys, revoked=ring.listed(2, "ff"))
+    keys = replace(keys, revoked=ring.revocation_list(2, "ff"))
     own = tmp_path / "own"
-    folder.write(own, keys)
-    folder.write_list(kept, ring.listed(5, "fe"))
-    admission = judged(Proof(keys, (own, kept)))
-    admission.keep = partial(keep_list, (own, kept))
+    keystore.write_keys(own, keys)
+    keystore.write_crl(kept, ring.revocation_list(5, "fe"))
+    store_in(monkeypatch, own, kept)
+    admission = judged(HostCredentials(keys, (own, kept)))
     assert (admission.number, admission.revoked.serials) == (5, frozenset({"fe", "ff"}))
-    assert admission.news(ring.listed(6, "fd", "fe", "ff")) == "revocation list 6 has come"
-    assert judged(Proof(folder.read(own, "host"))).number == 6
-    assert not admission.news(ring.listed(5)), "an older one that revokes nobody else"
-    assert folder.read_list(own) == admission.list
+    assert admission.on_revocation_list(ring.revocation_list(6, "fd", "fe", "ff")) == (
+        "certificate revocation list 6 received",
+    )
+    assert judged(HostCredentials(keystore.read_keys(own, "host"))).number == 6
+    assert not admission.on_revocation_list(ring.revocation_list(5)), "an older one that revokes nobody else"
+    assert keystore.read_crl(own) == admission.list
 
 
 def test_an_old_list_is_read_once_however_often_it_comes(ring, tmp_path, monkeypatch):
-    admission = judged(Proof(replace(ring.made("host", "alpha"), revoked=ring.listed(5, "fe", "ff"))))
+    admission = judged(
+        HostCredentials(replace(ring.made("host", "alpha"), revoked=ring.revocation_list(5, "fe", "ff")))
+    )
     read = []
 
     def reading_of(data, authority):
         read.append(data)
         return revoked_in(data, authority)
 
-    monkeypatch.setattr(reading, "revoked_in", reading_of)
-    old, other = ring.listed(3, "fe"), ring.listed(4, "ff", "fd")
+    monkeypatch.setattr(certificate_reader, "revoked_in", reading_of)
+    old, other = ring.revocation_list(3, "fe"), ring.revocation_list(4, "ff", "fd")
     for _ in range(3):
-        assert not admission.news(old)
+        assert not admission.on_revocation_list(old)
     assert read == [old]
-    assert admission.news(other), "it revokes one more"
-    assert not admission.news(other)
-    assert not admission.news(other)
+    assert admission.on_revocation_list(other), "it revokes one more"
+    assert not admission.on_revocation_list(other)
+    assert not admission.on_revocation_list(other)
     assert read == [old, other, other]
 
 
-def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path):
+def test_where_the_keys_are_of_a_service_a_list_is_kept_elsewhere(ring, tmp_path, monkeypatch):
     keys, kept = ring.made("host", "alpha"), tmp_path / "kept"
     unwritable = tmp_path / "file"
     unwritable.write_text("no folder can be made here")
-    admission = judged(Proof(keys, (kept,)))
-    admission.keep = partial(keep_list, (unwritable / "keys", kept))
-    assert admission.news(ring.listed(1, "ff"))
-    assert folder.read_list(kept) == admission.list
+    store_in(monkeypatch, unwritable / "keys", kept)
+    admission = judged(HostCredentials(keys, (kept,)))
+    assert admission.on_revocation_list(ring.revocation_list(1, "ff"))
+    assert keystore.read_crl(kept) == admission.list
 
 
 @pytest.mark.parametrize("length", [0, 100])
 def test_a_list_that_was_kept_and_is_damaged_is_named(ring, tmp_path, length):
     kept = tmp_path / "kept"
-    folder.write_list(kept, ring.listed(5, "fe"))
+    keystore.write_crl(kept, ring.revocation_list(5, "fe"))
     path = kept / "revoked.crl"
     path.write_bytes(path.read_bytes()[:length])
     with pytest.raises(KeysError, match=f"{path}.* copy it again"):
-        judged(Proof(ring.made("host", "alpha"), (kept,)))
+        judged(HostCredentials(ring.made("host", "alpha"), (kept,)))
 
 
 def test_a_list_that_cannot_be_kept_is_told_and_tried_again(ring, tmp_path, monkeypatch):
     """Whom it revokes this host would let in after a restart."""
-    monkeypatch.setattr(own_list, "AGAIN", 0.001)
+    monkeypatch.setattr(crl_store, "RETRY_AFTER", 0.001)
     keys, kept, lines = ring.made("host", "alpha"), tmp_path / "kept", []
     tries = []
 
     def keep(folders, data):
         tries.append(data)
-        return keep_list(folders, data)
+        return write_crl(folders, data)
 
-    monkeypatch.setattr(own_list, "keep_list", keep)
-    admission = judged(Proof(keys, (kept,)))
+    monkeypatch.setattr(crl_store, "write_crl", keep)
+    admission = judged(HostCredentials(keys, (kept,)))
     admission.note = lines.append
     anna = identity_in(ring.made("person", "anna").certificate, keys.authority)
     kept.write_text("no folder can be made here")
 
     async def story():
-        admission.greeted(anna, Hello("observer", "observer", 0))
-        admission.news(ring.listed(1, anna.serial, "ff"))
+        admission.on_handshake(anna, Hello("observer", "observer", 0))
+        admission.on_revocation_list(ring.revocation_list(1, anna.serial, "ff"))
         while len(tries) < 5:
             await asyncio.sleep(0.001)
-        assert lines == [admission.unkept]
-        assert f"revocation list 1 is not kept: cannot write {kept}" in admission.unkept
-        assert "After a restart this host would let in whom it revokes (anna):" in admission.unkept
-        admission.news(newest := ring.listed(2, anna.serial, "ff", "fe"))
+        assert lines == [admission.persist_error]
+        assert f"revocation list 1 not stored: cannot write {kept}" in admission.persist_error
+        assert (
+            "after a restart this host would accept the certificates that it revokes (anna);"
+            in admission.persist_error
+        )
+        admission.on_revocation_list(newest := ring.revocation_list(2, anna.serial, "ff", "fe"))
         kept.unlink()
-        while admission.unkept:
+        while admission.persist_error:
             await asyncio.sleep(0.001)
-        assert lines[-1] == "revocation list 2 is kept now"
-        assert folder.read_list(kept) == newest
+        assert lines[-1] == "certificate revocation list 2 stored"
+        assert keystore.read_crl(kept) == newest
 
     asyncio.run(story())
 
@@ -173,16 +186,20 @@ def test_a_revoked_host_does_not_begin(ring):
     with pytest.raises(
         KeysError, match=r"are revoked \(list 3\): make new ones with 'lfield keys host alpha'"
     ):
-        judged(Proof(replace(keys, revoked=ring.listed(3, Tls(keys).own().serial))))
+        judged(
+            HostCredentials(
+                replace(keys, revoked=ring.revocation_list(3, TlsIdentity(keys).own_identity().serial))
+            )
+        )
 
 
 def test_a_list_of_another_authority_is_no_list(ring):
-    other = Keyring(ring.folder).listed(9, "ff")
+    other = Keyring(ring.folder).revocation_list(9, "ff")
     with pytest.raises(KeysError, match="the revocation list is not signed by this authority"):
-        judged(Proof(replace(ring.made("host", "alpha"), revoked=other)))
+        judged(HostCredentials(replace(ring.made("host", "alpha"), revoked=other)))
 
 
 def test_only_a_host_that_is_alone_needs_no_keys():
-    insist_on_keys("alpha", ["alpha"])
+    require_credentials("alpha", ["alpha"])
     with pytest.raises(UsageError, match="alpha has no keys, and no host listens on a network without"):
-        insist_on_keys("alpha", ["alpha", "bravo"])
+        require_credentials("alpha", ["alpha", "bravo"])

@@ -8,28 +8,28 @@ import random
 from collections.abc import Callable
 from functools import cache, partial
 
-from lfield.authority.admission import Judged
-from lfield.authority.believed import BelievedTime
-from lfield.authority.identity import ALL, Right
-from lfield.authority.keys import Keys
-from lfield.authority.making import Authority, new_authority
-from lfield.authority.orders.signing import Certificates, Signer, verified_order
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.certificate_authority import CertificateAuthority, new_authority
+from lfield.authority.identity import ALL_RIGHTS, Right
+from lfield.authority.key_material import Keys
+from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, verify_order
+from lfield.authority.trusted_clock import TrustedClock
 from lfield.clock import ManualClock
 from lfield.errors import LfieldError
-from lfield.host.orders.executed import Executed
-from lfield.host.stopping.datagrams import Checking, OrderDatagrams
-from lfield.host.stopping.rations import Sender
-from lfield.host.stopping.stops import Answering
-from lfield.operator.orders.asking import Asking, Send
-from lfield.wire.observing import EmergencyStop, EmergencyStopped, OrderChallenge, Pause
-from lfield.wire.orders import Epochs, Kind, RelayedAnswer, RelayedOrder
+from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.host.stop_orders.datagram_limits import Sender
+from lfield.host.stop_orders.order_executor import OrderCallback
+from lfield.host.stop_orders.order_receiver import OrderPorts, OrderReceiver, PendingCheck
+from lfield.operator.orders.order_protocol import OrderProtocol, OutgoingDatagram
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.order_messages import Epochs, OrderKind, RelayedAnswer, RelayedOrder
 
 #: Seconds since 1970 UTC, when all certificates begin, and when they end.
 AT, ENDS = 1795464000.0, 1795464000.0 + 86400.0
 
 
 @cache
-def authority(number: int) -> Authority:
+def authority(number: int) -> CertificateAuthority:
     return new_authority(AT, ENDS + number)
 
 
@@ -40,7 +40,7 @@ def keys(holder: str, name: str, may: frozenset[Right] = frozenset(), number: in
     return Keys(holder, made.certificate, issued.certificate, issued.key)  # type: ignore[arg-type]
 
 
-def person(name: str = "anna", may: frozenset[Right] = ALL, number: int = 0) -> Keys:
+def person(name: str = "anna", may: frozenset[Right] = ALL_RIGHTS, number: int = 0) -> Keys:
     return keys("person", name, may, number)
 
 
@@ -49,13 +49,13 @@ class World:
 
     def __init__(self, *hosts: str, loss: float = 0.0, delay: float = 0.01, seed: int = 1) -> None:
         self.now, self.loss, self.delay = 0.0, loss, delay
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._count = itertools.count()
         self.cut: set[tuple[str, str]] = set()
         #: Every datagram, as (from, to, bytes).
         self.sent: list[tuple[str, str, bytes]] = []
-        self.desks: dict[str, Desk] = {}
+        self.desks: dict[str, OrderingPerson] = {}
         self.posts = {name: Post(self, name) for name in hosts}
 
     def later(self, seconds: float, event: Callable[[], None]) -> None:
@@ -69,10 +69,10 @@ class World:
         if not until():
             self.now = end
 
-    def carry(self, source: str, target: str, data: bytes, taken: Callable[[], None]) -> None:
+    def carry(self, source: str, target: str, data: bytes, on_arrival: Callable[[], None]) -> None:
         self.sent.append((source, target, data))
-        if (source, target) not in self.cut and self.dice.random() >= self.loss:
-            self.later(self.delay, taken)
+        if (source, target) not in self.cut and self.rng.random() >= self.loss:
+            self.later(self.delay, on_arrival)
 
 
 class Post:
@@ -82,58 +82,68 @@ class Post:
         self.world, self.name, self.slow = world, name, 0.05
         self.revoked: frozenset[str] = frozenset()
         #: What was executed, as (kind, reason), and by whom.
-        self.executed: list[tuple[Kind, str]] = []
+        self.executed: list[tuple[OrderKind, str]] = []
         self.checks = 0
         self.held = {"stop": False, "pause": False}
         self.clock, self.life = ManualClock(), 0
         self.boot()
 
-    def boot(self, kept: dict[bytes, tuple[Kind, bool]] | None = None) -> None:
+    def boot(self, kept: dict[bytes, tuple[OrderKind, bool]] | None = None) -> None:
         self.life += 1
         own = keys("host", self.name)
-        self.signer, certificates = Signer(own), Certificates(own.authority)
-        self.orders = Executed(self.world.dice.randbytes, kept)
-        self.admission = Judged(own, self.signer.who, BelievedTime(self.clock, AT))
-        self.datagrams = datagrams = OrderDatagrams(
-            self.signer, certificates, self.admission, lambda: self.orders.epochs, lambda: self.world.now
+        self.signer, certificates = OrderSigner(own), CertificateCache(own.authority)
+        self.orders = ExecutedOrders(self.world.rng.randbytes, kept)
+        self.admission = CertificateAdmission(own, self.signer.who, TrustedClock(self.clock, AT))
+        ports = OrderPorts(
+            send=self._send,
+            relay=self._relay,
+            linked=lambda: [name for name in self.world.posts if name != self.name],
+            check=self._check,
+            execute=self._execute,
+            later=self._later,
         )
-        datagrams.send, datagrams.relay, datagrams.check = self._send, self._relay, self._check
-        datagrams.linked = lambda: [name for name in self.world.posts if name != self.name]
-        datagrams.later, datagrams.execute = self._later, self._execute
+        self.datagrams = OrderReceiver(
+            self.signer,
+            certificates,
+            self.admission,
+            lambda: self.orders.epochs,
+            lambda: self.world.now,
+            ports,
+        )
 
     def _later(self, seconds: float, event: Callable[[], None]) -> None:
         life = self.life
         self.world.later(seconds, lambda: event() if life == self.life else None)
 
     def came(self, data: bytes, desk: str, network: str = "desk") -> None:
-        self.datagrams.came(data, Sender(network, desk))
+        self.datagrams.on_datagram(data, Sender(network, desk))
 
     def _send(self, sender: Sender, data: bytes) -> None:
         desk = str(sender.address)
         if desk in self.world.desks:
-            self.world.carry(self.name, desk, data, partial(self.world.desks[desk].heard, data))
+            self.world.carry(self.name, desk, data, partial(self.world.desks[desk].on_datagram, data))
         else:
             self.world.sent.append((self.name, desk, data))
 
     def _relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
         post = self.world.posts[host]
-        taken = partial(post.datagrams.relayed, self.name, message)
+        taken = partial(post.datagrams.on_relayed, self.name, message)
         self.world.carry(self.name, host, message.datagram, taken)
 
-    def _check(self, checking: Checking) -> None:
+    def _check(self, checking: PendingCheck) -> None:
         self.checks += 1
         found: object
         try:
-            found = verified_order(checking.signed, checking.known, keys("host", self.name).authority)[1]
+            found = verify_order(checking.signed, checking.known, keys("host", self.name).authority)[1]
         except LfieldError as error:
             found = error
-        self._later(0.001, lambda: self.datagrams.checked(checking, found))  # type: ignore[arg-type]
+        self._later(0.001, lambda: self.datagrams.on_checked(checking, found))  # type: ignore[arg-type]
 
-    def _execute(self, message: EmergencyStop | Pause, who: str, answer: Answering) -> None:
+    def _execute(self, message: EmergencyStop | Pause, who: str, answer: OrderCallback) -> None:
         kind, hold = message.kind, "stop" if isinstance(message, EmergencyStop) else "pause"
-        standing = self.orders.standing(kind, message.id, message.epoch)
+        standing = self.orders.standing_of(kind, message.id, message.epoch)
         if standing == "new":
-            self.orders.execute(kind, message.id)
+            self.orders.mark_executed(kind, message.id)
             self.executed.append((kind, getattr(message, "reason", "")))
             self.held[hold] = not message.lift
             self._later(self.slow, lambda: self._answer(message, answer))
@@ -144,17 +154,17 @@ class Post:
         else:
             answer(OrderChallenge(message.id, self.orders.epochs))
 
-    def _answer(self, message: EmergencyStop | Pause, answer: Answering, trouble: str = "") -> None:
-        answer(EmergencyStopped({"p.fc": ""}, trouble, message.id, self.orders.epochs))
+    def _answer(self, message: EmergencyStop | Pause, answer: OrderCallback, trouble: str = "") -> None:
+        answer(EmergencyStopResult({"p.fc": ""}, trouble, message.id, self.orders.epochs))
 
 
-class Desk:
+class OrderingPerson:
     """A person at a desk, who gives one order to hosts."""
 
     def __init__(
         self,
         world: World,
-        kind: Kind,
+        kind: OrderKind,
         hosts: dict[str, Epochs],
         who: Keys | None = None,
         *,
@@ -164,22 +174,22 @@ class Desk:
     ) -> None:
         self.world, self.name = world, name
         who = who or person()
-        certificates = Certificates(who.authority)
-        order = world.dice.randbytes(16) if id is None else id
-        self.asking = Asking(kind, order, reason, hosts, Signer(who), certificates)
+        certificates = CertificateCache(who.authority)
+        order = world.rng.randbytes(16) if id is None else id
+        self.asking = OrderProtocol(kind, order, reason, hosts, OrderSigner(who), certificates)
         world.desks[name] = self
         self.given_up = False
         self.done_at: float | None = None
         self.asking.start(world.now)
         self._go_on()
 
-    def heard(self, data: bytes) -> None:
+    def on_datagram(self, data: bytes) -> None:
         if not self.given_up:
-            self.asking.heard(data, self.world.now)
+            self.asking.on_datagram(data, self.world.now)
             self._go_on()
 
     def _go_on(self) -> None:
-        for send in self.asking.take():
+        for send in self.asking.drain_effects():
             self._put(send)
         if self.asking.due is not None:
             self.world.later(max(0.0, self.asking.due - self.world.now), self._tick)
@@ -192,7 +202,7 @@ class Desk:
             self.asking.tick(self.world.now)
             self._go_on()
 
-    def _put(self, send: Send) -> None:
+    def _put(self, send: OutgoingDatagram) -> None:
         taken = partial(self.world.posts[send.host].came, send.datagram, self.name)
         self.world.carry(self.name, send.host, send.datagram, taken)
 

@@ -1,21 +1,49 @@
-"""Stops over the radios of the benchmark in virtual time: a desk, hosts, and what else the radio carries."""
+"""Stops over the radios of the benchmark in virtual time: a desk, hosts, and what else the radio carries.
+
+`make bench ONLY=radio PARTS=virtual` prints the figures, and test_delay_of_stops.py has their bounds.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from functools import partial
+from unittest import mock
 
-from emulator.air import Air
-from emulator.cells import Cell
+import order_world
+from emulator.cells import CELLS, Cell
+from emulator.radio_model import Air
 from order_world import World, person
 
-from lfield.authority.orders.signing import Certificates, Known, Signer
-from lfield.operator.orders.asking import Asking
-from lfield.wire.orders import Epochs
+from lfield.authority.key_material import Keys
+from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, VerifiedCertificate
+from lfield.host.events.event_subscription import LONGEST_REST, REST
+from lfield.operator.orders import order_protocol
+from lfield.operator.orders.order_protocol import EarlierContacts, OrderProtocol
+from lfield.wire.order_messages import (
+    Epochs,
+    Order,
+    OrderAnswer,
+    SignedAnswer,
+    SignedOrder,
+    decode_answer,
+    decode_order,
+)
 
 #: Bytes of an IPv4 and a UDP header.
 HEADERS = 28
 DESK = "desk"
+#: Seconds that a host needs to make its devices safe, and seconds between two stops.
+EXECUTES, PAUSE = 0.05, 1.5
+#: Bytes/s that the links of each of five hosts carry at rest.
+AT_REST = 560.0
+#: What an open `lfield watch` adds for each vehicle: bytes of a batch of telemetry with its headers, of what
+#: the desk answers, and seconds between two batches at least. That makes 6.3 kB/s on a fast path, as measured
+#: (PARTS=idle of `make bench ONLY=radio`); on a slower one a batch waits as in `EventSubscription`.
+BATCH, SEEN, EVERY = 500, 130, 0.1
+#: A batch that is not seen is sent again after so many round trips, and then after twice the time.
+RESENT = 2.0
 
 
 class _Packet(bytes):
@@ -26,12 +54,20 @@ class _Packet(bytes):
 
 class RadioWorld(World):
     """A team whose datagrams share the emulated radio. `noise`: bytes/s that each host sends beside them, in
-    packets of `NOISE` bytes."""
+    packets of `NOISE` bytes. With `watched` each sends telemetry to the desk."""
 
     NOISE = 71
 
     def __init__(
-        self, cell: Cell, hosts: int, seed: int, *, executes: float, noise: float = 0.0, keeps: bool = False
+        self,
+        cell: Cell,
+        hosts: int,
+        seed: int,
+        *,
+        executes: float = EXECUTES,
+        noise: float = 0.0,
+        watched: bool = False,
+        keeps: bool = False,
     ) -> None:
         names = [f"h{n}" for n in range(hosts)]
         super().__init__(*names, seed=seed)
@@ -39,18 +75,42 @@ class RadioWorld(World):
         self.air = Air([*names, DESK], seed)
         self.air.set_cell(cell)
         self._planned: float | None = None
+        #: The round trip of telemetry, in seconds.
+        self._trips: dict[str, float] = {}
         self.bytes = 0
         #: Whether `sent` has what was sent.
         self._keeps = keeps
         for post in self.posts.values():
             post.slow = executes
             if noise:
-                self.later(self.dice.random(), partial(self._noise, post.name, self.NOISE / noise))
+                self.later(self.rng.random(), partial(self._noise, post.name, self.NOISE / noise))
+            if watched:
+                self.later(EVERY * self.rng.random(), partial(self._watch, post.name))
 
     def _noise(self, name: str, every: float) -> None:
-        to = self.dice.choice([other for other in self._numbers if other != name])
+        to = self.rng.choice([other for other in self._numbers if other != name])
         self._send(name, to, bytes(self.NOISE), lambda: None)
-        self.later(every * self.dice.uniform(0.5, 1.5), partial(self._noise, name, every))
+        self.later(every * self.rng.uniform(0.5, 1.5), partial(self._noise, name, every))
+
+    def _watch(self, name: str) -> None:
+        """Send a batch of telemetry until it is acknowledged; `EventSubscription` paces the next one."""
+        sent, is_seen = self.now, False
+
+        def seen() -> None:
+            nonlocal is_seen
+            if not is_seen:
+                is_seen = True
+                took = self.now - sent
+                trip = self._trips[name] = min(took, self._trips.get(name, took))
+                rest = min(LONGEST_REST, REST * (took - trip))
+                self.later(max(EVERY - took, rest), partial(self._watch, name))
+
+        def send(again: float) -> None:
+            if not is_seen:
+                self._send(name, DESK, bytes(BATCH), lambda: self._send(DESK, name, bytes(SEEN), seen))
+                self.later(again, partial(send, 2 * again))
+
+        send(RESENT * max(self._trips.get(name, 0.2), 0.1))
 
     def carry(self, source: str, target: str, data: bytes, taken: Callable[[], None]) -> None:
         self.bytes += len(data) + HEADERS
@@ -81,12 +141,12 @@ class RadioDesk:
     """A desk that gives one order after another, and keeps what it has learned of the hosts."""
 
     def __init__(self, world: RadioWorld) -> None:
-        self.world, self.certificates = world, Certificates(person().authority)
+        self.world, self.certificates = world, CertificateCache(person().authority)
         self.epochs = {name: Epochs() for name in world.posts}
         self.trips: dict[str, float] = {}
-        self.known: dict[str, Known | None] = {}
-        self.asking: Asking | None = None
-        self.signer = Signer(person())
+        self.known: dict[str, VerifiedCertificate | None] = {}
+        self.asking: OrderProtocol | None = None
+        self.signer = OrderSigner(person())
         self._planned: float | None = None
         world.desks[DESK] = self
 
@@ -94,15 +154,14 @@ class RadioDesk:
         """Stop: seconds until each host has confirmed."""
         world = self.world
         start = world.now
-        self.asking = Asking(
+        self.asking = OrderProtocol(
             "stop",
-            world.dice.randbytes(16),
+            world.rng.randbytes(16),
             "fog",
             self.epochs,
             self.signer,
             self.certificates,
-            self.trips,
-            self.known,
+            EarlierContacts(self.trips, self.known),
         )
         self._planned = None
         self.asking.start(start)
@@ -124,17 +183,17 @@ class RadioDesk:
     def lifted(self) -> None:
         """Somebody lifts the stop, and the desk learns that over its connections."""
         for name, post in self.world.posts.items():
-            post.orders.execute("lift", self.world.dice.randbytes(16))
+            post.orders.mark_executed("lift", self.world.rng.randbytes(16))
             post.held["stop"] = False
             self.epochs[name] = post.orders.epochs
 
-    def heard(self, data: bytes) -> None:
+    def on_datagram(self, data: bytes) -> None:
         if self.asking is not None:
-            self.asking.heard(data, self.world.now)
+            self.asking.on_datagram(data, self.world.now)
             self._turn()
 
     def _turn(self) -> None:
-        for send in self.asking.take():
+        for send in self.asking.drain_effects():
             taken = partial(self.world.posts[send.host].came, send.datagram, DESK)
             self.world.carry(DESK, send.host, send.datagram, taken)
         due = self.asking.due
@@ -142,7 +201,60 @@ class RadioDesk:
             self._planned = due
             self.world.later(max(0.0, due - self.world.now), partial(self._tick, self.asking))
 
-    def _tick(self, asking: Asking) -> None:
+    def _tick(self, asking: OrderProtocol) -> None:
         if asking is self.asking:
             asking.tick(self.world.now + 1e-9)
             self._turn()
+
+
+class Unsigned(OrderSigner):
+    """Signs nothing: that would take most of the time, and none of it is measured in virtual time."""
+
+    known: dict[bytes, VerifiedCertificate] = {}
+
+    def __init__(self, keys: Keys) -> None:
+        super().__init__(keys)
+        self._sign = lambda data: bytes(64)
+        self.known[self.digest] = VerifiedCertificate(self.certificate, self.who)
+
+
+@contextmanager
+def unsigned() -> Iterator[None]:
+    """Neither make nor check signatures."""
+    known = Unsigned.known
+
+    def answered(one: SignedAnswer, *_: object) -> tuple[OrderAnswer, VerifiedCertificate]:
+        return decode_answer(one.answer), known[one.signer]
+
+    def ordered(one: SignedOrder, *_: object) -> tuple[Order, VerifiedCertificate]:
+        return decode_order(one.order), known[one.signer]
+
+    with ExitStack() as patches:
+        for module, name, new in (
+            (order_world, "OrderSigner", Unsigned),
+            (sys.modules[__name__], "OrderSigner", Unsigned),
+            (order_world, "verify_order", ordered),
+            (order_protocol, "verify_answer", answered),
+        ):
+            patches.enter_context(mock.patch.object(module, name, new))
+        yield
+
+
+def stops(
+    cell: str, hosts: int, count: int, *, at_rest: float = 0.0, watched: bool = False, again: int = 10
+) -> tuple[list[float], float]:
+    """Seconds of each stop but the first of each desk, sorted, and the mean of bytes that one takes."""
+    found: list[float] = []
+    size = 0
+    for seed in range(count // again):
+        world = RadioWorld(CELLS[cell], hosts, seed, noise=at_rest, watched=watched)
+        desk = RadioDesk(world)
+        for number in range(again + 1):
+            before = world.bytes
+            took = max(desk.stop())
+            world.run(PAUSE)
+            if number:
+                found.append(took)
+                size += world.bytes - before
+            desk.lifted()
+    return sorted(found), size / len(found)

@@ -6,62 +6,17 @@ measured. `test_order_datagrams` has them.
 
 from __future__ import annotations
 
-import order_world
 import pytest
-import radio_stops
 from emulator.cells import CELLS
-from radio_stops import DESK, RadioDesk, RadioWorld
+from radio_stops import AT_REST, DESK, EXECUTES, RadioDesk, RadioWorld, stops, unsigned
 
-from lfield.authority.orders.signing import Known, Signer
-from lfield.operator.orders import asking
-from lfield.wire.orders import Confirmed, SignedAnswer, decode_answer, decode_datagram, decode_order
-
-#: Seconds that a host needs to make its devices safe, and bytes/s that the links of each of five hosts carry
-#: at rest.
-EXECUTES, AT_REST = 0.05, 560.0
-#: Seconds between two stops.
-PAUSE = 1.5
+from lfield.wire.order_messages import OrderConfirmed, SignedAnswer, decode_answer, decode_datagram
 
 
 @pytest.fixture(autouse=True)
-def _unsigned(monkeypatch):
-    known = {}
-
-    class Unsigned(Signer):
-        def __init__(self, keys):
-            super().__init__(keys)
-            self._sign = lambda data: bytes(64)
-            known[self.digest] = Known(self.certificate, self.who)
-
-    monkeypatch.setattr(order_world, "Signer", Unsigned)
-    monkeypatch.setattr(radio_stops, "Signer", Unsigned)
-    monkeypatch.setattr(
-        asking,
-        "verified_answer",
-        lambda signed, _, authority: (decode_answer(signed.answer), known[signed.signer]),
-    )
-    monkeypatch.setattr(
-        order_world,
-        "verified_order",
-        lambda signed, _, authority: (decode_order(signed.order), known[signed.signer]),
-    )
-
-
-def stops(cell, hosts, count, *, at_rest=0.0, again=10):
-    """Seconds of each stop but the first of each desk, and the mean of bytes; sorted."""
-    found, sizes = [], []
-    for seed in range(count // again):
-        world = RadioWorld(CELLS[cell], hosts, seed, executes=EXECUTES, noise=at_rest)
-        desk = RadioDesk(world)
-        for number in range(again + 1):
-            before = world.bytes
-            took = max(desk.stop())
-            world.run(PAUSE)
-            if number:
-                found.append(took)
-                sizes.append(world.bytes - before)
-            desk.lifted()
-    return sorted(found), sum(sizes) / len(sizes)
+def _unsigned():
+    with unsigned():
+        yield
 
 
 def percentile(samples, percent):
@@ -108,7 +63,7 @@ def confirmations(world):
     counts = {}
     for source, _, data in world.sent:
         datagram = decode_datagram(data)
-        if isinstance(datagram, SignedAnswer) and isinstance(decode_answer(datagram.answer), Confirmed):
+        if isinstance(datagram, SignedAnswer) and isinstance(decode_answer(datagram.answer), OrderConfirmed):
             counts[source] = counts.get(source, 0) + 1
     return counts
 

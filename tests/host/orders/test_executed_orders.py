@@ -7,20 +7,20 @@ import random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield.host.orders.executed import MOST, Executed
-from lfield.wire.orders import HOLDS, UNKNOWN, Epochs, Kind
+from lfield.host.order_history.executed_orders import MAX_ORDERS, ExecutedOrders
+from lfield.wire.order_messages import HOLDS, UNKNOWN_EPOCH, Epochs, OrderKind
 
-KINDS: tuple[Kind, ...] = ("stop", "lift", "pause", "resume")
-
-
-def executed(seed: int = 1) -> Executed:
-    return Executed(random.Random(seed).randbytes)
+KINDS: tuple[OrderKind, ...] = ("stop", "lift", "pause", "resume")
 
 
-def give(orders: Executed, kind: Kind, id: bytes, epoch: bytes | None = None) -> str:
-    found = orders.standing(kind, id, orders.epochs.of(kind) if epoch is None else epoch)
+def executed(seed: int = 1) -> ExecutedOrders:
+    return ExecutedOrders(random.Random(seed).randbytes)
+
+
+def give(orders: ExecutedOrders, kind: OrderKind, id: bytes, epoch: bytes | None = None) -> str:
+    found = orders.standing_of(kind, id, orders.epochs.of(kind) if epoch is None else epoch)
     if found == "new":
-        orders.execute(kind, id)
+        orders.mark_executed(kind, id)
     return found
 
 
@@ -55,15 +55,15 @@ def test_an_order_that_names_nothing_is_not_executed_and_no_host_draws_that():
         def draw(self, size: int) -> bytes:
             return self.left.pop(0)
 
-    orders = Executed(Nothing().draw)
-    assert UNKNOWN not in (orders.epochs.hold, orders.epochs.end)
-    assert [give(orders, kind, b"1" * 16, UNKNOWN) for kind in KINDS] == ["unknown"] * 4
+    orders = ExecutedOrders(Nothing().draw)
+    assert UNKNOWN_EPOCH not in (orders.epochs.hold, orders.epochs.end)
+    assert [give(orders, kind, b"1" * 16, UNKNOWN_EPOCH) for kind in KINDS] == ["unknown"] * 4
 
 
 def test_a_lock_out_is_ended_by_no_order_that_was_given_before():
     orders = executed()
     before = orders.epochs
-    orders.locked_out()
+    orders.on_lock_out()
     assert give(orders, "lift", b"1" * 16, before.end) == "old"
     assert give(orders, "stop", b"2" * 16, before.hold) == "new"
 
@@ -107,7 +107,7 @@ def test_two_ends_that_are_given_at_one_time_are_both_executed():
 def test_the_ids_that_are_remembered_are_bounded_and_forgetting_does_no_harm():
     orders = executed()
     first = orders.epochs
-    for number in range(MOST + 10):
+    for number in range(MAX_ORDERS + 10):
         give(orders, "stop", number.to_bytes(16))
     assert give(orders, "stop", bytes(15) + b"\x00", first.hold) == "new", "it holds already"
     give(orders, "lift", b"x" * 16)

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import pytest
 from msgspec.structs import replace
-from order_world import AT, Desk, World, authority, keys, person
+from order_world import AT, OrderingPerson, World, authority, keys, person
 
 from lfield.authority.identity import Right
-from lfield.authority.judge import Revoked
-from lfield.authority.orders.signing import Signer, verified_order
-from lfield.host.stopping.rations import Sender
-from lfield.wire.orders import (
+from lfield.authority.order_signing.order_signatures import OrderSigner, verify_order
+from lfield.authority.peer_verification import RevocationList
+from lfield.host.stop_orders.datagram_limits import Sender
+from lfield.wire.order_messages import (
     MAX_DATAGRAM,
-    Confirmed,
-    Denied,
     Epochs,
+    OrderConfirmed,
+    OrderDenied,
     SignedOrder,
     decode_datagram,
     encode_datagram,
@@ -34,8 +34,8 @@ def orders_to(world: World, host: str, since: int = 0) -> list[bytes]:
 def taught(world: World) -> World:
     """The hosts know the person's certificate, as after a connection."""
     for post in world.posts.values():
-        signer = Signer(person())
-        post.datagrams._certificates.learn(signer.certificate)
+        signer = OrderSigner(person())
+        post.datagrams._certificates.add_der(signer.certificate)
     return world
 
 
@@ -44,10 +44,10 @@ def taught(world: World) -> World:
 
 def test_a_present_epoch_is_executed_in_one_round_trip_with_a_small_datagram():
     world = taught(World(*TEAM))
-    desk = Desk(world, "stop", present(world), reason="person on the field")
+    desk = OrderingPerson(world, "stop", present(world), reason="person on the field")
     world.run(5.0)
     assert {post.executed == [("stop", "person on the field")] for post in world.posts.values()} == {True}
-    confirmed = [found for found in desk.asking.results.values() if isinstance(found, Confirmed)]
+    confirmed = [found for found in desk.asking.results.values() if isinstance(found, OrderConfirmed)]
     assert [found.safe for found in confirmed] == [("p.fc",)] * 5
     assert desk.asking.results.keys() == set(TEAM)
     # One way, the check, the device, and one way back.
@@ -58,7 +58,7 @@ def test_a_present_epoch_is_executed_in_one_round_trip_with_a_small_datagram():
 
 def test_without_an_epoch_and_a_known_certificate_it_takes_two_round_trips():
     world = World("alpha")
-    desk = Desk(world, "stop", {"alpha": Epochs()})
+    desk = OrderingPerson(world, "stop", {"alpha": Epochs()})
     world.run(5.0)
     assert world.posts["alpha"].executed == [("stop", "fog")]
     assert desk.done_at == pytest.approx(4 * 0.01 + 0.001 + 0.05)
@@ -67,7 +67,7 @@ def test_without_an_epoch_and_a_known_certificate_it_takes_two_round_trips():
 
 def test_an_old_epoch_is_challenged_and_signed_again():
     world = taught(World("alpha"))
-    desk = Desk(world, "pause", {"alpha": Epochs(b"o" * 8, b"o" * 8)})
+    desk = OrderingPerson(world, "pause", {"alpha": Epochs(b"o" * 8, b"o" * 8)})
     world.run(5.0)
     assert world.posts["alpha"].executed == [("pause", "")]
     assert desk.is_done
@@ -77,7 +77,7 @@ def test_an_old_epoch_is_challenged_and_signed_again():
 @pytest.mark.parametrize("seed", range(5))
 def test_half_of_all_datagrams_lost_only_delays(seed):
     world = taught(World(*TEAM, loss=0.5, seed=seed))
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(20.0, lambda: desk.is_done)
     assert desk.is_done
     assert all(post.executed == [("stop", "fog")] for post in world.posts.values())
@@ -86,22 +86,22 @@ def test_half_of_all_datagrams_lost_only_delays(seed):
 def test_a_slow_device_is_announced_so_that_the_desk_repeats_less():
     world = taught(World("alpha"))
     world.posts["alpha"].slow = 3.0
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(0.2)
     assert desk.asking.received == {"alpha"}
     assert not desk.asking.results
     world.run(10.0)
-    assert isinstance(desk.asking.results["alpha"], Confirmed)
+    assert isinstance(desk.asking.results["alpha"], OrderConfirmed)
     assert world.posts["alpha"].executed == [("stop", "fog")]
 
 
 def test_a_host_that_is_out_of_reach_is_reached_through_another():
     world = taught(World("alpha", "bravo"))
     world.cut = {("desk", "bravo"), ("bravo", "desk")}
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(5.0)
     assert world.posts["bravo"].executed == [("stop", "fog")]
-    assert isinstance(desk.asking.results["bravo"], Confirmed)
+    assert isinstance(desk.asking.results["bravo"], OrderConfirmed)
     assert desk.asking.results.keys() == {"alpha", "bravo"}
     relayed = [data for source, target, data in world.sent if (source, target) == ("alpha", "bravo")]
     assert relayed
@@ -111,7 +111,7 @@ def test_a_host_that_is_out_of_reach_is_reached_through_another():
 def test_a_challenge_comes_back_through_the_relay_too():
     world = taught(World("alpha", "bravo"))
     world.cut = {("desk", "bravo"), ("bravo", "desk")}
-    desk = Desk(world, "stop", present(world, "alpha") | {"bravo": Epochs(b"o" * 8, b"o" * 8)})
+    desk = OrderingPerson(world, "stop", present(world, "alpha") | {"bravo": Epochs(b"o" * 8, b"o" * 8)})
     world.run(5.0)
     assert world.posts["bravo"].executed == [("stop", "fog")]
     assert desk.is_done
@@ -120,7 +120,7 @@ def test_a_challenge_comes_back_through_the_relay_too():
 def test_what_is_relayed_ends_though_hosts_are_in_a_circle():
     world = taught(World(*TEAM))
     world.cut = {("desk", "echo"), ("echo", "desk")} | {(host, "echo") for host in TEAM}
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(1.0)
     desk.given_up = True
     world.run(1.0)
@@ -139,10 +139,10 @@ def captured(world: World, host: str) -> bytes:
 
 def test_a_stop_replayed_after_a_lift_does_nothing():
     world = taught(World("alpha", "bravo"))
-    Desk(world, "stop", present(world))
+    OrderingPerson(world, "stop", present(world))
     world.run(2.0)
     stop = captured(world, "alpha")
-    lift = Desk(world, "lift", present(world), name="other")
+    lift = OrderingPerson(world, "lift", present(world), name="other")
     world.run(2.0)
     assert lift.is_done
     alpha = world.posts["alpha"]
@@ -156,11 +156,11 @@ def test_a_stop_replayed_after_a_lift_does_nothing():
 def test_a_replay_to_a_host_that_has_never_seen_it_is_challenged_and_nobody_signs():
     world = taught(World("alpha", "bravo"))
     world.cut = {("desk", "bravo"), ("alpha", "bravo")}
-    Desk(world, "stop", present(world))
+    OrderingPerson(world, "stop", present(world))
     world.run(2.0)
     stop = captured(world, "bravo")
     world.desks["desk"].given_up = True
-    Desk(world, "lift", {"bravo": world.posts["bravo"].orders.epochs}, name="other")
+    OrderingPerson(world, "lift", {"bravo": world.posts["bravo"].orders.epochs}, name="other")
     world.run(2.0)
     bravo = world.posts["bravo"]
     bravo.came(stop, "attacker")
@@ -172,17 +172,17 @@ def test_a_replay_to_a_host_that_has_never_seen_it_is_challenged_and_nobody_sign
 def test_a_lift_does_not_end_a_stop_that_came_after_it_was_given():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
-    Desk(world, "stop", present(world))
+    OrderingPerson(world, "stop", present(world))
     world.run(1.0)
     world.delay = 0.3
-    lift = Desk(world, "lift", present(world), name="lifts")
+    lift = OrderingPerson(world, "lift", present(world), name="lifts")
     world.delay = 0.01
-    Desk(world, "stop", present(world), name="stops", reason="again")
+    OrderingPerson(world, "stop", present(world), name="stops", reason="again")
     world.run(5.0)
     assert alpha.executed == [("stop", "fog"), ("stop", "again")]
     assert alpha.held["stop"]
     found = lift.asking.results["alpha"]
-    assert isinstance(found, Confirmed)
+    assert isinstance(found, OrderConfirmed)
     assert found.trouble == "newer"
 
 
@@ -190,10 +190,10 @@ def test_a_lift_does_not_end_a_stop_that_came_after_it_was_given():
 def test_of_two_desks_that_stop_and_lift_at_once_the_one_that_is_still_asking_stops(seed):
     world = taught(World("alpha", loss=0.3, seed=seed))
     alpha = world.posts["alpha"]
-    first = Desk(world, "stop", present(world), name="first")
+    first = OrderingPerson(world, "stop", present(world), name="first")
     world.run(10.0, lambda: first.is_done)
-    stop = Desk(world, "stop", present(world), name="stops", reason="again")
-    Desk(world, "lift", {"alpha": first.asking.epochs["alpha"]}, name="lifts")
+    stop = OrderingPerson(world, "stop", present(world), name="stops", reason="again")
+    OrderingPerson(world, "lift", {"alpha": first.asking.epochs["alpha"]}, name="lifts")
     world.run(20.0, lambda: stop.is_done)
     world.run(20.0)
     assert alpha.held["stop"]
@@ -204,16 +204,16 @@ def test_a_host_that_restarts_before_it_confirms_is_stopped_again_and_nothing_ol
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
     alpha.slow = 0.5
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(0.1)
     assert alpha.executed == [("stop", "fog")]
     stop = captured(world, "alpha")
     alpha.boot()
     world.run(5.0)
     assert alpha.executed == [("stop", "fog"), ("stop", "fog")]
-    assert isinstance(desk.asking.results["alpha"], Confirmed)
+    assert isinstance(desk.asking.results["alpha"], OrderConfirmed)
     desk.given_up = True
-    Desk(world, "lift", present(world), name="lifts")
+    OrderingPerson(world, "lift", present(world), name="lifts")
     world.run(1.0)
     alpha.boot()
     alpha.came(stop, "attacker")
@@ -225,12 +225,12 @@ def test_a_host_whose_journal_has_the_stop_only_confirms_it_again():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
     alpha.slow = 0.5
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(0.1)
     alpha.boot({desk.asking.id: ("stop", True)})
     world.run(5.0)
     assert alpha.executed == [("stop", "fog")]
-    assert isinstance(desk.asking.results["alpha"], Confirmed)
+    assert isinstance(desk.asking.results["alpha"], OrderConfirmed)
 
 
 # --- who may -----------------------------------------------------------------------------------------
@@ -238,10 +238,10 @@ def test_a_host_whose_journal_has_the_stop_only_confirms_it_again():
 
 def test_an_observer_without_the_right_is_denied():
     world = World("alpha")
-    desk = Desk(world, "stop", present(world), person("oli", frozenset({Right.OBSERVE})))
+    desk = OrderingPerson(world, "stop", present(world), person("oli", frozenset({Right.OBSERVE})))
     world.run(3.0)
     denied = desk.asking.results["alpha"]
-    assert isinstance(denied, Denied)
+    assert isinstance(denied, OrderDenied)
     assert "takes the right to stop" in denied.why
     assert world.posts["alpha"].executed == []
 
@@ -249,41 +249,43 @@ def test_an_observer_without_the_right_is_denied():
 def test_who_may_stop_may_not_lift():
     world = World("alpha")
     who = person("sam", frozenset({Right.OBSERVE, Right.STOP}))
-    Desk(world, "stop", present(world), who)
+    OrderingPerson(world, "stop", present(world), who)
     world.run(3.0)
-    desk = Desk(world, "lift", present(world), who, name="lifts")
+    desk = OrderingPerson(world, "lift", present(world), who, name="lifts")
     world.run(3.0)
-    assert isinstance(desk.asking.results["alpha"], Denied)
+    assert isinstance(desk.asking.results["alpha"], OrderDenied)
     assert world.posts["alpha"].held["stop"]
 
 
 def test_a_host_may_stop_another_and_not_lift():
     world = World("alpha", "bravo")
-    Desk(world, "stop", present(world, "alpha"), keys("host", "bravo"))
+    OrderingPerson(world, "stop", present(world, "alpha"), keys("host", "bravo"))
     world.run(3.0)
-    desk = Desk(world, "lift", present(world, "alpha"), keys("host", "bravo"), name="lifts")
+    desk = OrderingPerson(world, "lift", present(world, "alpha"), keys("host", "bravo"), name="lifts")
     world.run(3.0)
     assert world.posts["alpha"].executed == [("stop", "fog")]
-    assert isinstance(desk.asking.results["alpha"], Denied)
+    assert isinstance(desk.asking.results["alpha"], OrderDenied)
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_a_revoked_person_is_denied_also_with_a_datagram_from_before(known):
     world = taught(World("alpha")) if known else World("alpha")
     alpha = world.posts["alpha"]
-    serial = Signer(person()).who.serial
-    alpha.admission.news(authority(0).revocation_list(Revoked(1, frozenset({serial}), AT)))
-    desk = Desk(world, "stop", present(world))
+    serial = OrderSigner(person()).who.serial
+    alpha.admission.on_revocation_list(
+        authority(0).revocation_list(RevocationList(1, frozenset({serial}), AT))
+    )
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(3.0)
     denied = desk.asking.results["alpha"]
-    assert isinstance(denied, Denied)
+    assert isinstance(denied, OrderDenied)
     assert "are revoked (list 1)" in denied.why
     assert alpha.executed == []
 
 
 def test_a_datagram_of_another_team_is_neither_executed_nor_answered():
     world = World("alpha")
-    desk = Desk(world, "stop", present(world), person("anna", number=1))
+    desk = OrderingPerson(world, "stop", present(world), person("anna", number=1))
     world.run(3.0)
     assert world.posts["alpha"].executed == []
     assert desk.asking.results == {}
@@ -293,7 +295,7 @@ def test_a_datagram_of_another_team_is_neither_executed_nor_answered():
 
 def test_a_datagram_for_another_host_is_dropped_before_any_check():
     world = taught(World("alpha", "bravo"))
-    Desk(world, "stop", present(world, "alpha"))
+    OrderingPerson(world, "stop", present(world, "alpha"))
     world.run(1.0)
     world.posts["bravo"].came(captured(world, "alpha"), "attacker")
     world.run(1.0)
@@ -306,7 +308,7 @@ def test_a_datagram_for_another_host_is_dropped_before_any_check():
 
 def genuine() -> tuple[World, bytes]:
     world = taught(World("alpha"))
-    Desk(world, "stop", present(world))
+    OrderingPerson(world, "stop", present(world))
     world.sent, sent = [], world.sent
     world._events.clear()
     return world, sent[0][2]
@@ -337,7 +339,7 @@ def test_every_truncation_and_every_bent_bit_does_nothing():
 
 def test_what_is_not_verified_is_answered_by_less_than_it_has():
     world = World("alpha")
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     data = captured(world, "alpha")
     world.posts["alpha"].came(data, "attacker")
     (answer,) = [data for source, target, data in world.sent if target == "attacker"]
@@ -352,7 +354,7 @@ def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_sto
     assert isinstance(signed, SignedOrder)
     looked = 0
     for number in range(20_000):
-        if alpha.datagrams.may_look(Sender("there", "flooder")):
+        if alpha.datagrams.may_decode(Sender("there", "flooder")):
             looked += 1
             forged = replace(signed, signature=number.to_bytes(64))
             alpha.came(encode_datagram(forged), "flooder", "there")
@@ -360,7 +362,7 @@ def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_sto
             world.run(0.01)
     assert looked <= 64 + 32 * 2 + 1
     assert alpha.checks <= 6 + 3 * 2 + 1
-    desk = Desk(world, "stop", present(world), name="real")
+    desk = OrderingPerson(world, "stop", present(world), name="real")
     world.run(5.0, lambda: desk.is_done)
     assert desk.done_at is not None
     assert desk.done_at - 2.0 < 0.2
@@ -370,15 +372,15 @@ def test_a_flood_of_forged_datagrams_from_one_address_leaves_room_for_a_real_sto
 def test_of_a_flood_from_thousands_of_ports_of_one_address_few_are_looked_at():
     world = taught(World("alpha"))
     datagrams = world.posts["alpha"].datagrams
-    looked = sum(datagrams.may_look(Sender("there", number % 3_000)) for number in range(20_000))
+    looked = sum(datagrams.may_decode(Sender("there", number % 3_000)) for number in range(20_000))
     assert looked <= 256
-    assert datagrams.may_look(Sender("elsewhere", "desk"))
+    assert datagrams.may_decode(Sender("elsewhere", "desk"))
 
 
 def test_a_flood_from_thousands_of_ports_takes_no_room_of_a_sender_that_was_verified_before():
     world = taught(World("alpha"))
     alpha = world.posts["alpha"]
-    Desk(world, "pause", present(world))
+    OrderingPerson(world, "pause", present(world))
     world.run(1.0)
     signed = decode_datagram(captured(world, "alpha"))
     assert isinstance(signed, SignedOrder)
@@ -386,7 +388,7 @@ def test_a_flood_from_thousands_of_ports_takes_no_room_of_a_sender_that_was_veri
     for number in range(5_000):
         alpha.came(encode_datagram(replace(signed, signature=number.to_bytes(64))), f"{number}", "there")
     assert alpha.checks - before <= 25
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(5.0, lambda: desk.is_done)
     assert desk.is_done
     assert alpha.executed[-1] == ("stop", "fog")
@@ -395,23 +397,23 @@ def test_a_flood_from_thousands_of_ports_takes_no_room_of_a_sender_that_was_veri
 def test_no_clock_counts(monkeypatch):
     monkeypatch.setattr("time.time", lambda: 0.0)
     world = taught(World("alpha"))
-    desk = Desk(world, "stop", present(world))
+    desk = OrderingPerson(world, "stop", present(world))
     world.run(1.0)
     assert desk.is_done
 
 
 def test_an_answer_is_believed_from_the_host_alone():
     world = taught(World("alpha", "bravo"))
-    desk = Desk(world, "stop", present(world, "alpha"))
-    answer = Confirmed(desk.asking.id, Epochs(), ("p.fc",), {})
+    desk = OrderingPerson(world, "stop", present(world, "alpha"))
+    answer = OrderConfirmed(desk.asking.id, Epochs(), ("p.fc",), {})
     for liar in (keys("host", "bravo"), person(), keys("host", "alpha", number=1)):
-        desk.asking.heard(encode_datagram(Signer(liar).answer(answer, unknown=True)), 0.0)
+        desk.asking.on_datagram(encode_datagram(OrderSigner(liar).answer(answer, unknown=True)), 0.0)
     assert desk.asking.results == {}
 
 
 def test_the_signature_of_an_order_is_none_of_an_answer():
-    signer = Signer(keys("host", "alpha"))
-    answer = signer.answer(Denied(bytes(16), ""), unknown=True)
+    signer = OrderSigner(keys("host", "alpha"))
+    answer = signer.answer(OrderDenied(bytes(16), ""), unknown=True)
     forged = SignedOrder(answer.answer, answer.signer, answer.signature, answer.certificate)
     with pytest.raises(Exception, match="it is not what host alpha has signed"):
-        verified_order(forged, None, keys("host", "alpha").authority)
+        verify_order(forged, None, keys("host", "alpha").authority)

@@ -11,7 +11,15 @@ from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
 
-from lfield.host.team.reservations import Effect, Let, Refuse, Refused, Reservations, Start, Write
+from lfield.host.team.reservations import (
+    DenyWaiter,
+    Effect,
+    PersistHolder,
+    ReservationDenied,
+    Reservations,
+    RetryWaiter,
+    StartKey,
+)
 
 LEASE, WAIT = 6.0, 5.0
 starts = st.tuples(st.sampled_from(["pilot", "rover", "scout"]), st.integers(1, 2))
@@ -26,14 +34,14 @@ class Reserving(RuleBasedStateMachine):
         super().__init__()
         self.now, self.first = 0.0, 100
         #: What is on the disk, and what is on its way there.
-        self.disk: Write | None = None
-        self.pages: list[Write] = []
+        self.disk: PersistHolder | None = None
+        self.pages: list[PersistHolder] = []
         self.busy: set[str] = set()
         #: The numbers that were told, and who was promised the resource, until when.
-        self.told: dict[int, Start] = {}
-        self.promised: tuple[Start, int, float] | None = None
-        self.waiting: dict[Start, float] = {}
-        self.asked: dict[Start, str] = {}
+        self.told: dict[int, StartKey] = {}
+        self.promised: tuple[StartKey, int, float] | None = None
+        self.waiting: dict[StartKey, float] = {}
+        self.asked: dict[StartKey, str] = {}
         self.core = self._made()
 
     def _made(self) -> Reservations:
@@ -42,12 +50,12 @@ class Reserving(RuleBasedStateMachine):
     # --- what happens ---------------------------------------------------------------------------------
 
     @rule(start=starts, nested=st.booleans())
-    def take(self, start: Start, nested: bool) -> None:
+    def take(self, start: StartKey, nested: bool) -> None:
         if self.asked.get(start, "take") != "take":
             return
         try:
-            number = self.core.take(start, "arm", self.now, nested=nested)
-        except Refused:
+            number = self.core.acquire(start, "arm", self.now, nested=nested)
+        except ReservationDenied:
             self._goes_on(start)
             self._carry_out()
             return
@@ -57,16 +65,16 @@ class Reserving(RuleBasedStateMachine):
         elif not nested:
             self._waits(start, "take")
 
-    def _waits(self, start: Start, wants: str) -> None:
+    def _waits(self, start: StartKey, wants: str) -> None:
         """Frozen where it stands, so it asks for nothing else."""
         self.asked[start] = wants
         self.waiting.setdefault(start, self.now)
 
-    def _goes_on(self, start: Start) -> None:
+    def _goes_on(self, start: StartKey) -> None:
         self.waiting.pop(start, None)
         self.asked.pop(start, None)
 
-    def _is_told(self, start: Start, number: int) -> None:
+    def _is_told(self, start: StartKey, number: int) -> None:
         self._goes_on(start)
         assert self.disk is not None
         assert (self.disk.number, self.disk.holder) == (number, start)
@@ -76,21 +84,21 @@ class Reserving(RuleBasedStateMachine):
         self.told[number] = start
         self.promised = start, number, self.now + LEASE
 
-    def _nobody_else_has_it(self, start: Start) -> None:
+    def _nobody_else_has_it(self, start: StartKey) -> None:
         if self.promised is not None and self.now < self.promised[2]:
             holder = self.promised[0]
             later = holder[0] == start[0] and holder[1] <= start[1]
             assert later, f"{holder} has it, and {start} gets it"
 
     @rule(start=starts, number=st.integers(0, 3))
-    def call(self, start: Start, number: int) -> None:
+    def call(self, start: StartKey, number: int) -> None:
         """With one of the last numbers, or none."""
         if self.asked.get(start, "call") != "call":
             return
         given = sorted(self.told)[-number] if 0 < number <= len(self.told) else 0
         try:
-            begins = self.core.serves(start, "arm", given, self.now)
-        except Refused:
+            begins = self.core.may_serve(start, "arm", given, self.now)
+        except ReservationDenied:
             self._goes_on(start)
             begins = None
         self._carry_out()
@@ -99,7 +107,7 @@ class Reserving(RuleBasedStateMachine):
         elif begins is False:
             self._waits(start, "call")
 
-    def _begins(self, start: Start, given: int) -> None:
+    def _begins(self, start: StartKey, given: int) -> None:
         self._goes_on(start)
         if given:
             assert self.promised is not None
@@ -112,7 +120,7 @@ class Reserving(RuleBasedStateMachine):
         self.promised = None
 
     @rule(start=starts, back=st.integers(1, 2))
-    def renew(self, start: Start, back: int) -> None:
+    def renew(self, start: StartKey, back: int) -> None:
         if len(self.told) >= back:
             number = sorted(self.told)[-back]
             self.core.renew(start, "arm", number, self.now)
@@ -130,17 +138,17 @@ class Reserving(RuleBasedStateMachine):
             self._carry_out()
 
     @rule(start=starts)
-    def ends(self, start: Start) -> None:
+    def ends(self, start: StartKey) -> None:
         self._goes_on(start)
         if self.promised and self.promised[0] == start:
             self.promised = None
-        self.core.over(start, "it has ended", self.now)
+        self.core.on_start_ended(start, "it has ended", self.now)
         self._carry_out()
 
     @rule(start=starts)
-    def gives_up(self, start: Start) -> None:
+    def gives_up(self, start: StartKey) -> None:
         self._goes_on(start)
-        self.core.give_up(start, self.now)
+        self.core.abandon_wait(start, self.now)
         self._carry_out()
 
     @rule(agent=st.sampled_from(["pilot", "rover"]), begins=st.booleans())
@@ -154,7 +162,7 @@ class Reserving(RuleBasedStateMachine):
         for page in self.pages:
             self.disk = page
             if page.holder is not None:
-                self.core.written("arm", page.number, self.now)
+                self.core.on_durable("arm", page.number, self.now)
         self.pages.clear()
         self._carry_out()
 
@@ -179,7 +187,7 @@ class Reserving(RuleBasedStateMachine):
                 f"{start} waits for ever"
             )
 
-    def _is_next(self, start: Start) -> bool:
+    def _is_next(self, start: StartKey) -> bool:
         return start in [holder for _, holder in self.core.unwritten]
 
     @rule()
@@ -199,37 +207,43 @@ class Reserving(RuleBasedStateMachine):
     # --- what comes of it -----------------------------------------------------------------------------
 
     def _carry_out(self) -> None:
-        for effect in self.core.take_effects():
+        for effect in self.core.drain_effects():
             self._one(effect)
 
     def _one(self, effect: Effect) -> None:
         match effect:
-            case Write():
+            case PersistHolder():
                 self.pages.append(effect)
                 if effect.holder and self.promised and effect.holder[0] == self.promised[0][0]:
                     # A later start takes over, also when it does not wait for the number then.
                     self.promised = None
-            case Refuse() | Let():
+            case DenyWaiter() | RetryWaiter():
                 self._goes_on(effect.start)
 
 
 class ToldBeforeItIsKept(Reservations):
-    def take(self, start: Start, resource: str, now: float, *, nested: bool) -> int:
-        number = super().take(start, resource, now, nested=nested)
+    """Grants a number before it is on disk."""
+
+    def acquire(self, start: StartKey, resource: str, now: float, *, nested: bool) -> int:
+        number = super().acquire(start, resource, now, nested=nested)
         found = self._resources[resource]
         if found.holder == start and not number:
-            self.written(resource, found.number, now)
-            number = super().take(start, resource, now, nested=nested)
+            self.on_durable(resource, found.number, now)
+            number = super().acquire(start, resource, now, nested=nested)
         return number
 
 
 class NoWaitAfterARestart(Reservations):
-    def restore(self, resource: str, number: int, holder: Start | None, now: float) -> None:
+    """Does not wait for the lease of the holder after a restart."""
+
+    def restore(self, resource: str, number: int, holder: StartKey | None, now: float) -> None:
         super().restore(resource, number, None, now)
 
 
 class NumbersBeginAgain(Reservations):
-    def restore(self, resource: str, number: int, holder: Start | None, now: float) -> None:
+    """Does not restore the numbers of the journal."""
+
+    def restore(self, resource: str, number: int, holder: StartKey | None, now: float) -> None:
         """Nothing is known of it."""
 
 
@@ -247,6 +261,7 @@ def test_nobody_has_what_another_has() -> None:
     run_state_machine_as_test(Reserving, settings=REPEATABLE)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("broken", [ToldBeforeItIsKept, NoWaitAfterARestart, NumbersBeginAgain])
 def test_what_is_broken_is_found(broken: type[Reservations]) -> None:
     class Broken(Reserving):

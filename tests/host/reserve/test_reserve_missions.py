@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from lfield.host.core import HostCore
-from lfield.testing.mission.team import Team
-from lfield.wire.observing import Recover
+from lfield.testing.mission.mission_team import MissionTeam
+from lfield.wire.observer_messages import RecoverRequest
 
 RESOURCE = """
 resource Arm {
@@ -45,7 +45,7 @@ TEAM = "//Arm:a@alpha\n//Arm:b@bravo\n//Pilot:pilot@alpha\n//Rover:rover@bravo\n
 def open_team(tmp_path: Path, lfield_mission):  # type: ignore[no-untyped-def]
     """Makes the team of what its two coordinators do."""
 
-    def made(pilot: str, rover: str, devices: str = "", **options: object) -> Team:
+    def made(pilot: str, rover: str, devices: str = "", **options: object) -> MissionTeam:
         program = RESOURCE + HEAD.format("Pilot", pilot) + HEAD.format("Rover", rover)
         (tmp_path / "arms.L").write_text(program)
         (tmp_path / "arms.dL").write_text(TEAM)
@@ -56,12 +56,12 @@ def open_team(tmp_path: Path, lfield_mission):  # type: ignore[no-untyped-def]
     return made
 
 
-def at(team: Team, words: str, who: str = "") -> float:
+def at(team: MissionTeam, words: str, who: str = "") -> float:
     """When somebody has said that first."""
     return next(line.at for line in team.log if words in line.text and line.text.startswith(who))
 
 
-def overlap(team: Team) -> list[tuple[str, str]]:
+def overlap(team: MissionTeam) -> list[tuple[str, str]]:
     """Calls of two coordinators of one arm that went on at one time."""
     calls = [call for call in team.calls if call.portal == "work"]
     return [
@@ -155,7 +155,7 @@ def test_who_is_cut_off_for_longer_loses_it_and_hears_before_its_next_portal_beg
     assert calls == [("pilot", "look"), ("rover", "work")]
     began = next(call.at for call in team.calls if call.caller == "rover")
     assert 6.0 < began < 8.5
-    assert team.said("lost b: b was reserved by rover since, ") == 1
+    assert team.said("lost b: b was reserved by rover ") == 1
     assert team.ended == {"pilot": "done", "rover": "done"}
 
 
@@ -188,7 +188,7 @@ def test_after_a_restart_nobody_else_has_it_before_its_lease_is_over(open_team):
     team.run(1.0)
     team.boot("bravo")
     booted = team.now
-    held = team._fleet.lives["bravo"].core.reserving
+    held = team._fleet.lives["bravo"].core.reservations
     team.run(5.0)
     assert [(each.resource, each.holder) for each in held.held] == [("b", ("pilot", 1))]
     team.run(booted + 7.0 - team.now)
@@ -219,13 +219,13 @@ def test_a_host_that_is_stopped_gives_nothing_back_and_its_lease_does(open_team)
     assert 6.0 < began < 8.5
 
 
-def at_host(team: Team, host: str, does: Callable[[HostCore], object]) -> None:
+def at_host(team: MissionTeam, host: str, does: Callable[[HostCore], object]) -> None:
     """Something that a person does there."""
     life = team._fleet.lives[host]
 
     def act() -> None:
         does(life.core)
-        life.host.turn()
+        life.host.step()
 
     life.process.loop.enter(act)
 
@@ -256,11 +256,11 @@ def test_who_goes_on_by_a_persons_word_reserves_anew_and_the_old_number_is_none(
     team.run(1.0)
     team.power_off("alpha")
     team.run(1.0)
-    row = next(row for row in team._fleet.lives["bravo"].core.mobility.knowledge() if row.agent == "pilot")
-    at_host(team, "bravo", lambda core: core.recover(Recover("pilot", 1, row.sequence, 1)))
+    row = next(row for row in team._fleet.lives["bravo"].core.mobility.known_states() if row.agent == "pilot")
+    at_host(team, "bravo", lambda core: core.recover(RecoverRequest("pilot", 1, row.sequence, 1)))
     team.run(15.0)
-    assert team.said("pilot is recovered here, as start ") == 1
-    assert [held.resource for held in team._fleet.lives["bravo"].core.reserving.held] == []
+    assert team.said("pilot recovered on this host as start ") == 1
+    assert [held.resource for held in team._fleet.lives["bravo"].core.reservations.held] == []
     assert [call.portal for call in team.calls if call.resource == "b"] == ["work"]
 
 
@@ -370,8 +370,8 @@ def test_who_is_recovered_where_it_reserves_hears_of_what(open_team):
     team.run(3.0)
     team.power_off("bravo")
     team.run(1.0)
-    row = next(row for row in team._fleet.lives["alpha"].core.mobility.knowledge() if row.agent == "pilot")
-    at_host(team, "alpha", lambda core: core.recover(Recover("pilot", 1, row.sequence, 1)))
+    row = next(row for row in team._fleet.lives["alpha"].core.mobility.known_states() if row.agent == "pilot")
+    at_host(team, "alpha", lambda core: core.recover(RecoverRequest("pilot", 1, row.sequence, 1)))
     team.run(5.0)
     assert team.said(" (b)") >= 1
     assert team.said("(b.)") == 0

@@ -6,14 +6,14 @@ import asyncio
 from contextlib import asynccontextmanager
 
 from lfield.errors import UsageError
-from lfield.operator.addressed import Party
-from lfield.operator.query import read_asked
-from lfield.operator.sight.following.follower import Follower
-from lfield.operator.sight.following.reach import Reach
-from lfield.operator.sight.orders import Orders
-from lfield.operator.sight.picture.roll import roll_of
-from lfield.operator.sight.watched import Watched
-from lfield.simulate.time import LoopClock
+from lfield.operator.dashboard.event_stream.event_follower import EventFollower
+from lfield.operator.dashboard.event_stream.host_locator import HostLocator
+from lfield.operator.dashboard.order_service import OperatorContext, OrderService
+from lfield.operator.dashboard.team_watch import TeamWatch
+from lfield.operator.targets import TargetTeam
+from lfield.operator.team_model.inventory import build_inventory
+from lfield.operator.team_query import read_context
+from lfield.simulate.jumping_loop import LoopClock
 
 PROGRAM = """
 resource Hoist {
@@ -39,8 +39,8 @@ agents: {arm2: {payload: 1.2}}
 @asynccontextmanager
 async def operated(fleet, mission, asked=None, dialled=None):
     """`dialled` collects the addresses that the desk connects to."""
-    party = Party((), mission.team.reached)
-    reach = Reach(party, lambda: [])
+    party = TargetTeam((), mission.team.addresses_by_host)
+    reach = HostLocator(party, lambda: [])
     transport = fleet.network.transport("desk")
     connect = transport.connect
 
@@ -50,23 +50,23 @@ async def operated(fleet, mission, asked=None, dialled=None):
         return await connect(address, handler)
 
     transport.connect = counted
-    shown = Watched(roll_of("team", mission.team, mission), LoopClock())
+    shown = TeamWatch(build_inventory("team", mission.team, mission), LoopClock())
 
     def ask():
         if asked is None:
-            return read_asked(fleet.folder / "mission.dL", mission.team)
+            return read_context(fleet.folder / "mission.dL", mission.team)
         raise UsageError(asked)
 
     async def at_once(work, *args):
         return work(*args)
 
-    follower = Follower(transport, reach.hosts, reach, shown, LoopClock())
-    shown.actions = Orders(
-        transport, reach, shown, mission.team, ask, beside=at_once, standing=follower.order
+    follower = EventFollower(transport, reach.hosts, reach, shown, LoopClock())
+    shown.actions = OrderService(
+        transport, reach, shown, mission.team, ask, OperatorContext(standing=follower.order), at_once
     )
     task = asyncio.create_task(follower.run())
     try:
-        await fleet.until(lambda: all(host.linked for host in shown.seen().hosts.values() if host.host))
+        await fleet.until(lambda: all(host.linked for host in shown.snapshot().hosts.values() if host.host))
         yield shown
     finally:
         task.cancel()
@@ -86,13 +86,13 @@ def operate(fleet, story, asked=None, dialled=None) -> None:
 def test_a_stop_is_seen_by_whoever_watches_until_it_is_lifted(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
         done = await shown.actions.stop("a child")
-        assert (done.order, done.well, done.unreached) == ("stop", True, {})
-        await fleet.until(lambda: shown.seen().stop.hosts == ("alpha", "beta"))
-        stop = shown.seen().stop
+        assert (done.order, done.is_complete, done.unreached) == ("stop", True, {})
+        await fleet.until(lambda: shown.snapshot().stop.hosts == ("alpha", "beta"))
+        stop = shown.snapshot().stop
         assert stop.reason == "the emergency stop was pressed: a child"
         assert stop.complete
-        assert (await shown.actions.lift()).well
-        await fleet.until(lambda: not shown.seen().stop.stands)
+        assert (await shown.actions.lift()).is_complete
+        await fleet.until(lambda: not shown.snapshot().stop.stands)
 
     operate(fleet, story)
 
@@ -105,7 +105,7 @@ def test_orders_go_over_the_connections_that_stand_and_over_a_new_one_where_ther
         assert len(dialled) == len(hosts)
         for order in (actions.stop, actions.lift, actions.pause, actions.resume):
             done = await order()
-            assert (done.well, done.unreached) == (True, {})
+            assert (done.is_complete, done.unreached) == (True, {})
         assert len(dialled) == len(hosts)
         await hosts[1].host.stop()
         del dialled[:]
@@ -118,10 +118,10 @@ def test_orders_go_over_the_connections_that_stand_and_over_a_new_one_where_ther
 
 def test_a_pause_is_seen_until_it_is_over(fleet) -> None:
     async def story(fleet, shown, hosts) -> None:
-        assert (await shown.actions.pause()).well
-        await fleet.until(lambda: shown.seen().paused == ("alpha", "beta"))
-        assert (await shown.actions.resume()).well
-        await fleet.until(lambda: shown.seen().paused == ())
+        assert (await shown.actions.pause()).is_complete
+        await fleet.until(lambda: shown.snapshot().paused == ("alpha", "beta"))
+        assert (await shown.actions.resume()).is_complete
+        await fleet.until(lambda: shown.snapshot().paused == ())
 
     operate(fleet, story)
 
@@ -131,9 +131,9 @@ def test_a_host_that_is_gone_is_named_by_a_stop_and_by_the_picture(fleet) -> Non
         await hosts[1].host.stop()
         done = await shown.actions.stop()
         assert list(done.unreached) == ["beta"]
-        assert not done.well
-        await fleet.until(lambda: shown.seen().stop.stands)
-        stop = shown.seen().stop
+        assert not done.is_complete
+        await fleet.until(lambda: shown.snapshot().stop.stands)
+        stop = shown.snapshot().stop
         assert (stop.hosts, list(stop.unreached), stop.complete) == (("alpha",), ["beta"], False)
 
     operate(fleet, story)

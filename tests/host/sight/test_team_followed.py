@@ -7,13 +7,13 @@ from contextlib import asynccontextmanager
 
 import pytest
 
-from lfield.operator.sight.following.follower import Follower
-from lfield.operator.sight.listening import said_before
-from lfield.operator.sight.picture.roll import roll_of
-from lfield.operator.sight.timeline.timeline import Timeline
-from lfield.operator.sight.watched import Watched
-from lfield.simulate.time import LoopClock
-from lfield.wire.watching import Events
+from lfield.operator.dashboard.event_feed import log_backlog
+from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
+from lfield.operator.dashboard.team_watch import TeamWatch
+from lfield.operator.dashboard.timeline.event_timeline import EventTimeline
+from lfield.operator.team_model.inventory import build_inventory
+from lfield.simulate.jumping_loop import LoopClock
+from lfield.wire.subscription_messages import EventBatch
 
 PROGRAM = """
 resource Post {
@@ -36,17 +36,15 @@ coordinator Walker {
 TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
 
 
-class Both(Watched):
+class Both(TeamWatch):
     """The picture, and the time line of the same."""
 
     def __init__(self, roll, clock) -> None:
         super().__init__(roll, clock)
-        self.timeline, self.now = Timeline(), clock.monotonic
+        self.timeline = EventTimeline()
 
-    def told(self, host: str, batch: Events, took: float | None) -> None:
-        super().told(host, batch, took)
-        asked = None if took is None else self.now() - took
-        self.timeline.heard(host, batch.incarnation, batch.up, self.now(), asked)
+    def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
+        super().on_batch(host, batch, took)
         for event in batch.events:
             self.timeline.add(host, batch.incarnation, event)
 
@@ -54,11 +52,13 @@ class Both(Watched):
 @asynccontextmanager
 async def followed(fleet, mission, since=None):
     async def reach(host: str) -> str:
-        return mission.team.reached[host]
+        return mission.team.addresses_by_host[host]
 
-    shown = Both(roll_of("team", mission.team, mission), LoopClock())
+    shown = Both(build_inventory("team", mission.team, mission), LoopClock())
     transport = fleet.network.transport("desk")
-    follower = Follower(transport, mission.team.hosts, reach, shown, LoopClock(), since=since, telemetry=5.0)
+    follower = EventFollower(
+        transport, mission.team.hosts, reach, shown, LoopClock(), FollowOptions(since=since, telemetry=5.0)
+    )
     task = asyncio.create_task(follower.run())
     try:
         yield shown
@@ -72,11 +72,11 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
         mission = fleet.mission(PROGRAM, TEAM)
         await fleet.up(mission)
         async with followed(fleet, mission, since=0) as shown:
-            await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
             # The end of the coordinator is told before its last hop is confirmed.
-            await fleet.until(lambda: shown.seen().coordinators["walker"].trail[-1].seconds is not None)
-            await fleet.until(lambda: len([x for x in shown.seen().log if "visit" in x.text]) == 6)
-            seen = shown.seen()
+            await fleet.until(lambda: shown.snapshot().coordinators["walker"].trail[-1].seconds is not None)
+            await fleet.until(lambda: len([x for x in shown.snapshot().log if "visit" in x.text]) == 6)
+            seen = shown.snapshot()
             walker = seen.coordinators["walker"]
             assert (walker.finished, walker.host) == ("done", "beta")
             assert [(hop.of, hop.to) for hop in walker.trail] == [
@@ -86,7 +86,7 @@ def test_a_walk_is_seen_hop_by_hop_to_its_end(fleet) -> None:
             assert all(hop.seconds is not None and hop.resource in "pq" for hop in walker.trail)
             assert walker.hops == 5
             assert all(host.linked for host in seen.hosts.values())
-            told = shown.timeline.given()
+            told = shown.timeline.drain_events()
             # What stands beside the numbered events has the number of the last one: the first has its own.
             numbered = reversed(list(enumerate(told)))
             times = {(d.host, d.incarnation, d.event.number): n for n, d in numbered}
@@ -120,9 +120,9 @@ def test_every_hop_has_its_duration_though_who_comes_back_at_once_brings_its_own
         mission = fleet.mission(THERE_AND_BACK, TEAM)
         await fleet.up(mission)
         async with followed(fleet, mission, since=0) as shown:
-            await fleet.until(lambda: shown.seen().agents["walker"].finished)
+            await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
             await asyncio.sleep(3.0)
-            told = [dated.event for dated in shown.timeline.given()]
+            told = [dated.event for dated in shown.timeline.drain_events()]
             hops = {kind: [e.what.sequence for e in told if e.kind == kind] for kind in ("left", "hopped")}
             assert len(hops["left"]) == 19
             assert hops["hopped"] == hops["left"]
@@ -139,19 +139,19 @@ def test_who_looks_late_has_what_was_said_before_in_one_order_and_once(fleet) ->
         transport = fleet.network.transport("desk")
 
         async def reach(host: str) -> str:
-            return mission.team.reached[host]
+            return mission.team.addresses_by_host[host]
 
         async with followed(fleet, mission) as shown:
-            said = said_before(transport, mission.team.hosts, reach, LoopClock())
-            await shown.begin_log(said)
-            assert len([line for line in shown.seen().log if "visit" in line.text]) == 4
-            await fleet.until(lambda: shown.seen().agents["walker"].finished)
-            log = shown.seen().log
+            said = log_backlog(transport, mission.team.hosts, reach, LoopClock())
+            await shown.start_log(said)
+            assert len([line for line in shown.snapshot().log if "visit" in line.text]) == 4
+            await fleet.until(lambda: shown.snapshot().agents["walker"].finished)
+            log = shown.snapshot().log
             assert [x.text for x in log if "visit" in x.text] == [f"visit {n}" for n in range(6)]
             first = next(line for line in log if "visit" in line.text)
-            assert first.age == pytest.approx(shown.seen().log[-1].age + 5.0, abs=0.5)
+            assert first.age == pytest.approx(shown.snapshot().log[-1].age + 5.0, abs=0.5)
             # No hop of the past is drawn.
-            assert len(shown.seen().coordinators["walker"].trail) == 2
+            assert len(shown.snapshot().coordinators["walker"].trail) == 2
 
     fleet(story)
 
@@ -161,17 +161,17 @@ def test_a_host_that_ends_stays_in_the_picture_and_its_next_life_is_another(flee
         mission = fleet.mission(PROGRAM, TEAM)
         _, beta = await fleet.up(mission)
         async with followed(fleet, mission) as shown:
-            await fleet.until(lambda: shown.seen().hosts["beta"].linked)
+            await fleet.until(lambda: shown.snapshot().hosts["beta"].linked)
             await asyncio.sleep(1.0)
             await beta.host.stop()
-            await fleet.until(lambda: not shown.seen().hosts["beta"].linked)
-            gone = shown.seen().hosts["beta"]
+            await fleet.until(lambda: not shown.snapshot().hosts["beta"].linked)
+            gone = shown.snapshot().hosts["beta"]
             assert gone.ending is not None
             await asyncio.sleep(30.0)
-            assert shown.seen().hosts["beta"].age == pytest.approx(30.0, abs=2.0)
+            assert shown.snapshot().hosts["beta"].age == pytest.approx(30.0, abs=2.0)
             await fleet.up(mission, "beta", first_start=False)
-            await fleet.until(lambda: shown.seen().hosts["beta"].linked)
-            again = shown.seen().hosts["beta"]
+            await fleet.until(lambda: shown.snapshot().hosts["beta"].linked)
+            again = shown.snapshot().hosts["beta"]
             assert (again.restarts, again.ending) == (1, None)
             assert "state" not in again.lost
 

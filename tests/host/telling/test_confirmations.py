@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 from msgspec.structs import replace
 
-from lfield.host.telling.answers import ANSWER_AFTER, Answers
-from lfield.mobility.effects import Send
-from lfield.wire.coordinators import Accepted, Transfer
+from lfield.host.migration.delayed_acks import ACK_DELAY, DelayedAcks
+from lfield.hybrid_clock import HybridClock
+from lfield.replication.transfer.effects import Send
+from lfield.wire.coordinator_messages import Transfer, TransferAccepted
 
 PROGRAM = """
 resource Echo {
@@ -31,32 +32,32 @@ class Host:
 
     def __init__(self) -> None:
         self.now, self.sent, self.held = 10.0, [], []
-        self.answers = Answers(self.send, lambda: self.now)
+        self.answers = DelayedAcks(self.send, lambda: self.now, HybridClock(0.0, 0.0))
 
     def send(self, answer: Send) -> None:
         self.held.append(answer.message.held)
-        self.sent.append(Send(answer.host, replace(answer.message, held=0.0)))
+        self.sent.append(Send(answer.host, replace(answer.message, held=0.0, stamp=0)))
 
     def arrives(self, host: str, agent: str = "tom", generation: int = 1, sequence: int = 1) -> Send:
-        accepted = Accepted(agent, generation, sequence)
+        accepted = TransferAccepted(agent, generation, sequence)
         answer = Send(host, accepted)
-        self.answers.put(answer, accepted)
+        self.answers.add(answer, accepted)
         return answer
 
     def leaves(self, host: str, agent: str = "tom", generation: int = 1) -> None:
-        self.answers.leaves(host, Transfer(agent, generation, 2, 2, b"p" * 32, 7, 0))
+        self.answers.on_sending(host, Transfer(agent, generation, 2, 2, b"p" * 32, 7, 0))
 
 
 def test_an_answer_is_sent_after_a_short_time():
     host = Host()
     answer = host.arrives("bravo")
-    assert host.answers.due == host.now + ANSWER_AFTER
-    host.answers.tick(host.now + ANSWER_AFTER / 2)
+    assert host.answers.due == host.now + ACK_DELAY
+    host.answers.on_tick(host.now + ACK_DELAY / 2)
     assert host.sent == []
-    host.now += ANSWER_AFTER
-    host.answers.tick(host.now)
+    host.now += ACK_DELAY
+    host.answers.on_tick(host.now)
     assert host.sent == [answer]
-    assert host.held == [pytest.approx(ANSWER_AFTER)]
+    assert host.held == [pytest.approx(ACK_DELAY)]
     assert host.answers.due is None
 
 
@@ -93,8 +94,8 @@ def test_a_later_arrival_of_the_same_start_keeps_no_answer_back():
     host = Host()
     first, second = host.arrives("bravo", sequence=1), host.arrives("carol", sequence=3)
     assert host.sent == [first]
-    host.now += ANSWER_AFTER
-    host.answers.tick(host.now)
+    host.now += ACK_DELAY
+    host.answers.on_tick(host.now)
     assert host.sent == [first, second]
 
 
@@ -105,6 +106,6 @@ def test_hops_to_and_fro_need_no_answers(fleet, keeps):
         await team.until(lambda: "made 99 hops" in alpha.log + bravo.log)
         # Of 99 transfers; a busy computer may keep a few for longer than the short time.
         assert team.network.sent["Transfer"] == 99
-        assert team.network.sent["Accepted"] <= 20
+        assert team.network.sent["TransferAccepted"] <= 20
 
     fleet(story)

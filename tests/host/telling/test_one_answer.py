@@ -8,14 +8,14 @@ from types import SimpleNamespace
 import pytest
 from msgspec import msgpack
 
-from lfield.capability.matching.explain import render
-from lfield.capability.matching.expression import compile_wish
+from lfield.capability.condition_compiler import compile_query
+from lfield.capability.matching.explanation import render_refusals
 from lfield.capability.matching.matcher import Matcher
-from lfield.capability.model import ANYBODY
-from lfield.host.offers import found
+from lfield.capability.model import ANY_OFFER
+from lfield.host.offer_queries import to_vm_offer
 from lfield.manifest import Observation
-from lfield.operator.query import from_files, from_hosts, read_asked
-from lfield.wire.observing import Status
+from lfield.operator.team_query import read_context, roster_from_files, roster_from_hosts
+from lfield.wire.observer_messages import Status
 
 PROGRAM = """
 resource Hoist {
@@ -83,21 +83,23 @@ def test_from_outside_it_is_what_the_program_hears(fleet, condition):
         await asyncio.sleep(3.1)
         devices[1].values["battery"] = 0.9
         await asyncio.sleep(1.7)
-        files = read_asked(team.folder / "mission.dL", mission.team)
+        files = read_context(team.folder / "mission.dL", mission.team)
         registry, ways = files.registry, files.ways
         numbers = {member.id: member.number for member in mission.team.members}
         for name, running in hosts.items():
             status = msgpack.decode(msgpack.encode(running.host.status()), type=Status)
             told = {name: {one.agent: one for one in status.directory}}
-            asked = Matcher(registry, from_hosts(registry, mission.team.deployed, told, (), name), ways)
-            wish = compile_wish(condition or "true", registry.attributes)
+            asked = Matcher(
+                registry, roster_from_hosts(registry, mission.team.deployed, told, (), name), ways
+            )
+            wish = compile_query(condition or "true", registry.attributes)
             outside = asked.find("Lift", wish)
-            inside = running.host.core.world.offers(NOBODY, "Lift", condition or "true")
-            heard = [found(offer, numbers, outside.count) for offer in outside.offers]
+            inside = running.host.core.services.offers(NOBODY, "Lift", condition or "true")
+            heard = [to_vm_offer(offer, numbers, outside.count) for offer in outside.offers]
             assert [facts_of(offer) for offer in heard] == [facts_of(offer) for offer in inside]
             assert [offer.score for offer in heard] == [offer.score for offer in inside]
-            why = render(asked.explain("Lift", wish.condition))
-            assert why in running.host.core.world.explain(NOBODY, "Lift", condition or "true")
+            why = render_refusals(asked.explain("Lift", wish.condition))
+            assert why in running.host.core.services.explain(NOBODY, "Lift", condition or "true")
         assert inside or condition == "battery > 0.5 && tools == sling"
 
     fleet(story)
@@ -132,22 +134,24 @@ def test_places_by_the_devices_file_and_what_is_reserved_count_from_both_places(
         placed = "//Hoist:one@a\n//Hoist:two@b\n//Hoist:three@b\n//Foreman:foreman@desk\n"
         capabilities = "registry: 1\nproviders: {Hoist: {serves: {Lift: {}}}}\n"
         mission = team.mission(PLACED, placed, PLACES, capabilities=capabilities, simulate=True)
-        files = read_asked(team.folder / "mission.dL", mission.team)
+        files = read_context(team.folder / "mission.dL", mission.team)
         registry, pose, deployed = files.registry, files.frames.place(at), mission.team.deployed
 
         def asked(roster):
             matcher = Matcher(registry, roster, files.ways)
-            return matcher.find("Lift", ANYBODY).offers, render(matcher.explain("Lift", ANYBODY.condition))
+            return matcher.find("Lift", ANY_OFFER).offers, render_refusals(
+                matcher.explain("Lift", ANY_OFFER.condition)
+            )
 
-        offers, _ = asked(from_files(registry, deployed, at, files.stated, pose))
+        offers, _ = asked(roster_from_files(registry, deployed, at, files.stated, pose))
         assert [offer.agent for offer in offers] == nearest
         hosts = {name: team.make(mission, name) for name in ("a", "b", "desk")}
         await asyncio.gather(*(running.host.start() for running in hosts.values()))
         await asyncio.sleep(6.0)
-        world = hosts[at].host.core.world
+        world = hosts[at].host.core.services
         status = msgpack.decode(msgpack.encode(hosts[at].host.status()), type=Status)
         told = {at: {one.agent: one for one in status.directory}}
-        offers, why = asked(from_hosts(registry, deployed, told, (), at, pose))
+        offers, why = asked(roster_from_hosts(registry, deployed, told, (), at, pose))
         inside = world.offers(SimpleNamespace(id="somebody"), "Lift", None)
         assert [(o.agent, o.score) for o in offers] == [(o.agent, o.score) for o in inside]
         assert [offer.agent for offer in offers] == [agent for agent in nearest if agent != "three"]

@@ -93,7 +93,7 @@ async def hoists(team, program=IDLE, capabilities=CAPABILITIES):
 
 def facts_of(running, agent, condition=None):
     """What the offer of an agent says, as the coordinator sees it: texts or numbers, and sources."""
-    found = running.host.core.world.offers(NOBODY, "Lift", condition)
+    found = running.host.core.services.offers(NOBODY, "Lift", condition)
     offer = next(offer for offer in found if offer.agent == agent)
     values = zip(offer.names, offer.texts, offer.numbers, offer.sources, strict=True)
     return {name: (number if text is None else text, source) for name, text, number, source in values}
@@ -128,7 +128,7 @@ def test_a_portal_that_only_queries_feeds_an_attribute(fleet):
             assert near["level"] == (1.5, "measured")
             assert near["east"] == (2.0, "measured")
             assert "slowness" not in near
-            why = asked.host.core.world.explain(NOBODY, "Lift", "slowness > 0.0")
+            why = asked.host.core.services.explain(NOBODY, "Lift", "slowness > 0.0")
             assert "near: near has not reported slow()" in why
 
     fleet(story)
@@ -150,8 +150,8 @@ coordinator Foreman {
 
     async def story(team):
         alpha, _, _ = await hoists(team, program)
-        await team.until(lambda: "rope" in alpha.host.core.world.explain(NOBODY, "Lift", "level > 0.0"))
-        why = alpha.host.core.world.explain(NOBODY, "Lift", "level > 0.0")
+        await team.until(lambda: "rope" in alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0"))
+        why = alpha.host.core.services.explain(NOBODY, "Lift", "level > 0.0")
         assert "near: level() throws DeviceException: the rope is torn" in why
         await team.until(lambda: facts_of(alpha, "near").get("level") == (11.0, "measured"))
 
@@ -165,7 +165,7 @@ def test_a_question_is_no_call_of_somebody(fleet):
         near = alpha.host.machine.agents["near"]
         assert near.served == 0
         # One that never answers is asked once.
-        assert len(alpha.host.machine._scheduler.questions) == 1
+        assert len(alpha.host.machine._scheduler.resource_queries) == 1
 
     fleet(story)
 
@@ -200,12 +200,12 @@ coordinator Foreman {
 @pytest.mark.parametrize(
     ("source", "code", "told"),
     [
-        ("lift()", "C178", "resource Hoist has no portal lift() that takes nothing"),
-        ("heigth()", "C178", "resource Hoist has no portal heigth() that takes nothing"),
-        ("count()", "C179", "Hoist.count() may do more than query"),
-        ("rise()", "C179", "Hoist.rise() may do more than query"),
+        ("lift()", "C178", "resource Hoist has no portal lift() without parameters"),
+        ("heigth()", "C178", "resource Hoist has no portal heigth() without parameters"),
+        ("count()", "C179", "Hoist.count() has side effects"),
+        ("rise()", "C179", "Hoist.rise() has side effects"),
         ("place()", "C174", "'level' is real, and place() is real[]"),
-        ("{from: level(), every: 9}", "C107", "'level' is asked every 9 s and counts for 6 s"),
+        ("{from: level(), every: 9}", "C107", "'level' is polled every 9 s, but its 'max_age' is 6 s"),
         ("{from: level(), every: 0.1}", "Y113", "'every' must be from 1 to 3600, not 0.1"),
     ],
 )
@@ -226,8 +226,8 @@ def test_a_portal_that_cannot_feed_an_attribute_is_refused(fleet, source, code, 
     [
         ("payloda: 1.0", "there is no attribute 'payloda'"),
         ("payload: heavy", "'payload' is a number in kg, not the text 'heavy'"),
-        ("payload: 3 m", "'m' cannot be turned into 'kg'"),
-        ("tools: [spoon]", "'spoon' is no value of 'tools'"),
+        ("payload: 3 m", "'m' cannot be converted to 'kg'"),
+        ("tools: [spoon]", "'spoon' is not a value of 'tools'"),
     ],
 )
 def test_what_a_binding_states_wrongly_is_told_at_its_place(fleet, stated, told):

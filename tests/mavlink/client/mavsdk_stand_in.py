@@ -59,11 +59,11 @@ class StandIn:
     async def __aenter__(self) -> StandIn:
         loop = asyncio.get_running_loop()
         self._mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.AUTOPILOT))
-        self._door = _Door(self._mavsdk, loop, label=self._label)
-        transport, _ = await loop.create_datagram_endpoint(lambda: self._door, ("127.0.0.1", 0))
+        self._endpoint = _Endpoint(self._mavsdk, loop, label=self._label)
+        transport, _ = await loop.create_datagram_endpoint(lambda: self._endpoint, ("127.0.0.1", 0))
         self.endpoint = f"udp:127.0.0.1:{transport.get_extra_info('sockname')[1]}"
         await self._mavsdk.add_any_connection("raw://")
-        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(self._door.send_soon)
+        self._mavsdk._mavsdk.subscribe_raw_bytes_to_be_sent(self._endpoint.send_soon)
         component = await self._mavsdk.server_component()
         self.telemetry = TelemetryServerAsync(component)
         self.action = ActionServerAsync(component)
@@ -71,7 +71,7 @@ class StandIn:
         self.mission = MissionRawServerAsync(component)
         self.files = FtpServerAsync(component)
         await self._set_up()
-        works = (self._publish(), self._take_missions(), self._land())
+        works = (self._publish(), self._on_mission(), self._land())
         self._tasks = [loop.create_task(work) for work in works]
         return self
 
@@ -81,7 +81,7 @@ class StandIn:
         await asyncio.gather(*self._tasks, return_exceptions=True)
         # A cancelled task leaves its call running on a thread: MAVSDK may not go before that has returned.
         await asyncio.get_running_loop().shutdown_default_executor()
-        self._door.close()
+        self._endpoint.close()
         self._mavsdk.destroy()
 
     async def _set_up(self) -> None:
@@ -124,7 +124,7 @@ class StandIn:
             await t.publish_sys_status(Battery(12.5, 0.75), True, True, True, True, True)
             await asyncio.sleep(PERIOD)
 
-    async def _take_missions(self) -> None:
+    async def _on_mission(self) -> None:
         async for _, plan in self.mission.subscribe_incoming_mission():
             self.missions.put_nowait(plan)
 
@@ -135,7 +135,7 @@ class StandIn:
                 self.height = 0.0
 
 
-class _Door(asyncio.DatagramProtocol):
+class _Endpoint(asyncio.DatagramProtocol):
     """Packets of MAVSDK to whoever spoke last, and back."""
 
     def __init__(self, mavsdk: Mavsdk, loop: asyncio.AbstractEventLoop, *, label: bool) -> None:

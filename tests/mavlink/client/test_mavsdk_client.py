@@ -120,7 +120,7 @@ def fly(story, flavour, *options):
     asyncio.run(main())
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @BOTH
 def test_a_flight_up_over_and_down(flavour):
     async def story(c):
@@ -150,7 +150,7 @@ def test_a_flight_up_over_and_down(flavour):
     fly(story, flavour, "--param", "RTL_ALT=600" if flavour == "ardupilot" else "RTL_RETURN_ALT=6")
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @BOTH
 def test_velocities_and_a_landing(flavour):
     async def story(c):
@@ -188,6 +188,7 @@ def test_a_refused_arming_has_its_reason_in_a_text(flavour):
     fly(story, flavour, "--fault", "refuse_arming=Compass not calibrated")
 
 
+@pytest.mark.few(0)
 def test_a_mission_for_px4():
     async def story(c):
         items = [
@@ -212,6 +213,7 @@ def test_a_mission_for_px4():
     fly(story, "px4")
 
 
+@pytest.mark.few(0)
 def test_a_mission_for_ardupilot():
     """By raw items: MAVSDK's other mission plugin knows nothing of item 0, where ArduPilot has home."""
 
@@ -261,6 +263,7 @@ def test_a_fence_is_held_and_given_back(flavour):
     fly(story, flavour)
 
 
+@pytest.mark.few(1)
 @BOTH
 def test_parameters(flavour):
     real, whole = {"ardupilot": ("WPNAV_RADIUS", "FS_GCS_ENABLE"), "px4": ("NAV_ACC_RAD", "NAV_DLL_ACT")}[
@@ -280,6 +283,7 @@ def test_parameters(flavour):
     fly(story, flavour)
 
 
+@pytest.mark.few(0)
 def test_an_unknown_parameter_gets_no_answer():
     async def story(c):
         with pytest.raises(ParamError) as failed:
@@ -289,6 +293,7 @@ def test_an_unknown_parameter_gets_no_answer():
     fly(story, "px4")
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("burst", [True, False])
 @BOTH
 def test_files(flavour, burst, tmp_path):

@@ -70,7 +70,7 @@ def test_it_flies_goes_safe_and_what_it_refuses_is_told():
         while bench.values["altitude"] < 2.0 or bench.values["landed"]:
             await asyncio.sleep(0.05)
         # In the air and in a mode that this program did not choose, it is somebody else's.
-        with pytest.raises(DeviceError, match="which this program did not choose"):
+        with pytest.raises(DeviceError, match="which this program did not select"):
             await device.execute("setMode", ["AUTO.RTL"])
         await device.execute("release", [])
         await device.execute("setMode", ["AUTO.RTL"])
@@ -86,6 +86,7 @@ def test_it_flies_goes_safe_and_what_it_refuses_is_told():
     fly(story)
 
 
+@pytest.mark.few(0)
 def test_a_mission_is_uploaded():
     waypoints = [LATITUDE, LONGITUDE, 10.0, LATITUDE + 5e-5, LONGITUDE, 12.0]
 
@@ -98,6 +99,7 @@ def test_a_mission_is_uploaded():
     fly(story)
 
 
+@pytest.mark.few(0)
 def test_parameters_are_listed_read_and_set():
     async def story(device, vehicle, _):
         await vehicle.parameters.provide_param_int("BIG_INT", 123456789)
@@ -112,6 +114,7 @@ def test_parameters_are_listed_read_and_set():
     fly(story)
 
 
+@pytest.mark.few(0)
 def test_files_are_listed_read_and_written(tmp_path):
     content = "a line of a log\n" * 400
     (tmp_path / "log.txt").write_text(content)

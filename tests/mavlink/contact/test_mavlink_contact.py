@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from lfield_mavlink.contact.exchange import Exchange
-from lfield_mavlink.contact.state import Texts, VehicleState
-from lfield_mavlink.link.dialect import Reader, Writer, dialect, result_words
+from lfield_mavlink.contact.vehicle_state import Texts, VehicleState
+from lfield_mavlink.link.dialect import Reader, Writer, dialect, result_text
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.watchdog import NEEDS
 
@@ -44,9 +44,9 @@ def test_any_sequence_of_chunks_is_bounded(chunks):
 
 
 def test_results_in_words():
-    assert result_words(4) == "FAILED (4)"
-    assert result_words(1) == "TEMPORARILY_REJECTED (1)"
-    assert result_words(77) == "unknown result (77)"
+    assert result_text(4) == "FAILED (4)"
+    assert result_text(1) == "TEMPORARILY_REJECTED (1)"
+    assert result_text(77) == "unknown result (77)"
 
 
 def test_modes():

@@ -27,7 +27,7 @@ def test_a_flight_without_heartbeats_ends_well_and_is_at_rest(bench):
         await asyncio.sleep(7.0)
         told = fc.moving()
         assert told.startswith("no heartbeat for "), told
-        assert ", which would tell its motors; last told 5." in told
+        assert ", so its motors are unknown; last told 5." in told
         await fc.execute("land", [])
         assert not b.autopilot.armed
         await fc.execute("disarm", [])
@@ -44,7 +44,9 @@ def test_what_only_a_heartbeat_shows_is_not_said_to_have_failed(bench):
 
     async def mission(fc):
         b.filter = unbeaten
-        with pytest.raises(DeviceError, match=r"arm was accepted but it cannot be seen: no heartbeat for"):
+        with pytest.raises(
+            DeviceError, match=r"arm was accepted but it cannot be confirmed: no heartbeat for"
+        ):
             await fc.execute("arm", [])
 
     b.run(mission)

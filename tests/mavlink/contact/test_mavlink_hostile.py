@@ -14,10 +14,10 @@ from lfield.clock import ManualClock
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 from lfield_mavlink import PLUGIN
-from lfield_mavlink.geo import Place
+from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.vehicle import MavlinkVehicle
-from lfield_sim.mavlink.link.codec import Writer
+from lfield_sim.mavlink.link.codec import PacketWriter
 
 MANIFEST = PLUGIN.read_manifests()["Mavlink"]
 MESSAGES = sorted(dialect.mavlink_map)
@@ -119,7 +119,7 @@ def test_answers_that_are_late_do_not_answer_the_next_question(bench):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [4.0])
         # An acceptance of something that nobody asks at the moment; a takeoff in the air is refused.
-        b.links[0].on_data(Writer(1, 1).pack(ack(dialect.MAV_CMD_NAV_TAKEOFF, 0)))
+        b.links[0].on_data(PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_NAV_TAKEOFF, 0)))
         await asyncio.sleep(0.1)
         with pytest.raises(DeviceError, match="takeoff refused: FAILED"):
             await fc.execute("takeoff", [5.0])
@@ -130,7 +130,7 @@ def test_answers_that_are_late_do_not_answer_the_next_question(bench):
 def test_answers_of_another_system_are_not_ours(bench):
     b = bench()
     deliver = b.filter
-    other = Writer(7, 1)
+    other = PacketWriter(7, 1)
 
     def from_another(link, data):
         if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_ACK:
@@ -205,13 +205,13 @@ def test_a_vehicle_that_changes_its_kind_on_the_way_is_told(bench):
         b.cut = False
         b.filter = lambda link, data: None if data[7] == 0 else deliver(link, data)
         for _ in range(8):
-            b.links[0].on_data(Writer(1, 1).pack(heartbeat))
+            b.links[0].on_data(PacketWriter(1, 1).pack(heartbeat))
             await asyncio.sleep(0.5)
-        with pytest.raises(DeviceError, match="is no copter"):
+        with pytest.raises(DeviceError, match="is not a copter"):
             await fc.execute("arm", [])
 
     b.run(mission)
-    assert any("is no copter (MAV_TYPE 10)" in note for note in b.notes)
+    assert any("is not a copter (MAV_TYPE 10)" in note for note in b.notes)
 
 
 def test_it_vanishes_and_returns_not_moving(bench):
@@ -247,7 +247,7 @@ def test_a_late_answer_to_another_mode_does_not_stand_for_the_safe_state(bench):
             if data[7] == dialect.MAVLINK_MSG_ID_COMMAND_LONG and not lost:
                 lost.append(data)
                 # The packet is lost, and the answer to an earlier change of mode comes just now.
-                late = Writer(1, 1).pack(ack(dialect.MAV_CMD_DO_SET_MODE, 0))
+                late = PacketWriter(1, 1).pack(ack(dialect.MAV_CMD_DO_SET_MODE, 0))
                 asyncio.get_running_loop().call_soon(link.on_data, late)
                 return
             send(data)

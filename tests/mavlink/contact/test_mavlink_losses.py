@@ -8,7 +8,7 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
-from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.flavours import MavResult
 
 CALLS, TTL, SEEDS = 100, 0.5, 20
 VEHICLES = [("ardupilot", "copter"), ("ardupilot", "rover"), ("px4", "copter")]
@@ -44,6 +44,7 @@ def without(*kinds):
     return passes
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, kind):
     """What shows the mode comes once, and then not for a while: too late when that packet is lost."""
@@ -66,7 +67,7 @@ def test_the_first_velocity_is_in_time_however_bad_the_link_is(flown, flavour, k
     assert sum(seconds > 0.35 for seconds in took) < 0.05 * CALLS
 
 
-@pytest.mark.few(6)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("pause", [0.1, 0.2])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 @pytest.mark.parametrize("seed", range(1, SEEDS + 1))
@@ -108,7 +109,7 @@ def test_a_late_acknowledgement_of_an_entry_is_none_of_a_hold(flown, kind, seed)
 def test_an_entry_that_is_refused_is_told_in_its_words(flown, monkeypatch):
     async def work(b, fc):
         await fc.execute("hold", [])
-        monkeypatch.setattr(type(b.autopilot), "set_mode", lambda *_: Result.FAILED)
+        monkeypatch.setattr(type(b.autopilot), "set_mode", lambda *_: MavResult.FAILED)
         with pytest.raises(DeviceError, match="GUIDED refused: FAILED"):
             await fc.execute("setVelocity", [0.5, 0.0, 0.0])
 
@@ -195,6 +196,7 @@ def test_setpoints_go_on_until_a_hold_arrives_where_offboard_was_believed(flown)
     flown(work)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("shown", [False, True])
 @pytest.mark.parametrize("late", [0.0, 0.6])
 def test_a_failsafe_that_came_before_a_hold_is_none_after_it(flown, late, shown):

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 
 from lfield.driver import Origin, Placement
-from lfield_mavlink.contact.state import VehicleState
+from lfield_mavlink.contact.vehicle_state import VehicleState
 from lfield_mavlink.frames import frame_of
-from lfield_mavlink.geo import Place, onto
+from lfield_mavlink.geodesy import Place, onto
 from lfield_mavlink.link.dialect import dialect
 
 TRACES = Path(__file__).parents[2] / "sim" / "replay" / "traces"

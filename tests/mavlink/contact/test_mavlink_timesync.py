@@ -29,7 +29,7 @@ def answer(question, vehicle):
 
 def test_a_round_trip_tells_offset_and_delay():
     sync, clock, sent = made()
-    sync.ask()
+    sync.start_round_trip()
     clock.advance(0.1)
     # The vehicle's clock was at 20 s in the middle of the way.
     measured = sync.on_message(answer(sent[0], 20.0))
@@ -41,13 +41,13 @@ def test_the_shortest_round_trip_tells_the_offset():
     sync, clock, sent = made()
     measured = None
     for delay, skew in ((0.01, 0.0), (0.4, 0.2), (0.3, 0.1)):
-        sync.ask()
+        sync.start_round_trip()
         clock.advance(delay)
         measured = sync.on_message(answer(sent[-1], clock.now - delay / 2 + skew))
     assert measured.round_trip == pytest.approx(0.3)
     assert measured.offset == pytest.approx(-500.0, abs=1e-6)
     for _ in range(KEPT):
-        sync.ask()
+        sync.start_round_trip()
         clock.advance(0.3)
         measured = sync.on_message(answer(sent[-1], clock.now - 0.15 + 0.1))
     assert measured.offset == pytest.approx(-499.9, abs=1e-6)
@@ -62,11 +62,11 @@ def test_the_vehicles_own_question_is_answered():
 def test_answers_to_others_late_ones_and_second_copies_do_not_count():
     sync, clock, sent = made()
     assert sync.on_message(dialect.MAVLink_timesync_message(5, 77)) is None
-    sync.ask()
+    sync.start_round_trip()
     clock.advance(0.1)
     assert sync.on_message(answer(sent[0], 1.0)) is not None
     assert sync.on_message(answer(sent[0], 1.0)) is None
-    sync.ask()
+    sync.start_round_trip()
     clock.advance(4.0)
     assert sync.on_message(answer(sent[1], 1.0)) is None
 
@@ -77,7 +77,7 @@ whole = st.integers(-(2**63), 2**63 - 1)
 @given(st.lists(st.tuples(whole, whole), max_size=20))
 def test_any_message_is_survived(messages):
     sync, _, sent = made()
-    sync.ask()
+    sync.start_round_trip()
     for tc1, ts1 in messages:
         sync.on_message(dialect.MAVLink_timesync_message(tc1, ts1))
     assert len(sent) <= 1 + len(messages)

@@ -5,8 +5,16 @@ from __future__ import annotations
 import pytest
 
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.link.sources import ASKS, BACKWARDS, LASTS, LISTENS, MOST, Source, Sources
-from lfield_mavlink.link.strands import Board
+from lfield_mavlink.link.packet_sources import (
+    BACKWARDS,
+    LASTS,
+    LISTENS,
+    MAX_QUERIES,
+    MAX_SOURCES,
+    Source,
+    Sources,
+)
+from lfield_mavlink.link.sender_separation import Board
 
 A, B = Source(0, "10.0.0.5:14555"), Source(0, "10.0.0.6:14555")
 CABLE, RADIO = Source(0), Source(1)
@@ -72,7 +80,7 @@ def test_an_address_that_falls_silent_was_the_vehicle_s_own():
     assert run(s, 4.0, B, start=7.5, boards={B: SAME}) == {B: True}
     assert (s.moves, s.conflict(12.0), s.is_settled(12.0)) == (1, "", True)
     assert s.events == [
-        "heard from udpin:0.0.0.0:14550 from 10.0.0.6:14555, no longer from "
+        "vehicle's address changed to udpin:0.0.0.0:14550 from 10.0.0.6:14555, from "
         "udpin:0.0.0.0:14550 from 10.0.0.5:14555"
     ]
     assert s.address(0) == B.address
@@ -172,7 +180,7 @@ def test_one_vehicle_over_two_links_is_known_by_its_board():
     assert s.accepts(CABLE)
     assert s.accepts(RADIO)
     assert (s.conflict(9.6), s.is_settled(9.6)) == ("", True)
-    assert 0 < asked <= ASKS
+    assert 0 < asked <= MAX_QUERIES
 
 
 @pytest.mark.parametrize(
@@ -262,11 +270,11 @@ def test_a_restart_and_packets_that_overtake_are_no_second_vehicle():
 def test_any_number_of_addresses_takes_bounded_memory():
     s = Sources(1, LINKS[:1])
     run(s, 1.0, A)
-    for number in range(10 * MOST):
+    for number in range(10 * MAX_SOURCES):
         s.on_packet(Source(0, f"10.1.0.{number}:1"), beat(), 2.0)
         s.on_packet(A, beat(), 2.0)
-    assert len(s._seen) <= MOST + 1
-    assert len(s._rivals) <= MOST + 1
+    assert len(s._states) <= MAX_SOURCES + 1
+    assert len(s._rivals) <= MAX_SOURCES + 1
     assert s.accepts(A)
 
 

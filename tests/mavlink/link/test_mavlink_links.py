@@ -29,9 +29,9 @@ def test_an_endpoint_may_be_several_links():
 def test_a_route_is_kept_while_the_vehicle_is_heard_on_it():
     route = Route(3)
     assert route.links(0.0) == (0, 1, 2)
-    assert route.heard(1, b"a", 0.0)
+    assert route.on_packet(1, b"a", 0.0)
     assert route.links(0.1) == (1,)
-    assert route.heard(2, b"b", 1.4)
+    assert route.on_packet(2, b"b", 1.4)
     assert route.links(1.45) == (1,)
     assert route.links(1.6) == (2,)
     assert route.links(3.0) == (0, 1, 2)
@@ -39,11 +39,11 @@ def test_a_route_is_kept_while_the_vehicle_is_heard_on_it():
 
 def test_copies_of_a_packet_are_told_from_new_ones():
     route = Route(2)
-    assert route.heard(0, b"a", 0.0)
-    assert not route.heard(1, b"a", 0.0)
-    assert route.heard(0, b"a", 5.0)
+    assert route.on_packet(0, b"a", 0.0)
+    assert not route.on_packet(1, b"a", 0.0)
+    assert route.on_packet(0, b"a", 5.0)
     for number in range(2 * REMEMBERED):
-        assert route.heard(1, b"%d" % number, 6.0)
+        assert route.on_packet(1, b"%d" % number, 6.0)
     assert len(route._packets) <= REMEMBERED
 
 
@@ -90,7 +90,7 @@ def test_a_text_that_comes_on_two_links_is_told_once(bench):
         return error.value.reason
 
     assert b.run(mission) == "arm refused: FAILED (4), Arm: compass not calibrated"
-    assert b.notes.count("the autopilot says: Arm: compass not calibrated") == 1
+    assert b.notes.count("autopilot: Arm: compass not calibrated") == 1
 
 
 def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
@@ -107,7 +107,7 @@ def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
 
     b.run(mission)
     told = [note for note in b.notes if "open" in note]
-    assert told[0] == "cannot open link 1; it goes on with the other links"
+    assert told[0] == "link not open: cannot open link 1; continuing with the other links"
     assert re.fullmatch(r"\S+ is open now, after [4-6] attempts", told[1])
     assert len(told) == 2
 
@@ -147,7 +147,7 @@ def test_one_vehicle_that_is_lost_does_not_hold_up_the_other(bench):
         await one.execute("takeoff", [4.0])
 
     b.run(mission)
-    assert b.notes.count("nothing heard; the link is lost") == 1
+    assert b.notes.count("link lost: no message received") == 1
 
 
 def test_two_devices_with_one_system_id_are_refused(bench):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield_mavlink.link.stats import LONGEST_GAP, WINDOW, SenderStats
+from lfield_mavlink.link.link_quality import LONGEST_GAP, WINDOW, SenderStats
 
 
 def heard(sequences, step=0.01):

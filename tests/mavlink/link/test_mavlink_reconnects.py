@@ -9,9 +9,9 @@ from contextlib import asynccontextmanager, suppress
 import pytest
 
 from lfield.driver.network import Attempts, Lookup
-from lfield.driver.network.attempts import SAY_AGAIN
+from lfield.driver.network.attempts import REPEAT_INTERVAL
 from lfield_mavlink.link import tcp, udp
-from lfield_mavlink.link.events import LinkEvents
+from lfield_mavlink.link.link_events import LinkEvents
 from lfield_mavlink.link.links import make_link, parse_endpoint
 
 HOSTS = ["127.0.0.1", "[::1]"]
@@ -26,7 +26,7 @@ def soon(monkeypatch):
 
 
 async def until(condition):
-    async with asyncio.timeout(10):
+    async with asyncio.timeout(60):
         while not condition():
             await asyncio.sleep(0.005)
 
@@ -81,7 +81,7 @@ def test_a_tcp_connection_that_falls_silent_is_opened_again(host):
 
             await until(talks)
             link.close()
-        assert f"tcp:{host}:{port} is lost: nothing came for 0.25 s" in story.notes
+        assert f"tcp:{host}:{port} is lost: no data for 0.25 s" in story.notes
         assert any(f"open again: connected to {host.strip('[]')}, after" in note for note in story.notes)
         assert story.reopened >= 1
 
@@ -188,7 +188,7 @@ def test_a_udp_link_follows_its_name(monkeypatch):
         await until(lambda: comes(b"a"))
         first.transport.close()
         await until(lambda: comes(b"b"))
-        assert f"udp:robot.local:{port} is lost: nothing came for 0.15 s" in story.notes
+        assert f"udp:robot.local:{port} is lost: no data for 0.15 s" in story.notes
         link.close()
         second.transport.close()
 
@@ -330,7 +330,7 @@ def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     assert tries.lost("it hung up", 1.0).startswith("tcp:10.0.0.5:5760 is lost: it hung up")
     lines = [tries.failed("No route to host", 2.0 + number) for number in range(60)]
     assert lines[0] == "tcp:10.0.0.5:5760 is not open yet: No route to host (attempt 1)"
-    again = int(SAY_AGAIN)
+    again = int(REPEAT_INTERVAL)
     assert [number for number, line in enumerate(lines) if line] == [0, again - 1, 2 * again - 1]
     assert tries.failed("Connection refused", 62.0).endswith("(attempt 61)")
     line = tries.opened("connected to 10.0.0.6", 63.0)
@@ -364,5 +364,5 @@ def test_of_many_addresses_that_do_not_answer_none_delays_the_one_that_does(monk
                 for caller in callers:
                     caller.close()
 
-    monkeypatch.setattr("lfield.connecting.STAGGER", 0.01)
+    monkeypatch.setattr("lfield.address_race.ATTEMPT_DELAY", 0.01)
     asyncio.run(talk())

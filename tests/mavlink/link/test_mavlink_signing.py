@@ -14,7 +14,7 @@ from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, Writer, dialect
 from lfield_mavlink.link.signing import LinkSigning, Signing, open_signing, sign_link
-from lfield_mavlink.link.stamps import AHEAD, EPOCH, KEY, PER_SECOND, Stamps, load_key
+from lfield_mavlink.link.signing_timestamps import AHEAD, EPOCH, KEY, PER_SECOND, SigningTimestamps, load_key
 
 KEY_BYTES = bytes(range(1, KEY + 1))
 NOW = EPOCH + 1000.0
@@ -30,7 +30,7 @@ def key_file(tmp_path):
 
 def stamps_of(path, *, time=NOW):
     clock = ManualClock(time)
-    stamps = Stamps(path, clock)
+    stamps = SigningTimestamps(path, clock)
     stamps.open()
     return stamps, clock
 
@@ -133,9 +133,9 @@ def test_they_stay_within_what_is_on_the_disk(key_file):
 
 def test_they_do_not_stay_behind_others(key_file):
     stamps, _ = stamps_of(key_file)
-    stamps.saw(1005 * PER_SECOND)
+    stamps.on_timestamp(1005 * PER_SECOND)
     assert stamps.next() == 1005 * PER_SECOND
-    stamps.saw(3)
+    stamps.on_timestamp(3)
     assert stamps.next() == 1005 * PER_SECOND + 1
 
 
@@ -162,7 +162,7 @@ def test_any_timestamp_file_is_one_or_refused(tmp_path_factory, data):
 
 def test_a_folder_that_cannot_be_written(key_file):
     (key_file.parent / "alpha.key.timestamp.new").mkdir()
-    with pytest.raises(DeviceError, match="cannot be kept"):
+    with pytest.raises(DeviceError, match="cannot be stored"):
         stamps_of(key_file)
 
 
@@ -281,7 +281,7 @@ def test_unsigned_packets_are_refused_where_a_stranger_may_speak(key_file, endpo
 
 
 def test_the_file_is_kept_ahead_and_a_full_disk_is_told_once(key_file, monkeypatch):
-    monkeypatch.setattr("lfield_mavlink.link.signing.LOOK", 0.001)
+    monkeypatch.setattr("lfield_mavlink.link.signing.CHECK_INTERVAL", 0.001)
     stamps, clock = stamps_of(key_file)
     notes = []
 
@@ -301,5 +301,5 @@ def test_the_file_is_kept_ahead_and_a_full_disk_is_told_once(key_file, monkeypat
 
     asyncio.run(story())
     assert len(notes) == 1
-    assert "may not listen" in notes[0]
+    assert "may ignore packets" in notes[0]
     assert os.listdir(key_file.parent)

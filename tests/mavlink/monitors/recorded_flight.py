@@ -11,10 +11,10 @@ from typing import Any, NamedTuple
 
 from lfield.clock import ManualClock
 from lfield.testing.driver_bench import bind
-from lfield.testing.reports import KeptReports
+from lfield.testing.kept_reports import KeptReports
 from lfield_mavlink import PLUGIN
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.setpoints.orders import Order
+from lfield_mavlink.setpoints.motion_orders import Order
 from lfield_mavlink.vehicle import MavlinkVehicle
 
 OWN, OTHERS = Path(__file__).parent / "traces", Path(__file__).parents[2] / "sim" / "replay" / "traces"

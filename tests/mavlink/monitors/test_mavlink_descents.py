@@ -8,7 +8,7 @@ import math
 import pytest
 from test_mavlink_flight_faults import STACKS, at, fails, up
 
-from lfield_mavlink.monitors.descent import DESCENT, DescentMonitor, Expected
+from lfield_mavlink.monitors.descent_monitor import DESCENT, DescentMonitor, Expected
 
 
 def flown(monitor, *sinks, height=40.0, began=0.0, step=0.1, velocity=None, last=1.0):
@@ -21,7 +21,7 @@ def flown(monitor, *sinks, height=40.0, began=0.0, step=0.1, velocity=None, last
                 monitor.on_velocity(velocity + 0.01 * (number % 3), now)
             now, height = now + step, max(0.0, height - sink * step)
             if finding := monitor.on_motion(height, sink, now, judged=True):
-                found.append((now - began, finding.words))
+                found.append((now - began, finding.text))
     return found
 
 
@@ -205,7 +205,7 @@ def test_a_vehicle_that_lands_fast_by_its_own_parameters_is_not_locked_out(bench
 @pytest.mark.parametrize("what", ["goTo", "yaw", "orbit", "hold", "setVelocity"])
 def test_a_copter_that_sinks_slowly_is_falling(bench, flavour, what, monkeypatch):
     """At 0.8 m/s, half of its own speed of descent; neither its speed nor a text tells."""
-    monkeypatch.setattr("lfield_sim.autopilot.flight.TELLS", math.inf)
+    monkeypatch.setattr("lfield_sim.autopilot.flight_modes.WARNS_AFTER", math.inf)
     b = bench(flavour=flavour, ttl=1.0, limits={"speed": 2.0})
     values = {
         "goTo": [60.0, 0.0, -20.0],

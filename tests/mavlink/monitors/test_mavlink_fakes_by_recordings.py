@@ -9,8 +9,8 @@ from recorded_flight import events
 
 from lfield_mavlink.link.dialect import dialect
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.mavlink.link.wire import make_faults
-from lfield_sim.mavlink.protocol import STEP, MavlinkFake
+from lfield_sim.mavlink.link.radio_link import make_faults
+from lfield_sim.mavlink.mavlink_fake import STEP, MavlinkFake
 
 GUIDED, LAND = 4, 9
 #: Texts that are about the recorder's own doings, or only about how many cores the estimator has.

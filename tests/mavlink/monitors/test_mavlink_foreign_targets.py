@@ -11,7 +11,7 @@ from test_mavlink_flight_faults import at, fails, foreign, reposition, setpoint,
 
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.link.ports import Neighbours
-from lfield_mavlink.monitors.target import LATE, SEEN, CourseMonitor, TargetMonitor
+from lfield_mavlink.monitors.target_monitor import FIRST_TARGET_TIMEOUT, LATE, CourseMonitor, TargetMonitor
 
 HOME, GOAL, ELSEWHERE = (0.0, 0.0, -8.0), (60.0, 0.0, -8.0), (-20.0, -20.0, -8.0)
 
@@ -47,7 +47,7 @@ def interfered(b, message, *, after, pause=0.2, known=True):
         ("ardupilot", "rover", (0.0, 0.0, 0.0), "another station has sent it elsewhere, to no place"),
         ("ardupilot", "copter", (2.0, 1.0, 0.0), "another station has sent it elsewhere, at 2.2 m/s"),
         ("ardupilot", "copter", (0.0, 0.0, 0.0), "another station has sent it elsewhere, at 0.0 m/s"),
-        ("px4", "rover", (-1.0, -1.0, 0.0), "m from its goal it goes elsewhere, at 1."),
+        ("px4", "rover", (-1.0, -1.0, 0.0), "m from its goal it moves elsewhere, at 1."),
     ],
 )
 def test_velocities_of_another_station_are_a_takeover_within_two_seconds(bench, flavour, kind, sent, words):
@@ -147,12 +147,12 @@ def test_a_goal_that_is_lost_for_seconds_leaves_the_place_before_it_its_own():
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_place(HOME, 0.0, HOME)
-    monitor.on_told_place(HOME, 1.0, HOME, aloft=True)
+    monitor.on_reported_place(HOME, 1.0, HOME, aloft=True)
     for second in range(1, 8):
         monitor.on_place(GOAL, float(second), None)
-        monitor.on_told_place(HOME, second + 0.5, HOME, aloft=True)
+        monitor.on_reported_place(HOME, second + 0.5, HOME, aloft=True)
     assert monitor.on_guided(9.0) == ""
-    monitor.on_told_place(ELSEWHERE, 9.0, HOME, aloft=True)
+    monitor.on_reported_place(ELSEWHERE, 9.0, HOME, aloft=True)
     assert monitor.on_guided(9.5) == "82 m from its goal"
 
 
@@ -170,9 +170,9 @@ def test_targets_near_the_own_one_are_not_the_own_one(told, strange):
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_place(GOAL, 0.0, HOME)
-    monitor.on_told_place((1.5, 1.0, -6.0), 0.5, HOME, aloft=True)
-    monitor.on_told_place(GOAL, 1.0, HOME, aloft=True)
-    monitor.on_told_place(told, 3.0, HOME, aloft=True)
+    monitor.on_reported_place((1.5, 1.0, -6.0), 0.5, HOME, aloft=True)
+    monitor.on_reported_place(GOAL, 1.0, HOME, aloft=True)
+    monitor.on_reported_place(told, 3.0, HOME, aloft=True)
     assert bool(monitor.on_guided(4.0)) == strange
 
 
@@ -182,10 +182,10 @@ def test_targets_of_the_motion_before_may_come_late_but_not_for_ever():
         monitor.on_place(place, float(at_), None)
     monitor.clear(2.0)
     monitor.on_place(ELSEWHERE, 2.0, GOAL)
-    monitor.on_told_place(ELSEWHERE, 2.2, GOAL, aloft=True)
-    monitor.on_told_place(HOME, 2.0 + LATE - 0.1, GOAL, aloft=True)
+    monitor.on_reported_place(ELSEWHERE, 2.2, GOAL, aloft=True)
+    monitor.on_reported_place(HOME, 2.0 + LATE - 0.1, GOAL, aloft=True)
     assert monitor.on_guided(9.0) == ""
-    monitor.on_told_place(HOME, 2.0 + LATE + 0.1, GOAL, aloft=True)
+    monitor.on_reported_place(HOME, 2.0 + LATE + 0.1, GOAL, aloft=True)
     assert monitor.on_guided(9.0) != ""
 
 
@@ -193,9 +193,9 @@ def test_a_stream_that_began_before_the_motion_is_found_when_ours_should_have_be
     monitor = TargetMonitor()
     monitor.clear(0.0)
     monitor.on_place(GOAL, 0.0, HOME)
-    monitor.on_told_place(ELSEWHERE, SEEN - 0.1, HOME, aloft=True)
+    monitor.on_reported_place(ELSEWHERE, FIRST_TARGET_TIMEOUT - 0.1, HOME, aloft=True)
     assert monitor.on_guided(2.0) == ""
-    monitor.on_told_place(ELSEWHERE, SEEN + 0.1, HOME, aloft=True)
+    monitor.on_reported_place(ELSEWHERE, FIRST_TARGET_TIMEOUT + 0.1, HOME, aloft=True)
     assert monitor.on_guided(2.0) != ""
 
 
@@ -215,7 +215,7 @@ def test_a_stream_that_began_before_the_motion_is_found_when_ours_should_have_be
 def test_velocities_are_the_same_or_bounded(sent, told, strange):
     monitor = TargetMonitor()
     monitor.on_velocity(sent, 0.0)
-    monitor.on_told_velocity(told, 0.2)
+    monitor.on_reported_velocity(told, 0.2)
     assert bool(monitor.on_guided(1.0)) == strange
 
 
@@ -225,9 +225,9 @@ def told_distances(*told, here=HOME, seen=True, goal=GOAL):
     monitor.clear(0.0)
     monitor.on_place(goal, 0.0, HOME)
     if seen:
-        monitor.on_told_place(goal, 0.5, HOME, aloft=False)
+        monitor.on_reported_place(goal, 0.5, HOME, aloft=False)
     for number, distance in enumerate(told):
-        monitor.on_told_distance(distance, here, 2.0, 1.0 + number / 5)
+        monitor.on_reported_distance(distance, here, 2.0, 1.0 + number / 5)
     return monitor.on_guided(9.0)
 
 
@@ -246,14 +246,14 @@ def test_a_rover_that_has_arrived_and_has_not_taken_its_next_goal_follows_no_vel
     monitor = TargetMonitor(level=False)
     monitor.clear(0.0)
     monitor.on_place(HOME, 0.0, HOME)
-    monitor.on_told_place(HOME, 0.2, HOME, aloft=False)
+    monitor.on_reported_place(HOME, 0.2, HOME, aloft=False)
     monitor.on_place(GOAL, 3.0, HOME)
     for at_ in (3.2, 3.4, 3.6):
-        monitor.on_told_distance(0, HOME, 0.0, at_)
+        monitor.on_reported_distance(0, HOME, 0.0, at_)
     assert monitor.on_guided(9.0) == ""
-    monitor.on_told_place(GOAL, 4.0, HOME, aloft=False)
+    monitor.on_reported_place(GOAL, 4.0, HOME, aloft=False)
     for at_ in (4.1, 4.3):
-        monitor.on_told_distance(0, HOME, 0.0, at_)
+        monitor.on_reported_distance(0, HOME, 0.0, at_)
     assert monitor.on_guided(9.0) == "to no place, 60 m before its goal"
 
 
@@ -263,28 +263,28 @@ def test_a_goal_told_by_the_motion_before_is_not_the_same_goal_again():
     monitor.on_place(GOAL, 0.0, HOME)
     monitor.on_velocity((1.0, 0.0, 0.0), 1.0)
     for at_ in (1.1, 1.3):
-        monitor.on_told_distance(0, HOME, 2.0, at_)
+        monitor.on_reported_distance(0, HOME, 2.0, at_)
     monitor.on_place(GOAL, 1.5, HOME)
-    monitor.on_told_place(GOAL, 1.6, HOME, aloft=False)
+    monitor.on_reported_place(GOAL, 1.6, HOME, aloft=False)
     for at_ in (1.7, 1.9, 2.1):
-        monitor.on_told_distance(0, HOME, 2.0, at_)
+        monitor.on_reported_distance(0, HOME, 2.0, at_)
     assert monitor.on_guided(9.0) == ""
     for at_ in (5.7, 5.9):
-        monitor.on_told_distance(0, HOME, 2.0, at_)
+        monitor.on_reported_distance(0, HOME, 2.0, at_)
     assert monitor.on_guided(9.0) != ""
 
 
 def test_on_the_ground_a_target_of_long_ago_means_nothing():
     monitor = TargetMonitor()
     monitor.clear(0.0)
-    monitor.on_told_place(GOAL, 50.0, HOME, aloft=False)
+    monitor.on_reported_place(GOAL, 50.0, HOME, aloft=False)
     assert monitor.on_guided(60.0) == ""
 
 
 def course(*velocities, start=(0.0, 0.0, 0.0), step=0.1):
     """Whether it leaves its course to GOAL, flying so for a second each."""
     monitor, place, now = CourseMonitor(), start, 0.0
-    monitor.begin(GOAL)
+    monitor.start(GOAL)
     left = []
     for north, east in velocities:
         for _ in range(10):
@@ -309,7 +309,7 @@ def test_who_has_commanded_a_vehicle_is_named_for_commands_that_lead_it():
     def heard(message, target):
         message.pack(mav)
         neighbours = Neighbours()
-        neighbours.commanded(message, 1.0)
+        neighbours.on_command(message, 1.0)
         return neighbours.commander(target, 2.0)
 
     def command(number, target=1):
@@ -328,7 +328,7 @@ def test_own_velocities_one_after_another_are_nobody_elses():
     for number, (before, now) in enumerate(pairwise(sent)):
         at_ = 0.2 * number
         monitor.on_velocity(now, at_)
-        monitor.on_told_velocity(now, at_ + 0.1)
+        monitor.on_reported_velocity(now, at_ + 0.1)
         if number:
-            monitor.on_told_velocity(before, at_ + 0.15)
+            monitor.on_reported_velocity(before, at_ + 0.15)
     assert monitor.on_guided(9.0) == ""

@@ -6,8 +6,8 @@ from secrets import token_bytes
 
 import pytest
 
-from lfield.authority.identity import ALL, Identity
-from lfield.wire.observing import EmergencyStop, named
+from lfield.authority.identity import ALL_RIGHTS, Identity
+from lfield.wire.observer_messages import EmergencyStop, with_epoch
 
 PROGRAM = """
 resource Post {
@@ -44,13 +44,13 @@ agents:
 class Operator:
     """Lifts what holds the devices of a host."""
 
-    who = Identity("person", "anna", ALL)
+    who = Identity("person", "anna", ALL_RIGHTS)
 
     def send(self, message: object) -> None:
         """The host answers."""
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize(
     ("autopilot", "ends"),
     [("ardupilot", "power_off"), ("px4", "guard"), ("px4", "crash"), ("ardupilot", "crash")],
@@ -79,6 +79,6 @@ def test_a_lock_out_outlives_the_guard_the_host_and_its_computer(tmp_path, lfiel
     assert len(tried) >= 2
     assert {text.split("done:")[1].strip() for text in tried} == {""}
     life = fleet.lives["alpha"]
-    lift = named(EmergencyStop(token_bytes(16), "", lift=True), life.core.orders.epochs)
-    life.process.loop.enter(lambda: life.host.received("", lift, Operator()))
+    lift = with_epoch(EmergencyStop(token_bytes(16), "", lift=True), life.core.orders.epochs)
+    life.process.loop.enter(lambda: life.host.on_message("", lift, Operator()))
     team.run(until="done: released ready armed", at_most=60.0)

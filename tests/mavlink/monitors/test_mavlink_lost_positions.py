@@ -9,8 +9,8 @@ from test_mavlink_flight_faults import STACKS, at, fails, up
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.monitors.position import LASTS, PositionMonitor
-from lfield_sim.mavlink.telemetry import messages, motion
+from lfield_mavlink.monitors.position_monitor import LASTS, PositionMonitor
+from lfield_sim.mavlink.telemetry import message_table, motion_messages
 
 GPS2_RAW = int(dialect.MAVLINK_MSG_ID_GPS2_RAW)
 
@@ -37,7 +37,7 @@ def test_a_loss_is_thrown_within_two_seconds_also_over_a_slow_radio(bench, flavo
         began = at(5.0, lambda: b.faults.apply(["gps_loss=true"]))
         ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
         assert ended - began < 2.0
-        assert "its GPS has no fix any more" in reason
+        assert "its GNSS fix is lost" in reason
         assert b.values["gpsFix"] < 3, "read where it is caught"
 
     b.run(mission)
@@ -53,7 +53,7 @@ def test_modes_that_need_a_position_are_refused_without_one(bench, flavour, refu
         await up(fc)
         b.faults.apply(["gps_loss=true"])
         await asyncio.sleep(1.6)
-        with pytest.raises(DeviceError, match=f"mode {refused} refused: its GPS has no fix any more"):
+        with pytest.raises(DeviceError, match=f"mode {refused} refused: its GNSS fix is lost"):
             await fc.execute("setMode", [refused])
         await fc.execute("setMode", [taken])
 
@@ -79,14 +79,14 @@ def test_a_rover_without_a_position_stops_and_does_not_return(bench):
 def second(monkeypatch):
     """A second receiver in the fakes; `first` and `second` are the fixes of both."""
     fixes = {"first": 3, "second": 3}
-    has_fix = motion.has_fix
-    monkeypatch.setattr(motion, "has_fix", lambda pilot: fixes["first"] >= 3 and has_fix(pilot))
+    has_fix = motion_messages.has_fix
+    monkeypatch.setattr(motion_messages, "has_fix", lambda pilot: fixes["first"] >= 3 and has_fix(pilot))
 
     def gps2_raw(pilot, place):
         here = place.at(*pilot.vehicle.place[:2])
         return dialect.MAVLink_gps2_raw_message(0, fixes["second"], *here, 0, 90, 90, 0, 0, 14, 0, 0)
 
-    monkeypatch.setitem(messages.MESSAGES, GPS2_RAW, gps2_raw)
+    monkeypatch.setitem(message_table.MESSAGES, GPS2_RAW, gps2_raw)
     return fixes
 
 
@@ -105,7 +105,7 @@ def test_with_a_second_receiver_all_goes_on_until_both_have_no_fix(bench, second
         ended, reason = await fails(b, fc.execute("goTo", [60.0, 0.0, -8.0]))
         # It is asked every 0.4 s.
         assert 0.0 < ended - began < 2.0
-        assert "its GPS has no fix any more (GPS_FIX_TYPE 1)" in reason
+        assert "its GNSS fix is lost (GPS_FIX_TYPE 1)" in reason
 
     b.run(mission)
 

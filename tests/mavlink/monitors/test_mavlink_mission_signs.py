@@ -7,7 +7,7 @@ import struct
 import pytest
 from pymavlink.generator.mavcrc import x25crc
 
-from lfield_mavlink.geo import Place
+from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.monitors.mission_changes import MissionChanges, MissionTarget
 

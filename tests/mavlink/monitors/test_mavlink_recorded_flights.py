@@ -110,7 +110,7 @@ def test_a_lost_gps_is_known_within_two_seconds_of_its_fix():
             break
     assert event.at - fix_lost < 1.0
     assert watched.vehicle.state.mode == "GUIDED"
-    assert "no fix" in watched.monitor.lost_position
+    assert "fix is lost" in watched.monitor.lost_position
 
 
 @pytest.mark.parametrize(

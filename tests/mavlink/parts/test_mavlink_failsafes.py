@@ -31,6 +31,7 @@ def says(packet, kind):
     return any(message.get_msgId() == kind for message in Reader().feed(packet))
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("action", ["hold", "land", "return"])
 def test_a_breach_of_px4s_fence_takes_the_vehicle_until_it_is_released(bench, action):
     b = bench(flavour="px4", ttl=3.5, limits={"speed": 3.0})
@@ -215,7 +216,7 @@ def test_a_battery_failsafe_is_left_alone_until_release_and_then_guided_is_flown
         assert (b.values["mode"], b.values["failsafe"]) == ("LAND", True), "read where it is caught"
         assert fc.taken_over()
         with pytest.raises(
-            DeviceError, match=r"goTo refused: .* its failsafe has it .*release\(\) takes it back"
+            DeviceError, match=r"goTo refused: .* its failsafe has it .*release\(\) takes control again"
         ):
             await fc.execute("goTo", [0.0, 0.0, -6.0])
         await fc.execute("release", [])

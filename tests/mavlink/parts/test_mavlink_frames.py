@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.driver import DeviceError, Origin, Placement, Pose
-from lfield_mavlink.contact.state import VehicleState
-from lfield_mavlink.frames import AboutHome, Earthly, frame_of
-from lfield_mavlink.geo import Place
+from lfield_mavlink.contact.vehicle_state import VehicleState
+from lfield_mavlink.frames import GeodeticFrame, HomeFrame, frame_of
+from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PX4, RADII
 
@@ -35,7 +35,7 @@ def in_space(latitude, longitude):
 @given(latitude=latitudes, longitude=longitudes, off=ways, place=ways, radius=radii)
 def test_the_earth_leads_there_and_back(latitude, longitude, off, place, radius):
     team = Origin(latitude, longitude, 100.0)
-    frame = Earthly(team, Place(latitude, longitude, 100.0).shifted(off), radius)
+    frame = GeodeticFrame(team, Place(latitude, longitude, 100.0).shifted(off), radius)
     assert frame.from_team(frame.to_team(place)) == pytest.approx(place, abs=1e-5)
 
 
@@ -43,7 +43,7 @@ def test_the_earth_leads_there_and_back(latitude, longitude, off, place, radius)
 def test_metres_of_the_team_are_those_of_a_tape(latitude, longitude, place, radius):
     """Distances by the way through space, which is shorter than that over ground by a millimetre at most."""
     team, origin = Origin(latitude, longitude, 0.0), Place(latitude, longitude, 0.0)
-    north, east, down = Earthly(team, origin, radius).to_team(place)
+    north, east, down = GeodeticFrame(team, origin, radius).to_team(place)
     there = origin.shifted(place, radius)
     straight = math.dist(in_space(latitude, longitude), in_space(there.latitude, there.longitude))
     assert math.hypot(north, east) == pytest.approx(straight, abs=0.001)
@@ -54,7 +54,9 @@ def test_metres_of_the_team_are_those_of_a_tape(latitude, longitude, place, radi
 @given(latitude=latitudes, longitude=longitudes, spots=st.tuples(ways, ways), place=ways)
 def test_two_autopilots_that_count_otherwise_agree_on_a_spot(latitude, longitude, spots, place):
     team, base = Origin(latitude, longitude, 50.0), Place(latitude, longitude, 50.0)
-    one, other = (Earthly(team, base.shifted(spot), r) for spot, r in zip(spots, RADII.values(), strict=True))
+    one, other = (
+        GeodeticFrame(team, base.shifted(spot), r) for spot, r in zip(spots, RADII.values(), strict=True)
+    )
     own, others = one.from_team(place), other.from_team(place)
     ones, their = one.origin.shifted(own, one.radius), other.origin.shifted(others, other.radius)
     assert (
@@ -65,7 +67,7 @@ def test_two_autopilots_that_count_otherwise_agree_on_a_spot(latitude, longitude
 
 def test_meridians_come_together():
     team = Origin(60.0, 10.0, 0.0)
-    east = Earthly(team, Place(60.0, 10.1, 0.0), AXIS)
+    east = GeodeticFrame(team, Place(60.0, 10.1, 0.0), AXIS)
     assert east.heading == pytest.approx(-math.radians(0.1) * math.sin(math.radians(60.0)), rel=1e-3)
     ahead, here = east.to_team((100.0, 0.0, 0.0)), east.to_team((0.0, 0.0, 0.0))
     way = math.atan2(ahead[1] - here[1], ahead[0] - here[0])
@@ -73,13 +75,13 @@ def test_meridians_come_together():
 
 
 def test_across_the_date_line():
-    frame = Earthly(Origin(-17.0, 179.9999, 0.0), Place(-17.0, -179.9999, 0.0), AXIS)
+    frame = GeodeticFrame(Origin(-17.0, 179.9999, 0.0), Place(-17.0, -179.9999, 0.0), AXIS)
     north, east, _ = frame.to_team((0.0, 0.0, 0.0))
     assert (north, east) == pytest.approx((0.0, 21.3), abs=0.1)
 
 
 def test_no_place_stays_none():
-    frame = AboutHome(Earthly(Origin(47.0, 8.0, 0.0), Place(47.0, 8.0, 0.0), AXIS), (0.0, 0.0, 0.0))
+    frame = HomeFrame(GeodeticFrame(Origin(47.0, 8.0, 0.0), Place(47.0, 8.0, 0.0), AXIS), (0.0, 0.0, 0.0))
     assert not any(map(math.isfinite, frame.from_team((math.nan, math.nan, math.nan))))
     assert frame.from_team((math.inf, 0.0, 0.0))[0] == math.inf
 
@@ -205,10 +207,10 @@ def test_a_vehicle_without_an_origin_is_nowhere_until_it_tells_one(bench):
         await flight.until(lambda: "armed" in flight.values)
         assert "position" not in flight.values
         assert "heading" not in flight.values
-        assert any("no place in the team's frame yet" in note for note in flight.notes)
+        assert any("no position in the team's frame yet" in note for note in flight.notes)
         await device.execute("arm", [])
         await device.execute("takeoff", [4.0])
-        with pytest.raises(DeviceError, match="goTo refused: it does not know yet where it is"):
+        with pytest.raises(DeviceError, match="goTo refused: the position in the team's frame is not"):
             await device.execute("goTo", [300.0, 0.0, -24.0])
         hidden[0] = False
         await flight.until(lambda: "position" in flight.values)

@@ -66,7 +66,7 @@ async def tour(b, fc, *, flies, circles):
     await fc.execute("returnHome", [])
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 def test_every_limit_is_kept_however_it_is_moved(bench, kind, flavour):
@@ -97,7 +97,7 @@ def test_a_return_that_would_climb_too_high_is_refused_before_it_begins(bench, f
     async def mission(fc):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [4.0])
-        words = rf"refused: it would climb to \d+ m \({name}\), above the limit of 12 m; set {name} lower"
+        words = rf"refused: it would climb to \d+ m \({name}\), above the limit of 12 m; reduce {name}"
         for order in (["returnHome", []], ["setMode", [mode]]):
             with pytest.raises(DeviceError, match=words):
                 await fc.execute(*order)

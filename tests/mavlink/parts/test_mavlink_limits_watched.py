@@ -14,7 +14,7 @@ from lfield_mavlink.limits import LONGEST, LimitWatch, Verdict
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_sim.autopilot.autopilot import Autopilot, Setpoint
 from lfield_sim.autopilot.body.goals import Reach
-from lfield_sim.autopilot.flavours import Control, Result
+from lfield_sim.autopilot.flavours import MavResult, SetpointControl
 
 LIMIT, BOUND, TIME, STEP = 3.0, 3.6, 1.0, 0.1
 
@@ -27,7 +27,7 @@ def verdicts(values, *, still=0.0, step=STEP, excess=lambda value: value - BOUND
         if verdict is not None:
             found.append((round(n * step, 6), verdict))
         if verdict is Verdict.CORRECT:
-            watch.told(n * step)
+            watch.on_correction_sent(n * step)
     return found
 
 
@@ -78,7 +78,7 @@ def test_what_is_not_seen_to_slow_down_within_its_time_is_helpless(speed, noise,
         if watch.sample(speed + more, speed + more - BOUND, n * STEP) is Verdict.HELPLESS:
             given_up.append(n * STEP)
         if n == 10 + told:
-            watch.told(n * STEP)
+            watch.on_correction_sent(n * STEP)
     assert given_up[0] == pytest.approx(TIME + min(told * STEP, TIME) + TIME, abs=1.01 * STEP)
 
 
@@ -124,6 +124,7 @@ async def fastest(b, work):
     return most
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
     b = limited(limits={"speed": 3.0}, kind=kind)
@@ -179,9 +180,9 @@ def test_a_speed_that_was_lost_is_said_and_told_again(limited):
         await flight
 
     b.run(mission)
-    assert b.notes.count("told 3 m/s again") == 1
+    assert b.notes.count("speed of 3 m/s commanded again") == 1
     assert [note.split(", ", 1)[1] for note in b.notes if "beyond" in note] == [
-        "beyond its limit of 3 m/s; told to be slower"
+        "beyond its limit of 3 m/s; commanded to be slower"
     ]
     assert "within its limit of 3 m/s again" in b.notes
     assert b.breaches == []
@@ -200,8 +201,8 @@ def test_what_is_too_fast_again_at_its_wanted_speed_stays_slower_for_this_motion
     b.run(mission)
     said = [note.split("; ")[-1] for note in b.notes if "beyond" in note or "again" in note]
     motion = [
-        "told to be slower", "within its limit of 3 m/s again", "told 3 m/s again",
-        "told to be slower for the rest of this motion", "within its limit of 3 m/s again",
+        "commanded to be slower", "within its limit of 3 m/s again", "speed of 3 m/s commanded again",
+        "commanded to be slower for the rest of this motion", "within its limit of 3 m/s again",
     ]  # fmt: skip
     assert said == motion * 2
     assert b.breaches == []
@@ -209,7 +210,7 @@ def test_what_is_too_fast_again_at_its_wanted_speed_stays_slower_for_this_motion
 
 def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
     b = limited(limits={"speed": 3.0})
-    monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: Result.ACCEPTED)
+    monkeypatch.setattr(Autopilot, "set_speed", lambda self, speed: MavResult.ACCEPTED)
 
     async def mission(fc):
         await fc.execute("arm", [])
@@ -220,7 +221,7 @@ def test_a_speed_that_no_correction_lowers_is_a_breach(limited, monkeypatch):
         flight.cancel()
 
     b.run(mission)
-    assert b.breaches[0].endswith("beyond its limit of 3 m/s, and no correction has helped")
+    assert b.breaches[0].endswith("beyond its limit of 3 m/s, and corrections had no effect")
 
 
 def test_a_correction_that_is_lost_on_its_way_has_its_time_all_the_same(limited):
@@ -257,7 +258,7 @@ def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
     async def mission(fc):
         await fc.execute("arm", [])
         await fc.execute("takeoff", [5.0])
-        astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=Control.PLACE)
+        astray = Setpoint(Reach((60.0, 0.0, -5.0)), control=SetpointControl.PLACE)
         monkeypatch.setattr(Autopilot, "guide", lambda self, _: guide(self, astray))
         # It does not tell where it is going: else it would be taken for another station's doing.
         target = dialect.MAVLINK_MSG_ID_POSITION_TARGET_GLOBAL_INT
@@ -265,7 +266,7 @@ def test_beyond_a_radius_it_holds_and_the_flight_says_why(limited, monkeypatch):
             None if any(m.get_msgId() == target for m in Reader().feed(packet)) else link.on_data(packet)
         )
         flight = asyncio.create_task(fc.execute("goTo", [0.0, 15.0, -5.0]))
-        with pytest.raises(DeviceError, match=r"goTo was stopped, since .* m from home, beyond its limit"):
+        with pytest.raises(DeviceError, match=r"goTo was stopped: .* m from home, beyond its limit"):
             await flight
         await asyncio.sleep(5.0)
 
@@ -289,8 +290,8 @@ def test_a_pilot_is_only_told(limited):
         await asyncio.sleep(8.0)
 
     b.run(mission)
-    (said,) = [note for note in b.notes if "beyond" in note]
-    assert said.endswith("in RTL, by a pilot or a failsafe: left to them")
+    (said,) = [note for note in b.notes if note.code == "mavlink-limit-exempt"]
+    assert said.endswith("since a pilot or a failsafe controls it in RTL")
     assert b.breaches == []
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.services.plan_items import HOME, Item, PlanKind
-from lfield_sim.mavlink.link.codec import Writer
+from lfield_sim.mavlink.link.codec import PacketWriter
 
 RADIUS, CEILING = 50.0, 20.0
 VEHICLES = [("ardupilot", "copter"), ("ardupilot", "rover"), ("px4", "copter")]
@@ -22,7 +22,11 @@ def item(b, north, east=0.0, height=8.0, command=16, parameters=(0.0, 0.0, 0.0, 
 
 def to(b, *messages):
     """Send it messages of another station on a link of its own; its answers."""
-    writer, reader, answers = b.__dict__.setdefault("another", (Writer(77, 190), Reader())), Reader(), []
+    writer, reader, answers = (
+        b.__dict__.setdefault("another", (PacketWriter(77, 190), Reader())),
+        Reader(),
+        [],
+    )
     for message in messages:
         for data in b.fakes[1].receive("another link", writer[0].pack(message)):
             answers += reader.feed(data)
@@ -76,7 +80,7 @@ def changes(b, name):
     }[name]
 
 
-@pytest.mark.few(5)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("name", ["longer", "as long", "at once", "high", "spline", "arc"])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_it_holds_before_it_leaves_the_limits(bench, flavour, kind, name):
@@ -98,6 +102,7 @@ def test_it_holds_before_it_leaves_the_limits(bench, flavour, kind, name):
     b.run(mission)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_change_inside_the_limits_is_flown(bench, flavour, kind):
     b = bench(flavour=flavour, kind=kind, limits={"radius": RADIUS, "altitude": CEILING, "speed": 5.0})
@@ -113,6 +118,7 @@ def test_a_change_inside_the_limits_is_flown(bench, flavour, kind):
     b.run(mission)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_it_holds_before_it_returns_to_a_rally_point_beyond_the_limits(bench, flavour, kind):
     b = bench(flavour=flavour, kind=kind, limits={"radius": RADIUS, "altitude": 70.0})
@@ -147,6 +153,7 @@ def test_a_foreign_choice_of_a_curve_is_held(bench):
     b.run(mission)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 def test_a_return_ends_at_a_rally_point(bench, flavour, kind):

@@ -9,12 +9,12 @@ from dataclasses import replace
 import pytest
 
 from lfield.errors import DeviceError
-from lfield_mavlink.contact.state import VehicleState
-from lfield_mavlink.parts.progress import Arrival, Following, Progress, Turning, WayBack
-from lfield_mavlink.setpoints.orders import Circle, Patience
+from lfield_mavlink.contact.vehicle_state import VehicleState
+from lfield_mavlink.parts.progress import Arrival, Following, Progress, ReturnProgress, Turning
+from lfield_mavlink.setpoints.motion_orders import Circle, ProgressPatience
 from lfield_sim.autopilot.autopilot import Autopilot
 from lfield_sim.autopilot.body.goals import Reach
-from lfield_sim.autopilot.ground import Wheels
+from lfield_sim.autopilot.ground_vehicle import Wheels
 
 
 async def up(fc, height=5.0):
@@ -101,7 +101,9 @@ def test_what_steers_like_a_car_says_that_it_does_not_turn_on_the_spot(bench):
         loop = asyncio.get_running_loop()
         await fc.execute("arm", [])
         start = loop.time()
-        with pytest.raises(DeviceError, match="did not change for 2 s; this frame cannot turn on the spot"):
+        with pytest.raises(
+            DeviceError, match="did not change for 2 s; this frame can turn only while driving"
+        ):
             await fc.execute("yaw", [2.0])
         assert loop.time() - start < 3.5
         with pytest.raises(DeviceError, match="setYawRate has not changed its heading for 2 s; this frame"):
@@ -173,7 +175,9 @@ def test_px4_has_no_orbit_for_what_drives(bench):
 
     async def mission(fc):
         await fc.execute("arm", [])
-        with pytest.raises(DeviceError, match="orbit refused: PX4 circles with what flies only; use goTo"):
+        with pytest.raises(
+            DeviceError, match="orbit refused: PX4 orbits only with flying vehicles; use goTo"
+        ):
             await fc.execute("orbit", [9.0, 0.0, 0.0, 4.0, 1.0, 1.0])
 
     b.run(mission)
@@ -205,7 +209,7 @@ def test_a_rover_has_arrived_where_its_autopilot_stops_it():
 
 
 def test_a_detour_is_given_time_and_a_stand_is_not():
-    patience = Patience(10.0, 0.1, turning=40.0)
+    patience = ProgressPatience(10.0, 0.1, turning=40.0)
     detour, stand = Progress(patience, 0.0), Progress(patience, 0.0)
     assert not detour.is_over(20.0, True, 0.0)
     assert not detour.is_over(30.0, True, 39.0)
@@ -215,14 +219,14 @@ def test_a_detour_is_given_time_and_a_stand_is_not():
 
 
 def test_patience_grows_as_a_speed_falls():
-    drives = Patience(10.0, 0.1, turning=40.0, detour=30.0)
+    drives = ProgressPatience(10.0, 0.1, turning=40.0, detour=30.0)
     bounds = [drives.bound(moves, pace) for moves in (False, True) for pace in (None, 5.0, 0.3, 0.01)]
     assert bounds == pytest.approx([10.0, 10.0, 10.0, 80.0, 40.0, 40.0, 200.0, 6000.0])
 
 
 def test_a_hover_on_the_way_back_is_no_progress():
     """However its position trembles."""
-    way = WayBack()
+    way = ReturnProgress()
     hover = [way.left((0.1 * (n % 3), -0.1 * (n % 2), -10.0)) for n in range(1000)]
     assert set(hover) == {hover[0]}
     assert way.left((0.0, 3.0, -10.0)) == pytest.approx(hover[0] - 3.0)
@@ -274,9 +278,9 @@ def test_its_fence_is_named_once_when_it_does_not_follow_a_velocity(bench):
             await asyncio.sleep(0.3)
 
     b.run(mission)
-    (said,) = [note for note in b.notes if "hardly moved" in note]
-    assert said.startswith("setVelocity has hardly moved it for 2 s: 5 m ahead is 2")
-    assert said.endswith(" m from home, and its own fence FENCE_RADIUS ends at 20 m")
+    (said,) = [note for note in b.notes if note.code == "mavlink-fence-suspected"]
+    assert "setVelocity has hardly moved it for 2 s, and 5 m ahead is 2" in said
+    assert said.endswith(" m from home, but its own fence FENCE_RADIUS ends at 20 m")
 
 
 def test_a_velocity_of_nothing_is_followed_by_what_stands():
@@ -301,7 +305,7 @@ def test_a_goal_beyond_px4s_fence_is_refused_before_it_sets_out(bench):
         return raised.value.reason
 
     reason = b.run(mission)
-    assert reason.startswith("goTo refused: the goal is 60.0 m from home, and its own fence GF_MAX_HOR_DIST")
+    assert reason.startswith("goTo refused: the goal is 60.0 m from home, but its own fence GF_MAX_HOR_DIST")
     assert reason.endswith("ends at 30 m")
 
 

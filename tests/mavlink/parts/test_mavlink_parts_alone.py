@@ -12,18 +12,18 @@ import pytest
 from lfield.clock import ManualClock
 from lfield.driver import DeviceBinding
 from lfield.errors import DeviceError
-from lfield_mavlink.contact.exchange import Answer
-from lfield_mavlink.contact.state import VehicleState
+from lfield_mavlink.contact.exchange import CommandResult
+from lfield_mavlink.contact.vehicle_state import VehicleState
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
 from lfield_mavlink.parts.fences import Fences, Rally
-from lfield_mavlink.parts.motion import Motion
+from lfield_mavlink.parts.maintenance import Maintenance
+from lfield_mavlink.parts.motion_control import Motion
 from lfield_mavlink.parts.payload import Payload
 from lfield_mavlink.parts.storage import MAX_TEXT, Files, Settings
-from lfield_mavlink.parts.upkeep import Upkeep
 from lfield_mavlink.services.plan_items import Item, PlanKind
-from lfield_mavlink.setpoints.orders import Circle
+from lfield_mavlink.setpoints.motion_orders import Circle
 from lfield_mavlink.watchdog import Watchdog
 
 
@@ -37,7 +37,7 @@ def binding(**limits: float) -> DeviceBinding:
 class StandIn:
     """As much of a Contact as parts use; what is asked for is kept, and accepted unless it is `refused`."""
 
-    def take_charge(self) -> None:
+    def assume_control(self) -> None:
         """It is ours."""
 
     def __init__(self, autopilot: int = ARDUPILOT) -> None:
@@ -74,7 +74,7 @@ class StandIn:
         self.asked.append(words)
         if self.refused:
             raise self.error(f"{words[0]} refused")
-        return Answer(0, 1)
+        return CommandResult(0, 1)
 
     async def achieve(self, what, state, *command, mode=""):
         await self.command(what, *command)
@@ -133,7 +133,7 @@ def test_rally_points_are_what_the_plans_hold():
     asyncio.run(rally.do_set_rally_points(points))
     assert len(plans.held[PlanKind.RALLY]) == 2
     assert asyncio.run(rally.do_rally_points()) == pytest.approx(points)
-    assert refused(rally.do_set_rally_points([1.0, 2.0])).startswith("setRallyPoints: rally points are given")
+    assert refused(rally.do_set_rally_points([1.0, 2.0])).startswith("setRallyPoints: rally points need")
     asyncio.run(rally.do_clear_rally_points())
     assert asyncio.run(rally.do_rally_points()) == []
 
@@ -178,8 +178,8 @@ def test_only_texts_become_strings():
             return b"\xff"
 
     files = Files(StandIn(), Card())
-    assert refused(files.do_read_file("/a")) == "readFile: /a holds 1 bytes that are not text (UTF-8)"
-    assert "more than" in refused(files.do_write_file("/a", "x" * (MAX_TEXT + 1)))
+    assert refused(files.do_read_file("/a")) == "readFile: /a contains 1 bytes that are not text (UTF-8)"
+    assert "exceed the limit" in refused(files.do_write_file("/a", "x" * (MAX_TEXT + 1)))
 
 
 def test_the_watchdog_tells_what_is_and_what_must_be():
@@ -199,7 +199,7 @@ def test_the_watchdog_tells_what_is_and_what_must_be():
     assert all(setting.is_right for setting in asyncio.run(watchdog.settings()))
     assert vehicle.values == {"gcsFailsafe": True}
     del parameters.values["FS_GCS_TIMEOUT"]
-    assert refused(watchdog.settings()).startswith("it does not tell FS_GCS_TIMEOUT")
+    assert refused(watchdog.settings()).startswith("it does not report FS_GCS_TIMEOUT")
 
 
 def test_older_cameras_are_triggered_by_the_older_command():
@@ -216,7 +216,7 @@ def test_older_cameras_are_triggered_by_the_older_command():
 
 def test_raw_commands_are_looked_at_before_they_are_sent():
     vehicle = StandIn()
-    upkeep = Upkeep(vehicle, renew=lambda: asyncio.sleep(0))
+    upkeep = Maintenance(vehicle, renew=lambda: asyncio.sleep(0))
     for number, values in ((dialect.MAV_CMD_NAV_LAND, []), (70000, []), (512, [math.nan]), (512, [0.0] * 8)):
         refused(upkeep.do_command(number, values))
     assert vehicle.asked == []
@@ -233,24 +233,24 @@ def test_a_mode_that_was_not_entered_leaves_the_vehicle_ours():
     assert (
         refused(motion.enter("startMission", "AUTO", dialect.MAV_CMD_MISSION_START)) == "startMission refused"
     )
-    motion.begin("land")
+    motion.start_motion("land")
     vehicle.state.mode = "LOITER"
     with pytest.raises(
         DeviceError, match="land refused: the vehicle is in LOITER, which this program did not"
     ):
-        motion.begin("land")
+        motion.start_motion("land")
 
 
 def test_the_wanted_speed_is_what_was_asked_for_last_else_the_limit():
     vehicle = StandIn(PX4)
     motion = Motion(vehicle, Parameters())
-    asyncio.run(motion.speed.keep_wanted())
+    asyncio.run(motion.speed.apply_target())
     assert vehicle.asked == []
     vehicle.binding = binding(speed=5.0)
-    assert motion.speed.wanted == 5.0
+    assert motion.speed.target == 5.0
     asyncio.run(motion.speed.set(2.0))
     assert vehicle.asked == [], "there is nothing yet that PX4 would keep it for"
-    asyncio.run(motion.speed.keep_wanted())
+    asyncio.run(motion.speed.apply_target())
     assert vehicle.asked == [("speed", dialect.MAV_CMD_DO_CHANGE_SPEED, 1.0, 2.0, -1.0)]
 
 
@@ -261,7 +261,7 @@ def farthest(centre, radius):
 @pytest.mark.parametrize(
     ("check", "words"),
     [
-        (lambda limits: limits.check_goal("goTo", (0.0, math.nan, 0.0)), "goTo needs finite numbers"),
+        (lambda limits: limits.check_goal("goTo", (0.0, math.nan, 0.0)), "goTo requires finite numbers"),
         (lambda limits: limits.check_goal("goTo", (0.0, 0.0, -31.0)), "31 m is above the limit of 30 m"),
         (lambda limits: limits.check_goal("goTo", (60.0, 60.0, 0.0)), "84.9 m from home is beyond the limit"),
         (lambda limits: limits.check_goal("orbit", farthest((60.0, 0.0, -5.0), 30.0)), "90.0 m from home is"),

@@ -10,8 +10,8 @@ import pytest
 
 from lfield.errors import DeviceError
 from lfield_mavlink.modes import ARDUPILOT, PROFILES, PX4
-from lfield_mavlink.parts.motion import Motion
-from lfield_mavlink.parts.rest import Rest
+from lfield_mavlink.parts.motion_control import Motion
+from lfield_mavlink.parts.standstill import StandstillCheck
 
 SINKS = re.compile(r"\d+\.\d m up, sinking at \d\.\d m/s")
 
@@ -51,6 +51,7 @@ def test_a_copter_that_lands_is_at_rest_when_its_motors_are_off(bench, flavour):
     b.run(mission)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("flavour", ["ardupilot", "px4"])
 def test_a_copter_that_returns_is_told_all_the_way(bench, flavour):
     b = bench(flavour=flavour, safe_state="return")
@@ -126,7 +127,7 @@ def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motor
         for _ in range(3):
             await fc.make_safe()
         assert b.autopilot.mode == "STABILIZE"
-        assert sum("left to them" in note for note in b.notes) == 1
+        assert sum("no command sent: it is in" in note for note in b.notes) == 1
         b.cut = True
         await asyncio.sleep(5.0)
         assert "not heard for" in fc.moving()
@@ -166,7 +167,7 @@ def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(bench):
         b.autopilot.go_home()
         await asyncio.sleep(1.5)
         await fc.make_safe()
-        assert any("left to them" in note for note in b.notes)
+        assert any("no command sent: it is in" in note for note in b.notes)
         assert "in RTL" in fc.moving()
         await watched(fc)
 
@@ -229,7 +230,7 @@ class Known:
         self.silence = 0.1
         self.state = self.binding = self.clock = self
         self.safe_state, self.mode = safe_state, mode
-        self.armed, self.heard, self.landed, self.type = True, 0.0, False, 2
+        self.armed, self.heartbeat_at, self.landed, self.type = True, 0.0, False, 2
         self.armed_at = 0.0
         self.position, self.height, self.speeds, self.speeds_at = None, None, None, 0.0
         self.now = 0.0
@@ -252,16 +253,16 @@ class Known:
         motion = Motion(self, None)
         if ours:
             motion.claim(self.mode)
-        return Rest(self, motion).words()
+        return StandstillCheck(self, motion).description()
 
 
 @pytest.mark.parametrize(
     ("known", "words"),
     [
         # What is not known is not rest, unless the motors are off.
-        (Known(ARDUPILOT, "copter", "LAND", landed=None), "motors on, at a speed that is not known"),
+        (Known(ARDUPILOT, "copter", "LAND", landed=None), "motors on, at an unknown speed"),
         (Known(ARDUPILOT, "copter", "LAND", landed=None, armed=False), ""),
-        (Known(ARDUPILOT, "copter", "LAND"), "in the air, at a speed that is not known"),
+        (Known(ARDUPILOT, "copter", "LAND"), "in the air, at an unknown speed"),
         (
             Known(ARDUPILOT, "copter", "LAND", landed=None, height=0.02, speeds=(0.0, 0.0)),
             "0.0 m up",
@@ -272,7 +273,7 @@ class Known:
         ),
         (
             Known(ARDUPILOT, "copter", "BRAKE", "hold", height=8.0, speeds=(0.0, 0.0), now=3.5),
-            "8.0 m up, at a speed that is not known",
+            "8.0 m up, at an unknown speed",
         ),
         (Known(ARDUPILOT, "copter", "BRAKE", "hold", height=8.0, speeds=(0.3, 0.1)), ""),
         (Known(ARDUPILOT, "copter", "BRAKE", "hold", landed=True, speeds=(0, 0)), "on the ground, motors on"),
@@ -305,7 +306,7 @@ class Known:
         (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=10, speeds=(0.7, 0.0)),
          "motors on, moving at 0.7 m/s"),
         (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=11, speeds=(0.7, 0.0)), ""),
-        (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=10), "motors on, at a speed that is not known"),
+        (Known(ARDUPILOT, "rover", "HOLD", landed=True, type=10), "motors on, at an unknown speed"),
         (Known(ARDUPILOT, "submarine", "SURFACE", landed=True, height=-4.2, speeds=(0.0, 0.3)),
          "4.2 m deep, climbing at 0.3 m/s"),
         (Known(ARDUPILOT, "submarine", "SURFACE", landed=True, height=-0.2, speeds=(0.1, 0.0)), ""),
@@ -317,7 +318,7 @@ def test_words(known, words):
 
 
 def test_nothing_heard_at_all():
-    known = Known(ARDUPILOT, "copter", "", heard=None, silence=math.inf, armed=False)
+    known = Known(ARDUPILOT, "copter", "", heartbeat_at=None, silence=math.inf, armed=False)
     assert known.moving() == "not heard yet"
 
 
@@ -354,6 +355,6 @@ def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(bench,
         assert b.autopilot.mode == "AUTO.LAND"
         await fc.make_safe()
         assert b.autopilot.mode == "AUTO.LOITER"
-        assert not any("left to them" in note for note in b.notes)
+        assert not any("no command sent: it is in" in note for note in b.notes)
 
     b.run(mission)

@@ -7,12 +7,12 @@ import itertools
 
 import pytest
 
-from lfield.driver.settings import wrong
-from lfield.errors import DeviceError, NotSetUp
+from lfield.driver.settings import mismatched
+from lfield.errors import DeviceError, DeviceNotSetUp
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_mavlink.watchdog import NEEDS
-from lfield_sim.mavlink.link.codec import Writer
-from lfield_sim.mavlink.telemetry.messages import MESSAGES
+from lfield_sim.mavlink.link.codec import PacketWriter
+from lfield_sim.mavlink.telemetry.message_table import MESSAGES
 
 SET = dialect.MAVLINK_MSG_ID_PARAM_SET
 EACH = list(itertools.product(("ardupilot", "px4"), ("copter", "rover"), ("land", "hold", "return")))
@@ -37,7 +37,7 @@ def without(b, name):
 async def set_up(fc):
     """What `lfield setup` does to one device."""
     await fc.find()
-    for setting in wrong(await fc.settings()):
+    for setting in mismatched(await fc.settings()):
         await fc.write_setting(setting.name, setting.wanted)
 
 
@@ -83,12 +83,13 @@ def test_a_stock_vehicle_is_refused_set_up_and_then_opened(bench, flavour, kind,
     b = bench(flavour=flavour, kind=kind, safe_state=state, limits={"speed": 1.5}, set_up=False)
 
     async def story(fc):
-        with pytest.raises(NotSetUp, match="it is not set up for its binding: ") as refused:
+        with pytest.raises(DeviceNotSetUp, match="it is not set up for its binding: ") as refused:
             await fc.open()
         assert written(b) == []
-        named = [setting.name for setting in wrong(await fc.settings())]
+        named = [setting.name for setting in mismatched(await fc.settings())]
         assert f"{named[0]} is " in refused.value.reason
-        assert all(any(note.startswith(f"{name} is ") for note in b.notes) for name in named)
+        told = [note for note in b.notes if note.code == "setting-mismatch"]
+        assert all(any(f" {name} is " in note for note in told) for name in named)
         await set_up(fc)
         assert sorted(written(b)) == sorted(named)
         await fc.open()
@@ -140,7 +141,7 @@ def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench
     opened(least / 2)
     with pytest.raises(DeviceError, match=f"watchdog of {least} s: nothing stops it sooner") as error:
         opened(0.5)
-    assert f"a ttl of {least / 2:g} s is the least that it keeps" in error.value.reason
+    assert f"a ttl of {least / 2:g} s is the smallest that it supports" in error.value.reason
     assert "waivers: [device_watchdog]" in error.value.reason
 
 
@@ -237,7 +238,7 @@ def test_a_failsafe_that_is_not_told_is_an_error_at_opening(bench):
     without(b, b"FS_GCS_ENABLE")
 
     async def mission(fc):
-        with pytest.raises(DeviceError, match="it does not tell FS_GCS_ENABLE") as error:
+        with pytest.raises(DeviceError, match="it does not report FS_GCS_ENABLE") as error:
             await fc.open()
         assert error.value.kind == "DeviceTimeoutException"
 
@@ -252,7 +253,7 @@ def test_an_older_name_of_a_parameter_is_found(bench):
     async def mission(fc):
         loop = asyncio.get_running_loop()
         await fc.find()
-        loop.call_later(1.0, lambda: b.links[0].on_data(Writer(1, 1).pack(older)))
+        loop.call_later(1.0, lambda: b.links[0].on_data(PacketWriter(1, 1).pack(older)))
         return [str(s) for s in await fc.settings() if "GCS" in s.name]
 
     assert "SYSID_MYGCS is 1 and must be 128" in b.run(mission, opened=False)
@@ -266,7 +267,8 @@ def test_a_failsafe_that_somebody_has_changed_since_is_found_before_arming(bench
         b.autopilot.parameters["FS_GCS_TIMEOUT"] = 60
         with pytest.raises(DeviceError, match="FS_GCS_ENABLE is 0 and must be 5, and 1 more"):
             await fc.execute("arm", [])
-        assert any(note.startswith("FS_GCS_TIMEOUT is 60 and must be 2") for note in b.notes)
+        told = [note for note in b.notes if note.code == "setting-mismatch"]
+        assert any("FS_GCS_TIMEOUT is 60 and must be 2" in note for note in told)
         assert not b.autopilot.armed
         assert b.values["gcsFailsafe"] is False
 

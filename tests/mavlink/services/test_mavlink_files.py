@@ -11,7 +11,7 @@ from scripted_peer import Channel, run
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import dialect
-from lfield_mavlink.services.file_packets import DATA, PACKET, Opcode, Packet, Refusal, crc32, decode, entries
+from lfield_mavlink.services.file_packets import DATA, PACKET, NakCode, Opcode, Packet, crc32, decode, entries
 from lfield_mavlink.services.file_transfer import MAX_FILE, FileTransfer, Pieces
 
 TO_US = (255, dialect.MAV_COMP_ID_ONBOARD_COMPUTER)
@@ -56,7 +56,7 @@ class Server:
 
     def answer(self, request):
         if request.opcode in self.unknown:
-            return [self.nak(request, Refusal.UNKNOWN_COMMAND)]
+            return [self.nak(request, NakCode.UNKNOWN_COMMAND)]
         handler = getattr(self, "on_" + Opcode(request.opcode).name.lower())
         return handler(request)
 
@@ -71,14 +71,14 @@ class Server:
 
     def opened(self, request, path, data):
         if self.session is not None:
-            return [self.nak(request, Refusal.NO_SESSIONS)]
+            return [self.nak(request, NakCode.NO_SESSIONS)]
         self.session = path
         return [self.ack(request, data)]
 
     def on_open_read(self, request):
         path = request.data.decode()
         if path not in self.files:
-            return [self.nak(request, Refusal.NOT_FOUND)]
+            return [self.nak(request, NakCode.NOT_FOUND)]
         return self.opened(request, path, len(self.files[path]).to_bytes(4, "little"))
 
     def on_create(self, request):
@@ -87,14 +87,14 @@ class Server:
 
     def on_write(self, request):
         if self.breaks_writes:
-            return [self.nak(request, Refusal.FAIL_ERRNO, 28)]
+            return [self.nak(request, NakCode.FAIL_ERRNO, 28)]
         data = self.files[self.session]
         self.files[self.session] = data[: request.offset].ljust(request.offset, b"\0") + request.data
         return [self.ack(request)]
 
     def on_read(self, request):
         data = self.files[self.session][request.offset : request.offset + request.size]
-        return [self.ack(request, data)] if data else [self.nak(request, Refusal.END_OF_FILE)]
+        return [self.ack(request, data)] if data else [self.nak(request, NakCode.END_OF_FILE)]
 
     def on_burst_read(self, request):
         data, packets = self.files[self.session], []
@@ -105,7 +105,7 @@ class Server:
             complete = number == self.burst - 1
             piece = data[start : start + DATA]
             packets.append(self.ack(request, piece, number=number + 1, offset=start, complete=complete))
-        return packets or [self.nak(request, Refusal.END_OF_FILE)]
+        return packets or [self.nak(request, NakCode.END_OF_FILE)]
 
     def on_crc32(self, request):
         return [self.ack(request, crc32(self.files[request.data.decode()]).to_bytes(4, "little"))]
@@ -118,17 +118,17 @@ class Server:
             if len(data) + len(name) + 1 > 60:
                 break
             data += name.encode() + b"\0"
-        return [self.ack(request, data)] if data else [self.nak(request, Refusal.END_OF_FILE)]
+        return [self.ack(request, data)] if data else [self.nak(request, NakCode.END_OF_FILE)]
 
     def on_list_with_time(self, request):
-        return [self.nak(request, Refusal.FAIL)]
+        return [self.nak(request, NakCode.FAIL)]
 
     def on_remove(self, request):
         found = self.files.pop(request.data.decode(), None)
-        return [self.nak(request, Refusal.NOT_FOUND) if found is None else self.ack(request)]
+        return [self.nak(request, NakCode.NOT_FOUND) if found is None else self.ack(request)]
 
     def on_make_folder(self, request):
-        return [self.nak(request, Refusal.EXISTS)]
+        return [self.nak(request, NakCode.EXISTS)]
 
 
 def joined(server, **faults):
@@ -181,14 +181,14 @@ def test_a_folder_is_listed_by_the_request_that_is_known(unknown):
 @pytest.mark.parametrize(
     ("ask", "words"),
     [
-        (lambda files: files.read("/nope"), "reading /nope refused: there is no such file"),
-        (lambda files: files.remove("/nope"), "removing /nope refused: there is no such file"),
-        (lambda files: files.make_folder("/a"), "making /a refused: it is there already"),
-        (lambda files: files.read(""), "cannot be a path"),
-        (lambda files: files.read("/" + "x" * 200), "cannot be a path"),
-        (lambda files: files.read("/a\0b"), "cannot be a path"),
-        (lambda files: files.read("/big", 100), "10240 bytes are more than the 100"),
-        (lambda files: files.write("/a", bytes(MAX_FILE + 1)), "more than the"),
+        (lambda files: files.read("/nope"), "reading /nope refused: no such file"),
+        (lambda files: files.remove("/nope"), "removing /nope refused: no such file"),
+        (lambda files: files.make_folder("/a"), "making /a refused: it already exists"),
+        (lambda files: files.read(""), "is not a path"),
+        (lambda files: files.read("/" + "x" * 200), "is not a path"),
+        (lambda files: files.read("/a\0b"), "is not a path"),
+        (lambda files: files.read("/big", 100), "10240 bytes exceed the limit of 100"),
+        (lambda files: files.write("/a", bytes(MAX_FILE + 1)), "exceed the limit"),
     ],
 )
 def test_refusals_in_words(ask, words):
@@ -238,19 +238,19 @@ def test_what_is_made_while_it_is_read_ends_where_it_ends(told, seed):
     _, files = joined(server, seed=seed, loss=0.2 if seed else 0.0)
 
     async def story():
-        with pytest.raises(DeviceError, match="more than the 100 bytes"):
+        with pytest.raises(DeviceError, match="exceeds the limit of 100 bytes"):
             await files.read("@SYS/uarts.txt", 100)
         return await files.read("@SYS/uarts.txt", 256 * 1024)
 
     assert run(story(), 200.0) == BIG
 
 
-@pytest.mark.parametrize("refusal", [Refusal.FAIL, Refusal.NO_SESSIONS])
+@pytest.mark.parametrize("refusal", [NakCode.FAIL, NakCode.NO_SESSIONS])
 def test_a_second_file_that_is_not_opened_says_why(refusal):
     server = Server({"/a": b"1"})
     server.opened = lambda request, path, data: [server.nak(request, refusal)]
     _, files = joined(server)
-    with pytest.raises(DeviceError, match="one file at a time, and another client may have one"):
+    with pytest.raises(DeviceError, match="only one file can be open, perhaps by another client"):
         run(files.read("/a"), 5.0)
 
 
@@ -260,7 +260,7 @@ def test_a_session_that_could_not_be_ended_is_reset_by_the_next_transfer():
     _, files = joined(server)
 
     async def story():
-        with pytest.raises(DeviceError, match="more than the 100"):
+        with pytest.raises(DeviceError, match="exceed the limit of 100"):
             await files.read("/big", 100)
         server.on_terminate = end
         assert await files.read("/a") == b"1"

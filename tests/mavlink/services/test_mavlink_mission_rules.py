@@ -10,11 +10,11 @@ import pytest
 from lfield.driver import DeviceError
 from lfield.testing.driver_bench import bind
 from lfield_mavlink import PLUGIN
-from lfield_mavlink.geo import Place
+from lfield_mavlink.geodesy import Place
 from lfield_mavlink.limits import Limits
 from lfield_mavlink.link.dialect import dialect
 from lfield_mavlink.services.mission_check import HERE, Climb, Situation
-from lfield_mavlink.services.mission_commands import begins_with_takeoff
+from lfield_mavlink.services.mission_commands import starts_with_takeoff
 from lfield_mavlink.services.mission_paths import arc_corners, spline_corners
 from lfield_mavlink.services.mission_rules import RULES, check_mission
 from lfield_mavlink.services.plan_items import Item, place
@@ -78,7 +78,7 @@ def test_what_has_a_place_is_held_to_all_limits(name):
     lands = name in ("NAV_LAND", "NAV_VTOL_LAND")
     assert ("height of this item is not known" in refusal(item(name, 50.0, frame=TERRAIN))) != lands
     assert ("height of this item is not known" in refusal(item(name, 50.0, height=NAN))) != lands
-    assert "where home is" in refusal(item(name, 50.0), home=None)
+    assert "home position is unknown" in refusal(item(name, 50.0), home=None)
     assert refusal(item(name, 1000.0, height=200.0), limits={"speed": 5.0}) == ""
     assert refusal(item(name, 1000.0, height=200.0), limits={}) == ""
     assert refusal(item(name, 50.0, frame=TERRAIN), limits={"radius": 100.0}) == ""
@@ -176,7 +176,7 @@ def test_a_climb_straight_ahead_where_only_the_height_is_limited():
 def test_every_command_without_a_rule_is_refused_wherever_there_is_a_limit(limits):
     numbers = [*sorted(set(dialect.enums["MAV_CMD"]) - set(RULES)), 7, 29999, 65535]
     for number in numbers:
-        assert "is not known to stay inside the limits" in refusal(item(number), limits=limits)
+        assert "is not known to stay within the limits" in refusal(item(number), limits=limits)
         assert refusal(item(number), limits={}) == ""
 
 
@@ -201,7 +201,7 @@ def test_a_return_climbs_and_may_lead_to_a_rally_point():
     back = item("NAV_RETURN_TO_LAUNCH", frame=MISSION)
     assert refusal(back, climb=Climb(15.0, "RTL_ALT")) == ""
     assert "RTL_ALT" in refusal(back, climb=Climb(40.0, "RTL_ALT"))
-    assert "height at which it returns is not known" in refusal(back)
+    assert "height of its return is not known" in refusal(back)
     assert refusal(back, limits={"radius": 100.0}) == ""
     assert refusal(back, kind="rover") == ""
     rally = item("NAV_RALLY_POINT", 500.0)
@@ -232,10 +232,10 @@ def test_a_spline_bulges_beyond_its_places():
     assert "the curve of item 2" in refusal(*bulge, item("NAV_WAYPOINT", -60.0))
     inside = [item("NAV_WAYPOINT", 0.0), item("NAV_SPLINE_WAYPOINT", 50.0), item("NAV_WAYPOINT", 50.0, 40.0)]
     assert refusal(*inside) == ""
-    assert "told no position" in refusal(*inside, here=None, begins_here=True)
+    assert "curve may start is unknown" in refusal(*inside, here=None, starts_here=True)
     assert refusal(*inside, here=None) == ""
     jump = item("DO_JUMP", p=(2.0, 3.0), frame=MISSION)
-    assert "a mission that jumps" in refusal(*inside, jump)
+    assert "a mission with jumps" in refusal(*inside, jump)
     assert refusal(*inside, jump, limits={}) == ""
 
 
@@ -321,4 +321,4 @@ def test_jumps_that_lead_somewhere():
     ],
 )
 def test_a_takeoff_need_not_be_the_first_item(numbers, begins):
-    assert begins_with_takeoff([Item(number, MISSION, 0, 0) for number in numbers]) is begins
+    assert starts_with_takeoff([Item(number, MISSION, 0, 0) for number in numbers]) is begins

@@ -54,7 +54,7 @@ class Vehicle:
 
         def again():
             if self.upload is upload and len(upload[2]) == len(items_before):
-                self.channel.tell([make(*TO_US, len(upload[2]), kind)])
+                self.channel.send_text([make(*TO_US, len(upload[2]), kind)])
                 asyncio.get_running_loop().call_later(1.0, again)
 
         items_before = list(items)
@@ -192,7 +192,7 @@ def test_a_plan_that_came_out_shorter_is_an_error():
     vehicle = Vehicle(ardupilot=True)
     vehicle.keeps = 3
     _, transfer = joined(vehicle)
-    with pytest.raises(DeviceError, match="mission could not be uploaded in 3 attempts: it holds 3 items"):
+    with pytest.raises(DeviceError, match="mission could not be uploaded in 3 attempts: it has 3 items"):
         run(transfer.upload(PlanKind.MISSION, route(5)), 60.0)
 
 
@@ -258,7 +258,7 @@ def test_a_vehicle_that_asks_for_ever_is_left():
         return [dialect.MAVLink_mission_request_int_message(*TO_US, 0, 0)]
 
     channel = Channel(mad)
-    with pytest.raises(DeviceError, match="asked for 1 of 3 items only"):
+    with pytest.raises(DeviceError, match="requested 1 of 3 items only"):
         run(PlanTransfer(channel, lambda: False).upload(PlanKind.MISSION, route(3)), 60.0)
 
 
@@ -341,16 +341,16 @@ def test_waypoints_are_themselves_again(places):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: waypoints([1.0, 2.0], yaw=0.0), "2 numbers are not that"),
+        (lambda: waypoints([1.0, 2.0], yaw=0.0), "which 2 numbers are not"),
         (lambda: waypoints([], yaw=0.0), "0 numbers"),
-        (lambda: waypoints([91.0, 0.0, 1.0], yaw=0.0), "no place in degrees"),
-        (lambda: waypoints([math.nan, 0.0, 1.0], yaw=0.0), "no place in degrees"),
+        (lambda: waypoints([91.0, 0.0, 1.0], yaw=0.0), "is not a position in degrees"),
+        (lambda: waypoints([math.nan, 0.0, 1.0], yaw=0.0), "is not a position in degrees"),
         (lambda: waypoints([1.0, 0.0, math.inf], yaw=0.0), "finite"),
-        (lambda: rally_points([1.0, 181.0, 1.0]), "no place in degrees"),
+        (lambda: rally_points([1.0, 181.0, 1.0]), "is not a position in degrees"),
         (lambda: circle(1.0, 1.0, 0.0, inside=True), "radius above 0"),
         (lambda: circle(1.0, 1.0, math.nan, inside=True), "radius above 0"),
         (lambda: polygon([1.0, 1.0, 2.0, 2.0], inside=True), "3 to 255 corners, not 2"),
-        (lambda: coordinates([HOME], HOME.command), "cannot say"),
+        (lambda: coordinates([HOME], HOME.command), r"which is not \{"),
         (lambda: coordinates(circle(1.0, 1.0, 9.0, inside=True), 16), r"NAV_FENCE_CIRCLE_INCLUSION \(5003\)"),
     ],
 )

@@ -210,7 +210,7 @@ def test_what_px4_flies_by_itself_needs_a_waiver(px4, what, values):
         before = len(b.sent)
         with pytest.raises(DeviceError) as error:
             await fc.execute(what, values)
-        assert "by itself, and would go on when this computer dies" in error.value.reason
+        assert "by itself, and would continue if this computer fails" in error.value.reason
         assert "waivers: {autonomous_motion: REASON}" in error.value.reason
         assert {m.type_mask for m in targets(b, before)} <= {0x0DF8}
         assert b.autopilot.mode == "OFFBOARD"

@@ -10,8 +10,8 @@ import pytest
 from lfield.errors import DeviceError
 from lfield_mavlink.link.dialect import Reader, dialect
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Result
-from lfield_sim.autopilot.ground import Wheels
+from lfield_sim.autopilot.flavours import MavResult
+from lfield_sim.autopilot.ground_vehicle import Wheels
 
 TARGET = dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED
 
@@ -317,7 +317,7 @@ def test_a_refusal_counts_only_for_the_mode_that_it_is_about(px4, monkeypatch):
         if name == "AUTO.LAND" and not waits:
             waits.append(name)
             autopilot.say("Switching to Offboard is currently not available\t")
-            return Result.ACCEPTED
+            return MavResult.ACCEPTED
         return command_mode(autopilot, name)
 
     async def mission(fc):
@@ -346,7 +346,7 @@ def test_a_landing_is_over_when_its_motors_are_off_or_are_to_stay_on(px4, delay,
         await fc.execute("land", [])
         assert b.values["landed"]
         assert b.values["armed"] is stays_on
-        assert len([note for note in b.notes if "they are switched off" in note]) == said
+        assert len([note for note in b.notes if "switching them off" in note]) == said
         await fc.execute("arm", [])
         await asyncio.sleep(1.5)
         assert b.values["armed"] is True

@@ -30,7 +30,7 @@ async def flown(b, fc, kind):
     return speeds
 
 
-@pytest.mark.few(3)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("limit", [1.0, 2.0, 3.0, 5.0])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
@@ -42,7 +42,7 @@ def test_a_limit_is_kept_in_still_air(bench, flavour, kind, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("source", [0.0, 1.57, 3.14])
 @pytest.mark.parametrize(("flavour", "kind"), VEHICLES)
 def test_a_limit_is_kept_in_wind(bench, flavour, kind, source):
@@ -103,6 +103,7 @@ def test_a_rover_drives_a_velocity_no_faster_than_it_is(bench, flavour, limit):
     assert [note for note in b.notes if "beyond its limit" in note] == []
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize("way", ["mission", "return", "goTo", "setSpeed"])
 def test_px4s_rover_keeps_a_low_speed_whatever_moves_it(bench, way):
     b, limit = bench(flavour="px4", kind="rover", limits={"speed": 1.0 if way != "goTo" else 0.5}), 1.0
@@ -139,6 +140,7 @@ def test_a_slow_orbit_does_not_give_up_on_its_way_to_the_circle(bench):
     b.run(story)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("asked", "own"), [(None, 2.0), (None, 3.0), (2.0, 3.0), (3.0, 1.0)])
 def test_a_rovers_mission_does_not_shoot_over_its_speed(bench, asked, own):
     """By DO_CHANGE_SPEED the real one drove 2.22 of 2 and 3.44 of 3, by WP_SPEED 2.05 of 2."""

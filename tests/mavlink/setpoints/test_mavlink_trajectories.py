@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from lfield_mavlink.setpoints.correction import SpeedCorrection
+from lfield_mavlink.setpoints.speed_correction import SpeedCorrection
 from lfield_mavlink.setpoints.trajectory import (
     CLIMB,
     LEAD,

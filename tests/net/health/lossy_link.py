@@ -12,7 +12,7 @@ import random
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from lfield.net.health.heartbeats import PING_EVERY, Heartbeats
+from lfield.net.health.link_heartbeats import PING_EVERY, Heartbeats
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Simulation:
 
     def __init__(self, seed: int, path: Path, kernel: Kernel) -> None:
         self.now, self.path, self.kernel = 0.0, path, kernel
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self._due: list[tuple[float, int, Callable[[], None]]] = []
         self._order = itertools.count()
 
@@ -47,7 +47,7 @@ class Simulation:
 
     def carry(self, what: Callable[[], None]) -> None:
         """A packet is sent: what it does when it arrives."""
-        if self.dice.random() >= self.path.loss:
+        if self.rng.random() >= self.path.loss:
             self.later(self.path.delay, what)
 
     def run(self, seconds: float) -> None:
@@ -104,43 +104,43 @@ class Sender:
 
 
 class End:
-    """One end of a link, as `lfield.net.peers` keeps it: a look each second."""
+    """One end of a link, as `lfield.net.link_manager` keeps it: a look each second."""
 
     def __init__(self, simulation: Simulation, *, first: bool) -> None:
         self.beats = Heartbeats(first=first)
-        self.beats.begin(0.0)
-        self.heard = 0.0
+        self.beats.on_link_made(0.0)
+        self.last_received = 0.0
         #: When it gave the link up, and each longest silence before something came.
         self.lost: list[float] = []
         self.silences: list[float] = []
         self.simulation, self.other = simulation, self
         self.sender = Sender(simulation, self._deliver)
-        simulation.later(PING_EVERY * (0.3 if first else 0.8), self._look)
+        simulation.later(PING_EVERY * (0.3 if first else 0.8), self._check)
 
     def _deliver(self, message: tuple[str, int]) -> None:
         """What this end has sent arrives at the other."""
-        self.other.takes(*message)
+        self.other.on_message(*message)
 
-    def takes(self, kind: str, token: int) -> None:
+    def on_message(self, kind: str, token: int) -> None:
         """A message has come."""
         now = self.simulation.now
-        self.silences.append(now - self.heard)
-        self.heard = now
+        self.silences.append(now - self.last_received)
+        self.last_received = now
         if kind == "ping":
-            self.beats.received()
+            self.beats.on_ping()
             self.sender.send(("pong", token))
         else:
-            self.beats.answered(token, now)
+            self.beats.on_pong(token, now)
 
-    def _look(self) -> None:
+    def _check(self) -> None:
         now = self.simulation.now
-        silent = now - self.heard
+        silent = now - self.last_received
         if silent > self.beats.lost_after(now):
             self.lost.append(now)
-            self.heard = now
+            self.last_received = now
         elif self.beats.is_due(now, silent):
             self.sender.send(("ping", self.beats.send(now)))
-        self.simulation.later(PING_EVERY, self._look)
+        self.simulation.later(PING_EVERY, self._check)
 
 
 def ends_after(seconds: float, path: Path, kernel: Kernel, seed: int) -> tuple[End, End]:

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from lfield.mission.load import load_mission
-from lfield.net.health.heartbeats import LOST_AFTER, PING_EVERY, SUSPECT_AFTER
-from lfield.simulate.fleet import Fleet
+from lfield.mission.loader import load_mission
+from lfield.net.health.link_heartbeats import LOST_AFTER, PING_EVERY, SUSPECT_AFTER
+from lfield.simulate.host_fleet import Fleet
 
 PROGRAM = "resource Post { init(string[] arg) { } }\n"
 HOSTS = ("alpha", "bravo")
@@ -35,7 +35,7 @@ def links(fleet: Fleet) -> list[object]:
 def silences(fleet: Fleet) -> list[float]:
     """For how long each has not heard the other, by its own clock."""
     both = [(fleet.lives[host].host.peers, other) for host, other in ENDS]
-    return [peers.now() - (peers.last_heard(other) or 0.0) for peers, other in both]
+    return [peers.now() - (peers.last_contact_at(other) or 0.0) for peers, other in both]
 
 
 def silence(fleet: Fleet, seconds: float) -> None:

@@ -2,12 +2,12 @@
 
 import pytest
 
-from lfield.net.health.heartbeats import LONGEST, LOST_AFTER, MOST_OPEN, SUSPECT_AFTER, Heartbeats
+from lfield.net.health.link_heartbeats import LOST_AFTER, MAX_PENDING, MAX_SILENCE, SUSPECT_AFTER, Heartbeats
 
 
 def begun(*, first: bool = True) -> Heartbeats:
     beats = Heartbeats(first=first)
-    beats.begin(0.0)
+    beats.on_link_made(0.0)
     return beats
 
 
@@ -15,36 +15,36 @@ def measured(sample: float, count: int = 50) -> Heartbeats:
     """Each second one is sent, and answered after `sample` seconds."""
     beats = begun()
     for second in range(count):
-        beats.answered(beats.send(float(second)), second + sample)
+        beats.on_pong(beats.send(float(second)), second + sample)
     return beats
 
 
 def test_an_answer_counts_once_and_for_its_own_heartbeat():
     beats = begun()
     first, second = beats.send(1.0), beats.send(2.0)
-    beats.answered(second, 2.1)
+    beats.on_pong(second, 2.1)
     assert beats.round_trip.last == pytest.approx(0.1)
-    beats.answered(first, 2.5)
+    beats.on_pong(first, 2.5)
     assert beats.round_trip.last == pytest.approx(1.5)
     for token in (first, second, 0, 99):
-        beats.answered(token, 9.0)
+        beats.on_pong(token, 9.0)
     assert beats.round_trip.last == pytest.approx(1.5)
 
 
 def test_an_end_whose_heartbeats_are_not_answered_remembers_few():
     beats = begun()
     tokens = [beats.send(float(n)) for n in range(1000)]
-    beats.answered(tokens[-MOST_OPEN - 1], 1000.0)
+    beats.on_pong(tokens[-MAX_PENDING - 1], 1000.0)
     assert beats.round_trip.mean is None
-    beats.answered(tokens[-MOST_OPEN], 1000.0)
-    assert beats.round_trip.mean == MOST_OPEN
+    beats.on_pong(tokens[-MAX_PENDING], 1000.0)
+    assert beats.round_trip.mean == MAX_PENDING
 
 
 def test_what_was_sent_over_an_earlier_link_is_not_answered_on_the_next():
     beats = begun()
     token = beats.send(1.0)
-    beats.begin(20.0)
-    beats.answered(token, 20.1)
+    beats.on_link_made(20.0)
+    beats.on_pong(token, 20.1)
     assert beats.round_trip.mean is None
 
 
@@ -58,9 +58,9 @@ def test_two_ends_send_in_turns_and_both_measure():
         for end, other, phase in ((here, there, 0), (there, here, 3)):
             if tick % 10 == phase and end.is_due(now, now - heard[end]):
                 token = end.send(now)
-                other.received()
+                other.on_ping()
                 heard[other] = now
-                end.answered(token, now + 0.05)
+                end.on_pong(token, now + 0.05)
                 heard[end] = now + 0.05
                 sent[end] += 1
     assert sum(sent.values()) <= 66
@@ -83,9 +83,9 @@ def test_on_a_calm_path_a_link_is_lost_after_three_seconds(beats):
 
 def test_where_answers_come_late_a_silence_may_be_longer():
     beats = measured(0.05)
-    beats.answered(beats.send(50.0), 51.5)
+    beats.on_pong(beats.send(50.0), 51.5)
     for second in range(52, 100):
-        beats.answered(beats.send(float(second)), second + 0.05)
+        beats.on_pong(beats.send(float(second)), second + 0.05)
     assert 2.5 < beats.suspect_after(100.0) <= 3.0
     assert 6.5 < beats.lost_after(100.0) <= 7.5
     assert beats.lost_after(100.0 + 7200.0) == LOST_AFTER
@@ -93,4 +93,4 @@ def test_where_answers_come_late_a_silence_may_be_longer():
 
 def test_no_path_is_so_bad_that_a_dead_link_is_never_found():
     beats = measured(30.0)
-    assert beats.suspect_after(80.0) == beats.lost_after(80.0) == LONGEST
+    assert beats.suspect_after(80.0) == beats.lost_after(80.0) == MAX_SILENCE

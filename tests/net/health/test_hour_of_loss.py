@@ -3,8 +3,8 @@
 import pytest
 from lossy_link import Kernel, Path, ends_after
 
-from lfield.net.health import heartbeats
-from lfield.net.health.heartbeats import LONGEST, LOST_AFTER, PING_EVERY
+from lfield.net.health import link_heartbeats
+from lfield.net.health.link_heartbeats import LOST_AFTER, MAX_SILENCE, PING_EVERY
 
 HOUR = 3600.0
 #: Kernels that have all options of `tcp_options`, and those that have linear time-outs alone.
@@ -24,13 +24,13 @@ def test_no_link_is_given_up_in_an_hour_at_20_percent_loss(kernel, path, seed):
 
 def test_the_same_with_a_fixed_time_out_is_too_short(monkeypatch):
     """So the hour above is hard enough to tell a good time-out from a bad one."""
-    monkeypatch.setattr(heartbeats, "LONGEST", LOST_AFTER)
+    monkeypatch.setattr(link_heartbeats, "MAX_SILENCE", LOST_AFTER)
     lost = [end.lost for seed in range(3) for end in ends_after(HOUR, FAR, OLD, seed)]
     assert any(lost)
 
 
 @pytest.mark.parametrize(
-    ("path", "within"), [(Path(0.01, 0.0), LOST_AFTER), (FAR, LONGEST)], ids=["calm", "lossy"]
+    ("path", "within"), [(Path(0.01, 0.0), LOST_AFTER), (FAR, MAX_SILENCE)], ids=["calm", "lossy"]
 )
 def test_a_path_that_is_gone_is_found(path, within):
     near, far = ends_after(60.0, path, OLD, seed=1)

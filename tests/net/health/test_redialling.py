@@ -7,13 +7,13 @@ import socket
 
 import pytest
 
-from lfield import connecting
-from lfield.connecting import AGAIN, ATTEMPT, first_connected
+from lfield import address_race
+from lfield.address_race import ATTEMPT_TIMEOUT, RETRY_DELAY, first_connected
 from lfield.errors import AddressError
-from lfield.net.owner import Refusals
-from lfield.net.paths.dialler import LAST_RETRY, Dialler
+from lfield.net.connections.dialler import LAST_RETRY, Dialler
+from lfield.net.link_owner import RefusedHosts
 from lfield.net.session import Session
-from lfield.simulate.time import LoopClock, run_jumping
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
 
 PLACE = (socket.AF_INET, ("192.0.2.1", 7001))
 
@@ -26,7 +26,7 @@ class Path:
         self.back, self.start, self.refuses = back, 0.0, refuses
         self.began: list[float] = []
         self.open = self.most = self.closed = 0
-        monkeypatch.setattr(connecting, "_connected", self.connected)
+        monkeypatch.setattr(address_race, "_connect", self.connected)
 
     async def connected(self, family, address):
         loop = asyncio.get_running_loop()
@@ -65,7 +65,7 @@ def race(path: Path, *places, again: bool = True):
 def test_an_attempt_begins_at_most_half_a_second_after_the_path_is_back(monkeypatch, back):
     path = Path(monkeypatch, back)
     at, made, where, failures = race(path)
-    assert at <= back + AGAIN + 0.1 + 1e-6
+    assert at <= back + RETRY_DELAY + 0.1 + 1e-6
     assert (made, where, failures) == (path, PLACE, {})
     assert path.open == 0
 
@@ -73,8 +73,8 @@ def test_an_attempt_begins_at_most_half_a_second_after_the_path_is_back(monkeypa
 def test_few_attempts_are_under_way_at_once(monkeypatch):
     path = Path(monkeypatch, 30.0)
     race(path)
-    assert path.most <= ATTEMPT / AGAIN + 1
-    assert len(path.began) <= 30.0 / AGAIN + 2
+    assert path.most <= ATTEMPT_TIMEOUT / RETRY_DELAY + 1
+    assert len(path.began) <= 30.0 / RETRY_DELAY + 2
 
 
 def test_whoever_does_not_ask_for_it_makes_one_attempt(monkeypatch):
@@ -95,7 +95,7 @@ def test_attempts_that_answer_too_late_are_closed(monkeypatch):
     """Two are answered: one is used."""
     path = Path(monkeypatch, 0.0)
     other = (socket.AF_INET, ("192.0.2.2", 7001))
-    monkeypatch.setattr(connecting, "STAGGER", 0.0)
+    monkeypatch.setattr(address_race, "ATTEMPT_DELAY", 0.0)
     _, made, _, _ = race(path, PLACE, other)
     assert made is path
     assert path.closed == len(path.began) - 1
@@ -106,19 +106,19 @@ class Silent:
 
     def __init__(self) -> None:
         self.link, self.calls, self.taken = Session(self, None), list[float](), list[str]()
-        self.refusals = Refusals(["bravo"])
+        self.refusals = RefusedHosts(["bravo"])
         self.on_call = lambda: None
 
-    def wants(self, host):
+    def needs_link(self, host):
         return True
 
     def link_of(self, host):
         return self.link
 
-    def barred_for(self, host):
+    def ban_remaining(self, host):
         return 0.0
 
-    def called(self, host):
+    def on_dialled(self, host):
         pass
 
     def now(self):
@@ -142,7 +142,7 @@ def test_a_silent_link_is_dialled_beside_and_no_more_when_it_has_woken_up():
         assert len(owner.calls) >= 5.0 / LAST_RETRY - 1
         # Something comes over it.
         owner.link.linked_at = 0.0
-        owner.link._taken(None)
+        owner.link._on_accepted(None)
         assert not owner.link.is_suspected
         count = len(owner.calls)
         await asyncio.sleep(5.0)
@@ -168,11 +168,11 @@ def test_a_connection_is_used_unless_the_old_link_has_woken_up_meanwhile(wakes):
         owner, opened, used = Silent(), Opened(), []
 
         async def connect(address, session):
-            session.begin = used.append
+            session.open = used.append
             await asyncio.sleep(0.2)
             if wakes:
                 owner.link.is_suspected = False
-            session.over.set()
+            session.closed.set()
             return opened
 
         owner.connect = connect

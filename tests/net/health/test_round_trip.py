@@ -2,13 +2,13 @@
 
 import pytest
 
-from lfield.net.health.heartbeats import FIRST, HALF_LIFE, RoundTrip
+from lfield.net.health.link_heartbeats import HALF_LIFE, INITIAL_RTT, RoundTrip
 
 
 def test_the_first_sample_is_the_mean_and_twice_the_variation():
     """RFC 6298, section 2.2."""
     measured = RoundTrip()
-    assert (measured.mean, measured.bound, measured.longest(0.0)) == (None, None, FIRST)
+    assert (measured.mean, measured.bound, measured.longest(0.0)) == (None, None, INITIAL_RTT)
     measured.add(0.2, 0.0)
     assert (measured.mean, measured.variation) == (0.2, 0.1)
     assert measured.bound == pytest.approx(0.6)

@@ -6,15 +6,15 @@ from contextlib import suppress
 import pytest
 
 from lfield.net.health import tcp_options
-from lfield.net.health.tcp_options import LEAST_MARGIN, MOST_MARGIN, counts, margin, set_options
-from lfield.net.health.traffic import APART, FEWEST, PERIOD, Counts, Traffic
+from lfield.net.health.tcp_options import MAX_MARGIN, MIN_MARGIN, margin, read_counts, set_options
+from lfield.net.health.traffic import MIN_SEGMENTS, PERIOD, SAMPLE_EVERY, LinkTraffic, TcpCounts
 
 
-def after(*rows: tuple[float, int, int]) -> Traffic:
+def after(*rows: tuple[float, int, int]) -> LinkTraffic:
     """Counters read at some times: segments sent, and how many of them again."""
-    traffic = Traffic()
+    traffic = LinkTraffic()
     for now, segments, repeated in rows:
-        traffic.read(Counts(100 * segments, 7, segments, repeated), now)
+        traffic.record(TcpCounts(100 * segments, 7, segments, repeated), now)
     return traffic
 
 
@@ -23,14 +23,14 @@ def test_loss_is_the_share_of_segments_that_were_sent_again():
 
 
 def test_a_few_segments_say_nothing():
-    assert after((0.0, 0, 0), (10.0, FEWEST - 1, 2)).loss is None
+    assert after((0.0, 0, 0), (10.0, MIN_SEGMENTS - 1, 2)).loss is None
 
 
 def test_loss_is_of_the_last_minute():
-    rows = [(APART * n, 100 * n, 10 * min(n, 4)) for n in range(100)]
+    rows = [(SAMPLE_EVERY * n, 100 * n, 10 * min(n, 4)) for n in range(100)]
     assert after(*rows[:5]).loss == pytest.approx(0.1)
     assert after(*rows).loss == 0.0
-    assert len(after(*rows)._kept) <= PERIOD / APART + 2
+    assert len(after(*rows)._samples) <= PERIOD / SAMPLE_EVERY + 2
 
 
 def test_a_link_that_sends_little_has_the_loss_of_all_its_time():
@@ -39,13 +39,13 @@ def test_a_link_that_sends_little_has_the_loss_of_all_its_time():
 
 
 def test_a_kernel_that_tells_nothing_gives_nothing():
-    traffic = Traffic()
-    traffic.read(None, 1.0)
+    traffic = LinkTraffic()
+    traffic.record(None, 1.0)
     assert (traffic.loss, traffic.counts) == (None, None)
 
 
 def test_the_margin_follows_the_round_trip_within_bounds():
-    assert [margin(seconds) for seconds in (0.0, 0.2, 3.0)] == [LEAST_MARGIN, 0.1, MOST_MARGIN]
+    assert [margin(seconds) for seconds in (0.0, 0.2, 3.0)] == [MIN_MARGIN, 0.1, MAX_MARGIN]
 
 
 @pytest.fixture
@@ -66,7 +66,7 @@ def test_the_kernel_counts_what_went_over_a_connection(pair):
         left -= len(far.recv(left))
     far.sendall(bytes(50))
     assert near.recv(50)
-    told = counts(near)
+    told = read_counts(near)
     if told is None:
         pytest.skip("this kernel does not count what was sent")
     assert (told.bytes_sent, told.bytes_received, told.repeated) == (1000, 50, 0)
@@ -103,4 +103,4 @@ def test_a_queue_in_the_path_makes_time_outs_double(pair, round_trip, linear):
 def test_a_socket_that_is_no_tcp_connection_has_no_counts():
     one, other = socket.socketpair()
     with one, other:
-        assert counts(one) is None
+        assert read_counts(one) is None

@@ -8,17 +8,17 @@ import socket
 
 import pytest
 
-from lfield.authority.identity import STRANGER
+from lfield.authority.identity import ANONYMOUS
 from lfield.errors import WireError
-from lfield.net.framed import FramedLink
-from lfield.net.stream import StreamLink
-from lfield.net.waiting.reception import Reception
-from lfield.net.waiting.sending import FIRST_PART, LEAST_PART, MOST_PART, Sending
+from lfield.net.framed_link import FramedLink
+from lfield.net.scheduling.link_schedulers import LinkScheduler
+from lfield.net.scheduling.send_queue import INITIAL_PART, LARGEST_PART, MIN_PART, SendQueue
+from lfield.net.stream_link import StreamLink
 from lfield.testing.transport_kit import Recorder, transfer
 from lfield.wire.codec import CONTROL, HELLO, PART, encode
 from lfield.wire.framing import frame
-from lfield.wire.messages import Ping, Room
-from lfield.wire.observing import EmergencyStop, EmergencyStopped
+from lfield.wire.messages import Backpressure, Ping
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult
 
 STOP = EmergencyStop(bytes(16), "fire")
 
@@ -42,11 +42,11 @@ class Slow(asyncio.Transport):
 
     def link(self, max_pending: int = 1 << 24) -> StreamLink:
         made = StreamLink(
-            1 << 23, max_pending, lambda link: Recorder(), Reception(), lambda at: STRANGER, calls=True
+            1 << 23, max_pending, lambda link: Recorder(), LinkScheduler(), lambda at: ANONYMOUS, calls=True
         )
         self._link = made
         made.connection_made(self)
-        made.greeted("host")
+        made.accept_role("host")
         return made
 
     def write(self, data) -> None:
@@ -87,7 +87,7 @@ class Far(FramedLink):
     def __init__(self) -> None:
         super().__init__("near", 1 << 23)
         self.handler = Recorder()
-        self.greeted("host")
+        self.accept_role("host")
 
     def close(self) -> None:
         self.closed = True
@@ -98,7 +98,7 @@ def heard(said) -> list[object]:
     for data in said:
         far.received(data)
     assert far._error is None
-    return far.handler.heard
+    return far.handler.messages
 
 
 def in_loop(story) -> None:
@@ -114,7 +114,7 @@ def test_a_stop_passes_between_two_parts_of_a_block():
         link = slow.link()
         block = random.Random(1).randbytes(1 << 20)
         link.send_transfer(transfer(len(block)), block)
-        link.send(Room("behind"))
+        link.send(Backpressure("behind"))
         link._flush()
         written = sum(map(len, slow.said))
         assert written < 64 << 10
@@ -122,7 +122,7 @@ def test_a_stop_passes_between_two_parts_of_a_block():
         assert slow.said[-1] == encode(STOP)
         while slow._link._sending.is_busy:
             slow.drain()
-        assert heard(slow.said) == [STOP, (transfer(len(block)), block), Room("behind")]
+        assert heard(slow.said) == [STOP, (transfer(len(block)), block), Backpressure("behind")]
 
     in_loop(story)
 
@@ -131,17 +131,17 @@ def test_answers_to_stops_and_heartbeats_precede_what_observers_are_told():
     def story():
         slow = Slow(1 << 10)
         link = slow.link()
-        told = [Room(f"{n}" * 400) for n in range(10)]
+        told = [Backpressure(f"{n}" * 400) for n in range(10)]
         for message in told:
             link.send(message)
             link._flush()
-        answer = EmergencyStopped({"fc": ""}, "", bytes(16))
+        answer = EmergencyStopResult({"fc": ""}, "", bytes(16))
         link.send(answer)
         link.send(Ping(7))
         while slow._link._sending.is_busy:
             slow.drain()
         found = heard(slow.said)
-        assert [message for message in found if isinstance(message, Room)] == told
+        assert [message for message in found if isinstance(message, Backpressure)] == told
         assert found.index(answer) <= 4
         assert found.index(Ping(7)) == found.index(answer) + 1
 
@@ -152,10 +152,10 @@ def test_nothing_passes_what_was_sent_in_the_same_turn_before_it():
     def story():
         slow = Slow(1 << 20)
         link = slow.link()
-        link.send(Room("first"))
+        link.send(Backpressure("first"))
         link.send(STOP)
         link._flush()
-        assert heard(slow.said) == [Room("first"), STOP]
+        assert heard(slow.said) == [Backpressure("first"), STOP]
 
     in_loop(story)
 
@@ -165,7 +165,7 @@ def test_whoever_does_not_read_is_closed_when_too_much_waits():
         slow = Slow(1 << 10)
         link = slow.link(max_pending=1 << 16)
         for _ in range(200):
-            link.send(Room("x" * 1000))
+            link.send(Backpressure("x" * 1000))
             link._flush()
             if link.closed:
                 break
@@ -189,27 +189,27 @@ def test_what_waits_is_sent_before_a_link_is_closed():
 
 
 def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():
-    slow, now = Sending(), 0.0
+    slow, now = SendQueue(), 0.0
     slow.add(frame(CONTROL, bytes(1 << 20)))
     lengths = []
     for _ in range(12):
         lengths.append(len(slow.next()))
-        slow.full(now)
+        slow.on_full(now)
         now += lengths[-1] / 7200.0
-        slow.free(now)
-    assert slow.part == LEAST_PART
-    assert lengths[-1] <= LEAST_PART + 5
-    fast = Sending()
+        slow.on_writable(now)
+    assert slow.part == MIN_PART
+    assert lengths[-1] <= MIN_PART + 5
+    fast = SendQueue()
     fast.add(frame(CONTROL, bytes(1 << 20)))
     for _ in range(12):
         fast.next()
-        fast.taken()
-    assert fast.part == MOST_PART
+        fast.on_accepted()
+    assert fast.part == LARGEST_PART
 
 
 def test_a_greeting_is_never_sent_in_parts():
-    sending = Sending()
-    hello = frame(HELLO, bytes(4 * FIRST_PART))
+    sending = SendQueue()
+    hello = frame(HELLO, bytes(4 * INITIAL_PART))
     sending.add(hello)
     assert sending.next() == hello
     assert not sending.is_busy
@@ -218,9 +218,9 @@ def test_a_greeting_is_never_sent_in_parts():
 @pytest.mark.parametrize(
     "bad",
     [
-        frame(PART, encode(Room("a")) + encode(Room("b"))),
-        frame(PART, frame(PART, encode(Room("a")))),
-        frame(PART, encode(Room("a"))[:9]) + frame(PART, encode(Room("a"))[9:] + b"x"),
+        frame(PART, encode(Backpressure("a")) + encode(Backpressure("b"))),
+        frame(PART, frame(PART, encode(Backpressure("a")))),
+        frame(PART, encode(Backpressure("a"))[:9]) + frame(PART, encode(Backpressure("a"))[9:] + b"x"),
         frame(PART, bytes(1 << 18)),
     ],
 )

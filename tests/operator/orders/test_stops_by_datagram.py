@@ -6,19 +6,19 @@ import asyncio
 import socket
 
 import pytest
-from loop_hosts import EXECUTES, Network, keys
+from simulated_hosts import EXECUTES, Network, keys
 
-from lfield.authority import folder
+from lfield.authority import keystore
 from lfield.authority.identity import Right
-from lfield.authority.orders.signing import Signer
-from lfield.errors import AddressError, GreetingError, NobodyListens
-from lfield.host.stopping.rations import Sender
-from lfield.operator.addressed import Party, Place
-from lfield.operator.ask import ask_all, ask_parties, emergency_stop, pause
-from lfield.operator.orders import racing
+from lfield.authority.order_signing.order_signatures import OrderSigner
+from lfield.errors import AddressError, HandshakeError, NoListener
+from lfield.host.stop_orders.datagram_limits import Sender
+from lfield.operator.client import ask_all, ask_teams, emergency_stop, pause
+from lfield.operator.orders import path_race
 from lfield.operator.orders.known_hosts import KnownHosts
-from lfield.simulate.time import run_jumping
-from lfield.wire.observing import EmergencyStopped
+from lfield.operator.targets import HostRef, TargetTeam
+from lfield.simulate.jumping_loop import run_jumping
+from lfield.wire.observer_messages import EmergencyStopResult
 
 
 def given(network, request=None, desk=None, standing=None):
@@ -31,7 +31,7 @@ def given(network, request=None, desk=None, standing=None):
             network,
             network.addresses,
             request or emergency_stop("fire"),
-            desk=desk or network.desk(),
+            sender=desk or network.sender(),
             standing=standing,
             on_answer=lambda host, answer: took.setdefault(host, network.now - began),
         )
@@ -41,10 +41,12 @@ def given(network, request=None, desk=None, standing=None):
 
 def taught(network):
     """A desk that has talked to the hosts before, over connections."""
-    desk = network.desk()
+    desk = network.sender()
     for name, host in network.hosts.items():
-        host.certificates.learn(Signer(keys("person", "anna", frozenset(Right))).certificate)
-        desk.known.learn(name, epochs=host.orders.epochs, certificate=Signer(keys("host", name)).certificate)
+        host.certificates.add_der(OrderSigner(keys("person", "anna", frozenset(Right))).certificate)
+        desk.known.learn(
+            name, epochs=host.orders.epochs, certificate=OrderSigner(keys("host", name)).certificate
+        )
     return desk
 
 
@@ -70,7 +72,7 @@ def test_a_stop_takes_two_round_trips_of_a_desk_that_knows_nothing():
 
 def test_what_one_order_has_taught_makes_the_next_one_take_one_round_trip():
     network, desk = Network(3), None
-    desk = network.desk()
+    desk = network.sender()
     given(network, desk=desk)
     _, took = given(network, pause(), desk=desk)
     assert max(took.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
@@ -88,7 +90,7 @@ def test_a_host_that_was_started_again_costs_a_second_round_trip():
 def test_a_stop_that_was_ended_by_somebody_else_is_challenged_and_signed_again():
     network = Network(1)
     desk = taught(network)
-    network.hosts["h1"].orders.execute("lift", bytes(16))
+    network.hosts["h1"].orders.mark_executed("lift", bytes(16))
     answers, _ = given(network, desk=desk)
     assert all_confirmed(network, answers)
     assert [order.kind for order in network.hosts["h1"].executed] == ["stop"]
@@ -97,9 +99,9 @@ def test_a_stop_that_was_ended_by_somebody_else_is_challenged_and_signed_again()
 def test_a_lift_names_the_state_that_the_host_tells_and_not_one_that_was_kept():
     network = Network(1)
     desk = taught(network)
-    network.hosts["h1"].orders.execute("stop", bytes(16))
+    network.hosts["h1"].orders.mark_executed("stop", bytes(16))
     answers, _ = given(network, emergency_stop("", lift=True), desk)
-    assert answers["h1"] == EmergencyStopped(
+    assert answers["h1"] == EmergencyStopResult(
         {"h1.fc": ""}, "", answers["h1"].id, network.hosts["h1"].orders.epochs
     )
     assert [order.kind for order in network.hosts["h1"].executed] == ["lift"]
@@ -161,9 +163,9 @@ def test_hosts_that_are_not_reached_are_asked_through_those_that_are():
 def test_a_host_that_is_not_there_is_told_by_the_connection():
     network = Network(2)
     network.udp, network.refused = (lambda host: host != "h2"), (lambda host: host == "h2")
-    network.hosts["h1"].core.linked = tuple
+    network.hosts["h1"].linked = tuple
     answers, took = given(network)
-    assert isinstance(answers["h2"], NobodyListens)
+    assert isinstance(answers["h2"], NoListener)
     assert took["h2"] <= 2.0
     assert answers["h1"].devices == {"h1.fc": ""}
 
@@ -173,13 +175,13 @@ def test_nobody_answers_at_all_within_the_time_of_the_request():
     network.udp = network.tcp = lambda host: False
     answers, took = given(network)
     assert isinstance(answers["h1"], AddressError)
-    assert took["h1"] <= emergency_stop("").bound + racing.DATAGRAMS_FOR + racing.GRACE + 2.0
+    assert took["h1"] <= emergency_stop("").timeout + path_race.DATAGRAM_TIME + path_race.GRACE + 2.0
 
 
 def test_who_lacks_the_right_is_refused_at_once():
     network = Network(1)
-    answers, took = given(network, desk=network.desk(may=frozenset({Right.OBSERVE})))
-    assert isinstance(answers["h1"], GreetingError)
+    answers, took = given(network, desk=network.sender(may=frozenset({Right.OBSERVE})))
+    assert isinstance(answers["h1"], HandshakeError)
     assert "right to stop" in str(answers["h1"])
     assert took["h1"] <= 0.3
     assert not network.hosts["h1"].executed
@@ -213,7 +215,7 @@ def standing_of(network, after):
         await asyncio.sleep(abs(after))
         if after < 0:
             raise AddressError(host, "it is lost")
-        return EmergencyStopped({f"{host}.fc": ""}, "", message.id)
+        return EmergencyStopResult({f"{host}.fc": ""}, "", message.id)
 
     return order
 
@@ -248,13 +250,13 @@ def cache(tmp_path, monkeypatch):
 
 def test_what_was_learned_is_there_for_the_next_command_and_damage_costs_a_round_trip(cache):
     network, own = Network(2), keys("person", "anna", frozenset(Right))
-    given(network, desk=network.desk(KnownHosts.read(own.authority)))
-    assert KnownHosts.read(own.authority).of("h1").epochs == network.hosts["h1"].orders.epochs
-    _, took = given(network, desk=network.desk(KnownHosts.read(own.authority)))
+    given(network, desk=network.sender(KnownHosts.read(own.authority)))
+    assert KnownHosts.read(own.authority).host("h1").epochs == network.hosts["h1"].orders.epochs
+    _, took = given(network, desk=network.sender(KnownHosts.read(own.authority)))
     assert max(took.values()) == pytest.approx(network.trip + EXECUTES, abs=0.01)
     for damaged in (b"", b"\x00", cache.read_bytes()[:-1], cache.read_bytes() + b"\x00", b"\xff" * 2000):
         cache.write_bytes(damaged)
-        answers, _ = given(network, desk=network.desk(KnownHosts.read(own.authority)))
+        answers, _ = given(network, desk=network.sender(KnownHosts.read(own.authority)))
         assert all_confirmed(network, answers)
 
 
@@ -263,14 +265,14 @@ def test_a_file_of_which_others_could_be_the_author_is_not_read_and_not_followed
     known = KnownHosts(own.authority)
     known.learn("h1", trip=0.2)
     known.save()
-    assert KnownHosts.read(own.authority).of("h1").trip == 0.2
-    assert KnownHosts.read(b"another authority").of("h1").trip is None
+    assert KnownHosts.read(own.authority).host("h1").trip == 0.2
+    assert KnownHosts.read(b"another authority").host("h1").trip is None
     cache.chmod(0o666)
-    assert KnownHosts.read(own.authority).of("h1").trip is None
+    assert KnownHosts.read(own.authority).host("h1").trip is None
     cache.rename(tmp_path / "elsewhere")
     (tmp_path / "elsewhere").chmod(0o600)
     cache.symlink_to(tmp_path / "elsewhere")
-    assert KnownHosts.read(own.authority).of("h1").trip is None
+    assert KnownHosts.read(own.authority).host("h1").trip is None
     cache.unlink()
     cache.parent.chmod(0o777)
     known.learn("h1", trip=0.3)
@@ -292,25 +294,25 @@ def test_a_host_with_a_new_certificate_is_asked_for_it():
 
 
 def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
-    folder.write(tmp_path / "keys" / folder.ME, keys("person", "anna", frozenset(Right)))
+    keystore.write_keys(tmp_path / "keys" / keystore.OWN, keys("person", "anna", frozenset(Right)))
 
     async def story():
         host = Network(1).hosts["h1"]
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as port:
             port.bind(("127.0.0.1", 0))
-            host.core.send = lambda sender, data: port.sendto(data, sender.address)
+            host.send = lambda sender, data: port.sendto(data, sender.address)
             received = []
 
             def read():
                 data, sender = port.recvfrom(2000)
                 received.append(data)
-                host.core.came(data, Sender("desk", sender))
+                host.core.on_datagram(data, Sender("desk", sender))
 
             asyncio.get_running_loop().add_reader(port, read)
-            party = Party((), {"h1": f"127.0.0.1:{port.getsockname()[1]}"})
+            party = TargetTeam((), {"h1": f"127.0.0.1:{port.getsockname()[1]}"})
             for request in (emergency_stop("fire"), pause()):
-                answers = await asyncio.to_thread(ask_parties, [party], request, tmp_path / "keys")
-                assert answers[Place("", "h1")].devices == host.devices
+                answers = await asyncio.to_thread(ask_teams, [party], request, tmp_path / "keys")
+                assert answers[HostRef("", "h1")].devices == host.devices
                 received.append(None)
             asyncio.get_running_loop().remove_reader(port)
         return host, received

@@ -21,7 +21,7 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.remote.webelement import WebElement
 from selenium.webdriver.support.wait import WebDriverWait
 
-from lfield.authority.pages.page_keys import read_page
+from lfield.authority.web_ca.web_keys import read_web_keys
 
 T = TypeVar("T")
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
@@ -48,7 +48,7 @@ _OPTIONS = (
 
 def believing(keys: Path) -> list[str]:
     """Options that have a browser believe the certificate of a page, by the folder of its keys, alone."""
-    info = x509.load_pem_x509_certificate(read_page(keys).certificate).public_key()
+    info = x509.load_pem_x509_certificate(read_web_keys(keys).certificate).public_key()
     spki = info.public_bytes(Encoding.DER, PublicFormat.SubjectPublicKeyInfo)
     return [f"--ignore-certificate-errors-spki-list={b64encode(sha256(spki).digest()).decode()}"]
 
@@ -60,7 +60,7 @@ class Thing:
         self._browser, self._id = browser, id
 
     def _do(self, deed: Callable[[WebElement], T]) -> T:
-        return self._browser.look(lambda: deed(self._browser.all(self._id)[0]))
+        return self._browser.evaluate(lambda: deed(self._browser.all(self._id)[0]))
 
     @property
     def text(self) -> str:
@@ -116,10 +116,10 @@ class Browser:
         self.wait(lambda: self.all(id))
         return Thing(self, id)
 
-    def look(self, look: Callable[[], T]) -> T:
+    def evaluate(self, expression: Callable[[], T]) -> T:
         """What one look at the page gives; where it is drawn anew meanwhile, the next look."""
         found: list[T] = []
-        self.wait(lambda: found.append(look()) or True)
+        self.wait(lambda: found.append(expression()) or True)
         return found[0]
 
     def text(self, id: str) -> str:

@@ -15,30 +15,30 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lfield.capability.offer import Fact, Offer
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.clock import SystemClock
 from lfield.errors import AddressError
-from lfield.operator.sight.actions import Answer, Found, Order, Ordered
-from lfield.operator.sight.picture.curves import Curves
-from lfield.operator.sight.picture.presses import Presses
-from lfield.operator.sight.seen import (
-    AgentSeen,
+from lfield.operator.dashboard.operator_actions import OrderKind, OrderOutcome, PrimitiveMatches, QueryAnswer
+from lfield.operator.team_model.command_log import CommandLog
+from lfield.operator.team_model.curve_history import CurveHistory
+from lfield.operator.team_model.team_state import (
+    AgentState,
     Curve,
-    DeviceSeen,
-    Earth,
-    HopSeen,
-    HostSeen,
-    LinkSeen,
-    Local,
-    LogLine,
-    OfferSeen,
-    OrderSeen,
-    Reading,
-    Seen,
-    StopSeen,
-    VehicleSeen,
+    DeviceState,
+    GeoPosition,
+    HopState,
+    HostState,
+    LinkState,
+    LocalPosition,
+    OfferState,
+    OrderState,
+    ShownLogLine,
+    StopState,
+    TeamState,
+    TelemetryReading,
+    VehicleState,
 )
-from lfield.wire.observing import EmergencyStopped
+from lfield.wire.observer_messages import EmergencyStopResult
 
 #: Degrees of latitude in a metre.
 METRE = 1 / 111_320.0
@@ -56,7 +56,7 @@ class Script:
     stubborn: set[str] = field(default_factory=set)
     #: Hosts that hang: they are linked, and answer nothing.
     hung: set[str] = field(default_factory=set)
-    barred: dict[Order, str] = field(default_factory=dict)
+    denied_orders: dict[OrderKind, str] = field(default_factory=dict)
     #: Hosts that no link can be made with, each with the reason.
     refused: dict[str, str] = field(default_factory=dict)
     stopped: float | None = None
@@ -65,13 +65,13 @@ class Script:
 
     def __post_init__(self) -> None:
         self.began = self.now()
-        self.presses = Presses()
+        self.presses = CommandLog()
         self.held: set[str] = set()
         self.reason = "the emergency stop was pressed"
         self.low: set[str] = set()
         self.places: dict[str, tuple[float, float]] = {}
         self.frozen = {}
-        self.lines: list[LogLine] = []
+        self.lines: list[ShownLogLine] = []
         self.revision = 0
 
     # --- what changes it ----------------------------------------------------------------------------------
@@ -90,7 +90,7 @@ class Script:
             case ["stubborn", agent]:
                 self.stubborn.add(agent)
             case ["bar", order, *why]:
-                self.barred[order] = " ".join(why)
+                self.denied_orders[order] = " ".join(why)
             case ["latch", agent]:
                 self.stubborn.discard(agent)
                 self.stopped = self.now()
@@ -107,53 +107,55 @@ class Script:
                 print("counted", flush=True)
 
     def say(self, host: str, text: str, agent: str = "") -> None:
-        self.lines.append(LogLine(len(self.lines) + 1, host, time.time(), 0.0, agent, text))
+        self.lines.append(ShownLogLine(len(self.lines) + 1, host, time.time(), 0.0, agent, text))
 
     # --- Actions ------------------------------------------------------------------------------------------
 
-    async def stop(self, reason: str = "") -> Ordered:
+    async def stop(self, reason: str = "") -> OrderOutcome:
         self.reason = f"the emergency stop was pressed: {reason}"
         self.stopped = self.now()
         self.held |= self.order("stop")
         self.pressed.append("stop")
         print("pressed stop", flush=True)
-        return Ordered("stop")
+        return OrderOutcome("stop")
 
-    def order(self, order: Order) -> set[str]:
+    def order(self, order: OrderKind) -> set[str]:
         """The hosts that hear it."""
         names = [self.host_of(number) for number in range(self.count)]
-        number = self.presses.ordered(order, names, self.now())
+        number = self.presses.on_order(order, names, self.now())
         for name in set(names) - self.hung:
             nobody = AddressError(f"{name}:8181", "nobody listens there")
-            self.presses.answered(number, name, nobody if name in self.dead else EmergencyStopped({}))
+            self.presses.on_answer(number, name, nobody if name in self.dead else EmergencyStopResult({}))
         return set(names) - self.dead - self.hung
 
-    async def lift(self) -> Ordered:
+    async def lift(self) -> OrderOutcome:
         self.held -= self.order("lift")
         self.stopped = self.stopped if self.held else None
         print("pressed lift", flush=True)
-        return Ordered("lift")
+        return OrderOutcome("lift")
 
-    async def pause(self) -> Ordered:
+    async def pause(self) -> OrderOutcome:
         self.paused = True
         self.order("pause")
         print("pressed pause", flush=True)
-        return Ordered("pause")
+        return OrderOutcome("pause")
 
-    async def resume(self) -> Ordered:
+    async def resume(self) -> OrderOutcome:
         self.paused = False
         self.order("resume")
         print("pressed resume", flush=True)
-        return Ordered("resume")
+        return OrderOutcome("resume")
 
-    async def query(self, text: str) -> Answer:
+    async def query(self, text: str) -> QueryAnswer:
         if text == "Lift":
             offers = [
                 Offer("Lift", "direct", "lift", v.agent, v.host, 1.0, {"payload": Fact(2.5)})
-                for v in self.seen().vehicles.values()
+                for v in self.snapshot().vehicles.values()
             ]
-            return Answer(text, (Found(read_registry().primitives["Lift"], offers, len(offers), (), ()),))
-        return Answer(text, mistakes=f'error: nobody knows what "{text}" is')
+            return QueryAnswer(
+                text, (PrimitiveMatches(read_registry().primitives["Lift"], offers, len(offers), (), ()),)
+            )
+        return QueryAnswer(text, mistakes=f'error: nobody knows what "{text}" is')
 
     # --- Sight --------------------------------------------------------------------------------------------
 
@@ -163,7 +165,7 @@ class Script:
     def agent_of(self, number: int) -> str:
         return ("lead", "wing")[number] if self.count <= 2 else f"copter{number + 1}"
 
-    def vehicle(self, number: int) -> VehicleSeen:
+    def vehicle(self, number: int) -> VehicleState:
         host, agent = self.host_of(number), self.agent_of(number)
         now = self.frozen.get(host, self.now())
         seconds = now - self.began
@@ -173,7 +175,7 @@ class Script:
         height = 3.0 + number % 7 + 0.4 * math.sin(seconds)
         held = self.stopped is not None and host in self.held
         latched = held and agent not in self.stubborn
-        device = DeviceSeen(
+        device = DeviceState(
             f"{agent}.fc",
             agent,
             host,
@@ -183,16 +185,16 @@ class Script:
             latched,
             "" if latched and self.now() - (self.stopped or 0) > 1.5 else "descends at 0.8 m/s",
             0.1,
-            {"position": Reading([1.0, 2.0, 3.0], 0.1)},
+            {"position": TelemetryReading([1.0, 2.0, 3.0], 0.1)},
         )
         placed = agent not in self.unplaced
-        return VehicleSeen(
+        return VehicleState(
             agent,
             "Copter",
             host,
             host not in self.dead,
-            Local(north, east, -height) if placed else None,
-            Earth(47.4 + north * METRE, 8.5 + east * METRE / math.cos(math.radians(47.4)))
+            LocalPosition(north, east, -height) if placed else None,
+            GeoPosition(47.4 + north * METRE, 8.5 + east * METRE / math.cos(math.radians(47.4)))
             if placed and self.earth
             else None,
             0.1,
@@ -208,14 +210,14 @@ class Script:
             (device,),
         )
 
-    def seen(self) -> Seen:
+    def snapshot(self) -> TeamState:
         self.revision += 1
         seconds = self.now() - self.began
         names = [self.host_of(number) for number in range(self.count)]
         vehicles = {self.agent_of(number): self.vehicle(number) for number in range(self.count)}
         live = [name for name in names if name not in self.dead]
         hosts = {
-            name: HostSeen(
+            name: HostState(
                 name,
                 name in live,
                 "" if name in live else "nobody listens there",
@@ -227,7 +229,7 @@ class Script:
                 refused=self.refused,
                 bundle="5cde09b1f2a37c44",
                 links={
-                    other: LinkSeen(0.0431, 0.048, 12_300, 9_100)
+                    other: LinkState(0.0431, 0.048, 12_300, 9_100)
                     for other in [other for other in live if other != name][:3]
                     if name in live
                 },
@@ -237,7 +239,7 @@ class Script:
         hop = int(seconds / 2.0)
         at = [names[(hop + n) % len(names)] for n in range(2)]
         trail = tuple(
-            HopSeen(
+            HopState(
                 n,
                 names[(n - 1) % len(names)],
                 names[n % len(names)],
@@ -249,7 +251,7 @@ class Script:
             )
             for n in range(max(1, hop - 4), hop + 1)
         )
-        pilot = AgentSeen(
+        pilot = AgentState(
             "pilot",
             "FirstFlight",
             "coordinator",
@@ -268,15 +270,15 @@ class Script:
         )
         if int(seconds) > len([line for line in self.lines if line.agent]):
             self.say(at[0], f"at {vehicles[self.agent_of(hop % self.count)].height:.1f} m", "pilot")
-        orders = self.presses.seen(self.now(), hosts, {})
-        return Seen(
+        orders = self.presses.snapshot(self.now(), hosts, {})
+        return TeamState(
             "mission",
             self.revision,
             hosts,
             vehicles,
             {"pilot": pilot},
             {
-                name: OfferSeen(
+                name: OfferState(
                     name, "Copter", v.host, "" if v.fresh else f"{v.host} is not reached", v.fresh
                 )
                 for name, v in vehicles.items()
@@ -287,16 +289,16 @@ class Script:
         )
 
     def stop_seen(
-        self, vehicles: dict[str, VehicleSeen], hosts: dict[str, HostSeen], orders: tuple[OrderSeen, ...]
-    ) -> StopSeen:
+        self, vehicles: dict[str, VehicleState], hosts: dict[str, HostState], orders: tuple[OrderState, ...]
+    ) -> StopState:
         if self.stopped is None:
-            return StopSeen()
+            return StopState()
         devices = [
             device for vehicle in vehicles.values() for device in vehicle.devices if device.host in self.held
         ]
         seen = [device for device in devices if device.fresh]
         asked = next((order.asked for order in orders if order.order == "stop"), ())
-        return StopSeen(
+        return StopState(
             self.reason,
             "anna",
             self.now() - self.stopped,
@@ -310,7 +312,7 @@ class Script:
 
     def curves(self) -> tuple[Curve, ...]:
         """Of the last five minutes, as the product has them."""
-        now, curves = self.now(), Curves()
+        now, curves = self.now(), CurveHistory()
         for ago in range(300, -1, -5):
             seconds = now - self.began - ago
             vehicles = {}
@@ -323,14 +325,14 @@ class Script:
                     link=0.1 + 0.1 * abs(math.sin(seconds * (number + 1))),
                 )
             curves.add(now - ago, vehicles, {"pilot": 30 + 4 * math.sin(seconds / 20)})
-        return curves.seen(now)
+        return curves.snapshot(now)
 
 
 async def main() -> None:
-    from lfield.authority.pages.page_keys import read_page
-    from lfield.operator.web.server import Served, serve
-    from lfield.operator.web.site import on_a_network, on_this_computer
-    from lfield.operator.web.tiles import Tiles
+    from lfield.authority.web_ca.web_keys import read_web_keys
+    from lfield.operator.web.mbtiles import MbtilesSource
+    from lfield.operator.web.page_server import ServedPage, serve
+    from lfield.operator.web.page_site import local_site, network_site
 
     parser = argparse.ArgumentParser()
     parser.add_argument("--count", type=int, default=2)
@@ -348,12 +350,12 @@ async def main() -> None:
             loop.call_soon_threadsafe(script.do, line.split())
 
     threading.Thread(target=read, daemon=True).start()
-    tiles = Tiles(args.tiles) if args.tiles else None
-    served = Served("first-flight", script, script, SystemClock(), tiles)
+    tiles = MbtilesSource(args.tiles) if args.tiles else None
+    served = ServedPage("first-flight", script, script, SystemClock(), tiles)
     if args.listen is None:
-        site = await on_this_computer(args.port, print)
+        site = await local_site(args.port, print)
     else:
-        site = await on_a_network(args.listen, args.port, read_page(args.page_keys), print)
+        site = await network_site(args.listen, args.port, read_web_keys(args.page_keys), print)
     await serve(served, site, lambda link: print(link, flush=True))
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 
 from lfield.capability.model import Primitive
-from lfield.capability.offer import Fact, Offer, Refusal
-from lfield.capability.reading.reader import read_registry
-from lfield.operator.sight.actions import Answer, Found, Ordered
-from lfield.operator.web.answers import answered, ordered
+from lfield.capability.offer import Fact, Offer, Rejection
+from lfield.capability.registry_reader.registry_files import read_registry
+from lfield.operator.dashboard.operator_actions import OrderOutcome, PrimitiveMatches, QueryAnswer
+from lfield.operator.web.answer_json import order_json, query_json
 
 
 def test_offers_have_units_and_refusals_their_reasons():
@@ -19,9 +19,11 @@ def test_offers_have_units_and_refusals_their_reasons():
     both = Offer(
         "Lift", "composed", "w", "arm1+lead", "alpha+bravo", 3.0, {}, {"w_grip": arm}, "grip-and-climb"
     )
-    refused = Refusal("rover", ("payload 0.2 < 2.0",))
-    found = Found(primitive(), (copter, both), 2, (refused,), ("only the best",), {"payload": "kg"})
-    told = json.loads(answered(Answer("Lift", (found,), {"charlie": "nobody listens"})))
+    refused = Rejection("rover", ("payload 0.2 < 2.0",))
+    found = PrimitiveMatches(
+        primitive(), (copter, both), 2, (refused,), ("only the best",), {"payload": "kg"}
+    )
+    told = json.loads(query_json(QueryAnswer("Lift", (found,), {"charlie": "nobody listens"})))
     (lift,) = told["found"]
     first, second = lift["offers"]
     assert first["facts"] == ["payload 0.5 kg", "tools winch"]
@@ -38,6 +40,8 @@ def primitive() -> Primitive:
 
 
 def test_an_order_tells_whether_all_is_well():
-    assert json.loads(ordered(Ordered("stop", ("lead.fc",))))["well"] is True
-    told = json.loads(ordered(Ordered("stop", ("lead.fc",), {"wing.fc": "no answer"}, {"charlie": "gone"})))
+    assert json.loads(order_json(OrderOutcome("stop", ("lead.fc",))))["well"] is True
+    told = json.loads(
+        order_json(OrderOutcome("stop", ("lead.fc",), {"wing.fc": "no answer"}, {"charlie": "gone"}))
+    )
     assert (told["well"], told["confirmed"], told["unreached"]) == (False, ["lead.fc"], {"charlie": "gone"})

@@ -4,30 +4,30 @@ from __future__ import annotations
 
 import pytest
 
-from lfield.operator.sight.actions import Order
-from lfield.operator.web.buttons import PROMPT, UNSEEN, refusal, told
+from lfield.operator.web.button_orders import MAX_DELAY, NOT_SHOWN_YET, refusal, stop_reason
+from lfield.wire.order_messages import OrderKind
 
 PRESSED = 5000.0
 
 
 @pytest.mark.parametrize("order", ["lift", "resume"])
-def test_what_releases_is_refused_when_it_is_late(order: Order) -> None:
-    assert refusal(order, PRESSED, PRESSED + PROMPT) == ""
+def test_what_releases_is_refused_when_it_is_late(order: OrderKind) -> None:
+    assert refusal(order, PRESSED, PRESSED + MAX_DELAY) == ""
     assert "it came 31 s after it was pressed" in refusal(order, PRESSED, PRESSED + 31.0)
 
 
-@pytest.mark.parametrize("pressed", [None, True, "5000", [], PRESSED + PROMPT + 1.0, 10**400])
+@pytest.mark.parametrize("pressed", [None, True, "5000", [], PRESSED + MAX_DELAY + 1.0, 10**400])
 def test_what_does_not_say_when_it_was_pressed_releases_nothing(pressed: object) -> None:
-    assert refusal("lift", pressed, PRESSED) == UNSEEN
+    assert refusal("lift", pressed, PRESSED) == NOT_SHOWN_YET
     assert refusal("stop", pressed, PRESSED) == ""
-    assert told("why", pressed, PRESSED) == "why"
+    assert stop_reason("why", pressed, PRESSED) == "why"
 
 
 @pytest.mark.parametrize("order", ["stop", "pause"])
-def test_what_makes_safer_is_never_too_late(order: Order) -> None:
+def test_what_makes_safer_is_never_too_late(order: OrderKind) -> None:
     assert refusal(order, PRESSED, PRESSED + 3600.0) == ""
 
 
 def test_a_stop_says_that_it_was_late() -> None:
-    assert told("on the page", PRESSED, PRESSED + 0.2) == "on the page"
-    assert told("on the page", PRESSED, PRESSED + 31.2) == "on the page; it came 31 s late"
+    assert stop_reason("on the page", PRESSED, PRESSED + 0.2) == "on the page"
+    assert stop_reason("on the page", PRESSED, PRESSED + 31.2) == "on the page; it came 31 s late"

@@ -8,7 +8,7 @@ import socket
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
 
-from lfield.operator.web.callers import MOST, Callers
+from lfield.operator.web.accept_limiter import MAX_CALLERS, AcceptLimiter
 
 #: Seconds for anything that is only a matter of time on a busy machine.
 PATIENCE = 60.0
@@ -64,8 +64,8 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
                 what(*words)
 
         with socket.create_server(("127.0.0.1", 0)) as opened:
-            callers = Callers(None, random.Random(1), HELD)
-            callers.begin(Echo)
+            callers = AcceptLimiter(None, random.Random(1), HELD)
+            callers.start(Echo)
             name = opened.getsockname()
             taking = await callers.serve(opened)
             made: list[Caller] = []
@@ -89,7 +89,7 @@ def tried(story: Callable[..., Awaitable[None]]) -> None:
 def test_a_stranger_is_shown_out_and_who_is_known_stays():
     async def story(callers, call, late) -> None:
         guest, stranger = await call(), await call()
-        callers.known(guest.peer)
+        callers.on_authenticated(guest.peer)
         late()
         await stranger.gone()
         assert await guest.heard()
@@ -103,10 +103,10 @@ def test_a_stranger_is_shown_out_and_who_is_known_stays():
 def test_so_many_strangers_are_held_and_the_next_is_let_in():
     async def story(callers, call, late) -> None:
         guest = await call()
-        callers.known(guest.peer)
-        strangers = [await call() for _ in range(3 * MOST)]
+        callers.on_authenticated(guest.peer)
+        strangers = [await call() for _ in range(3 * MAX_CALLERS)]
         still = [stranger for stranger in strangers if await stranger.heard()]
-        assert len(still) == MOST
+        assert len(still) == MAX_CALLERS
         assert strangers[-1] in still
         assert await guest.heard()
 
@@ -118,8 +118,8 @@ def test_who_leaves_first_is_missed_by_nobody():
         for _ in range(3):
             caller = await call()
             caller.writer.close()
-            callers.known(caller.peer)
-            callers.known(caller.peer)
+            callers.on_authenticated(caller.peer)
+            callers.on_authenticated(caller.peer)
         late()
         assert await (await call()).heard()
 

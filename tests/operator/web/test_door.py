@@ -8,57 +8,64 @@ from urllib.parse import quote
 
 import pytest
 
-from lfield.operator.web.door import FOREIGN_ADDRESS, FOREIGN_PAGE, MOST_SESSIONS, NO_SESSION, Door, Knock
-from lfield.operator.web.gate import Gate, cookie_values
+from lfield.operator.web.auth_middleware import AuthMiddleware, cookie_values
+from lfield.operator.web.page_sessions import (
+    FOREIGN_ADDRESS,
+    FOREIGN_PAGE,
+    MAX_SESSIONS,
+    NO_SESSION,
+    PageRequest,
+    PageSessions,
+)
 
 HERE = "127.0.0.1:8000"
 OURS = f"http://{HERE}"
 
 
 @pytest.fixture
-def door() -> Door:
+def door() -> PageSessions:
     secrets = (f"secret-{number}" for number in count())
-    return Door((HERE,), lambda: next(secrets))
+    return PageSessions((HERE,), lambda: next(secrets))
 
 
 def test_a_link_opens_one_browser(door):
     first = door.token
-    session = door.enter(first)
+    session = door.log_in(first)
     assert session is not None
-    assert door.enter(first) is None
-    assert door.refusal(Knock(HERE, sessions=(session,))) == ""
+    assert door.log_in(first) is None
+    assert door.refusal(PageRequest(HERE, sessions=(session,))) == ""
     assert door.token != first
-    assert door.enter(door.token) not in (None, session)
+    assert door.log_in(door.token) not in (None, session)
 
 
 @pytest.mark.parametrize("token", ["", "secret", "sécret-0", "secret-00"])
 def test_other_words_open_nothing(door, token):
-    assert door.enter(token) is None
+    assert door.log_in(token) is None
     assert door.token == "secret-0"
 
 
 def test_without_a_session_nothing_is_answered(door):
-    assert door.refusal(Knock(HERE)) == NO_SESSION
-    assert door.refusal(Knock(HERE, sessions=("guessed",))) == NO_SESSION
+    assert door.refusal(PageRequest(HERE)) == NO_SESSION
+    assert door.refusal(PageRequest(HERE, sessions=("guessed",))) == NO_SESSION
 
 
 def test_a_name_that_was_made_to_point_here_is_refused(door):
-    session = door.enter(door.token)
-    assert door.refusal(Knock("evil.example:8000", sessions=(session,))) == FOREIGN_ADDRESS
-    assert door.refusal(Knock("127.0.0.1:9000", sessions=(session,))) == FOREIGN_ADDRESS
+    session = door.log_in(door.token)
+    assert door.refusal(PageRequest("evil.example:8000", sessions=(session,))) == FOREIGN_ADDRESS
+    assert door.refusal(PageRequest("127.0.0.1:9000", sessions=(session,))) == FOREIGN_ADDRESS
 
 
 @pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:9000"])
 def test_only_our_page_acts(door, origin):
-    session = door.enter(door.token)
-    assert door.refusal(Knock(HERE, origin, (session,), acts=True)) == FOREIGN_PAGE
-    assert door.refusal(Knock(HERE, OURS, (session,), acts=True)) == ""
+    session = door.log_in(door.token)
+    assert door.refusal(PageRequest(HERE, origin, (session,), is_action=True)) == FOREIGN_PAGE
+    assert door.refusal(PageRequest(HERE, OURS, (session,), is_action=True)) == ""
 
 
 def test_of_too_many_browsers_the_first_goes(door):
-    sessions = [door.enter(door.token) for _ in range(MOST_SESSIONS + 1)]
-    assert door.refusal(Knock(HERE, sessions=(sessions[0],))) == NO_SESSION
-    assert all(not door.refusal(Knock(HERE, sessions=(session,))) for session in sessions[1:])
+    sessions = [door.log_in(door.token) for _ in range(MAX_SESSIONS + 1)]
+    assert door.refusal(PageRequest(HERE, sessions=(sessions[0],))) == NO_SESSION
+    assert all(not door.refusal(PageRequest(HERE, sessions=(session,))) for session in sessions[1:])
 
 
 # --- the gate in front of an application -----------------------------------------------------------------
@@ -77,7 +84,9 @@ class Inside:
             await send({"type": "http.response.body", "body": b"in"})
 
 
-def knock(gate: Gate, path: str, method: str = "GET", kind: str = "http", **headers: str) -> list[dict]:
+def knock(
+    gate: AuthMiddleware, path: str, method: str = "GET", kind: str = "http", **headers: str
+) -> list[dict]:
     """What the gate answers."""
     path, _, query = path.partition("?")
     given = {"host": HERE, **headers}
@@ -114,11 +123,11 @@ def known() -> list[tuple[str, int]]:
 
 
 @pytest.fixture
-def gate(inside, door, known) -> Gate:
-    return Gate(inside, door, "lfield-8000", lambda: None, known.append)
+def gate(inside, door, known) -> AuthMiddleware:
+    return AuthMiddleware(inside, door, "lfield-8000", lambda: None, known.append)
 
 
-def entered(gate: Gate, door: Door) -> str:
+def entered(gate: AuthMiddleware, door: PageSessions) -> str:
     """The cookie of a browser that was let in."""
     (start, _) = knock(gate, f"/?token={quote(door.token)}")
     headers = dict(start["headers"])

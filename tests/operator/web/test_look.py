@@ -6,8 +6,15 @@ import json
 
 from scripted_team import Script
 
-from lfield.operator.sight.seen import Curve, LogLine
-from lfield.operator.web.look import EVERY, LINES, POINTS, Looks, lines, plots
+from lfield.operator.team_model.team_state import Curve, ShownLogLine
+from lfield.operator.web.page_snapshots import (
+    MAX_LOG_LINES,
+    MAX_POINTS,
+    MIN_INTERVAL,
+    PageSnapshots,
+    log_json,
+    plots_json,
+)
 
 
 class Time:
@@ -18,8 +25,8 @@ class Time:
         return self.now
 
 
-def looks_of(script: Script, time: Time) -> Looks:
-    return Looks(script, lambda: script.barred, None, time)
+def looks_of(script: Script, time: Time) -> PageSnapshots:
+    return PageSnapshots(script, lambda: script.denied_orders, None, time)
 
 
 def test_never_more_than_twenty_a_second_however_many_ask():
@@ -27,47 +34,47 @@ def test_never_more_than_twenty_a_second_however_many_ask():
     script = Script(2, now=time)
     looks = looks_of(script, time)
     for _ in range(1000):
-        looks.look(0)
+        looks.snapshot(0)
         time.now += 0.001
-    assert script.revision <= 1 + 1.0 / EVERY
+    assert script.revision <= 1 + 1.0 / MIN_INTERVAL
 
 
 def test_a_page_that_was_asleep_needs_one_look():
     time = Time()
     script = Script(2, now=time)
     looks = looks_of(script, time)
-    before = json.loads(looks.look(0))
+    before = json.loads(looks.snapshot(0))
     time.now += 3600.0
     script.say("alpha", "much has happened")
-    after = json.loads(looks.look(before["log"][-1]["serial"] if before["log"] else 0))
+    after = json.loads(looks.snapshot(before["log"][-1]["serial"] if before["log"] else 0))
     assert "much has happened" in [line["text"] for line in after["log"]]
     assert after["look"]["vehicles"][0]["place"] != before["look"]["vehicles"][0]["place"]
 
 
 def test_what_no_page_shows_is_not_sent():
     time = Time()
-    vehicle = json.loads(looks_of(Script(1, now=time), time).look(0))["look"]["vehicles"][0]
+    vehicle = json.loads(looks_of(Script(1, now=time), time).snapshot(0))["look"]["vehicles"][0]
     assert vehicle["devices"][0]["readings"] == {}
     assert vehicle["height"] > 0
 
 
 def test_fifty_vehicles_take_tens_of_kilobytes():
     time = Time()
-    assert len(looks_of(Script(50, now=time), time).look(0)) < 64_000
+    assert len(looks_of(Script(50, now=time), time).snapshot(0)) < 64_000
 
 
 def test_lines_are_those_that_a_page_does_not_have():
-    log = [LogLine(serial, "alpha", 0.0, 0.0, "", f"line {serial}") for serial in range(5, 2005)]
-    assert [line["serial"] for line in json.loads(lines(log, 2002))] == [2003, 2004]
-    assert json.loads(lines(log, 2004)) == []
-    newest = [line["serial"] for line in json.loads(lines(log, 0))]
-    assert newest == list(range(2005 - LINES, 2005))
+    log = [ShownLogLine(serial, "alpha", 0.0, 0.0, "", f"line {serial}") for serial in range(5, 2005)]
+    assert [line["serial"] for line in json.loads(log_json(log, 2002))] == [2003, 2004]
+    assert json.loads(log_json(log, 2004)) == []
+    newest = [line["serial"] for line in json.loads(log_json(log, 0))]
+    assert newest == list(range(2005 - MAX_LOG_LINES, 2005))
 
 
 def test_curves_keep_the_newest_point():
     curve = Curve("height", "lead", tuple((float(n), float(n)) for n in range(1000, -1, -1)))
-    (drawn,) = json.loads(plots([curve]))
-    assert len(drawn["points"]) <= POINTS
+    (drawn,) = json.loads(plots_json([curve]))
+    assert len(drawn["points"]) <= MAX_POINTS
     assert drawn["points"][-1] == [0.0, 0.0]
     ages = [point[0] for point in drawn["points"]]
     assert ages == sorted(ages, reverse=True)

@@ -12,8 +12,8 @@ from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 
-from lfield.operator.web.door import NO_SESSION, OLD_LINK
-from lfield.operator.web.look import LINES
+from lfield.operator.web.page_sessions import NO_SESSION, OLD_LINK
+from lfield.operator.web.page_snapshots import MAX_LOG_LINES
 
 pytestmark = [needs_browser, pytest.mark.browser, pytest.mark.process, pytest.mark.long]
 
@@ -39,6 +39,7 @@ def test_two_copters_move(browser, page_of):
     assert browser.errors == []
 
 
+@pytest.mark.few(0)
 def test_nothing_leaves_this_computer(browser, page_of):
     page = page_of("--earth")
     browser.open(page.link)
@@ -206,6 +207,7 @@ def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of
     browser.wait(lambda: not browser.all("failed") and not browser.all("asking-stop"))
 
 
+@pytest.mark.few(0)
 def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, page_of):
     page = page_of()
     browser.open(page.link)
@@ -221,7 +223,7 @@ def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, pag
     browser.wait(lambda: not browser.all("failed"))
 
 
-@pytest.mark.few(1)
+@pytest.mark.few(0)
 @pytest.mark.parametrize("order", ["lift", "resume"])
 def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_of, order):
     page = page_of()
@@ -303,6 +305,7 @@ def test_who_may_not_press_a_button_reads_why(browser, page_of):
     browser.says("barred-lift", "your keys let you stop, not operate")
 
 
+@pytest.mark.few(0)
 def test_on_a_phone_everything_is_below_one_another_and_stop_stays(browser, page_of):
     page = page_of("--count", 6)
     size = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
@@ -334,7 +337,7 @@ def test_with_a_keyboard_alone(browser, page_of):
     def press(*keys: str) -> str:
         """What has the focus then."""
         ActionChains(browser.driver).send_keys(*keys).perform()
-        return browser.look(
+        return browser.evaluate(
             lambda: browser.driver.switch_to.active_element.get_attribute("data-testid") or ""
         )
 
@@ -385,7 +388,7 @@ def test_on_the_earth_places_are_degrees(browser, page_of):
     assert "m north" in browser.thing("place-lead").get_attribute("title")
     labels = ".sky .grid text"
     browser.wait(lambda: browser.driver.find_elements(By.CSS_SELECTOR, labels))
-    told = browser.look(
+    told = browser.evaluate(
         lambda: [label.text for label in browser.driver.find_elements(By.CSS_SELECTOR, labels)]
     )
     assert any(text.startswith("47.4") and text.endswith("° N") for text in told), told
@@ -512,7 +515,7 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     browser.driver.execute_cdp_cmd("Page.setWebLifecycleState", {"state": "active"})
     browser.says("log", "line 1099")
     browser.says("host-bravo", "nobody listens there")
-    assert len(browser.thing("log").parts("time", bool)) == LINES
+    assert len(browser.thing("log").parts("time", bool)) == MAX_LOG_LINES
     browser.says("log-gap", "missing here")
     browser.wait(lambda: "last look" not in browser.text("state"))
 

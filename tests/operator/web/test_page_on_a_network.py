@@ -16,27 +16,33 @@ from urllib.parse import urlsplit
 import pytest
 from real_browser import Browser, believing, needs_browser
 
-from lfield.authority.pages.browsers import Browsers, new_browsers
-from lfield.authority.pages.page_keys import PageKeys, read_page, write_page
+from lfield.authority.web_ca.browser_ca import BrowserCa, new_browser_ca
+from lfield.authority.web_ca.web_keys import WebKeys, read_web_keys, write_web_keys
 from lfield.errors import AddressError, KeysError
-from lfield.net.paths import listener
-from lfield.operator.web.door import FOREIGN_ADDRESS, FOREIGN_PAGE, NO_SESSION, OLD_LINK, Door
-from lfield.operator.web.site import addresses_of, on_a_network
+from lfield.net.connections import listener
+from lfield.operator.web.page_sessions import (
+    FOREIGN_ADDRESS,
+    FOREIGN_PAGE,
+    NO_SESSION,
+    OLD_LINK,
+    PageSessions,
+)
+from lfield.operator.web.page_site import addresses_of, network_site
 
 ADDRESS, NAME, DAY = "127.0.0.2", "ground.local", 86400.0
 
 
 @pytest.fixture(scope="module")
-def root() -> Browsers:
-    return new_browsers(time.time() - 60.0, time.time() + 9 * DAY)
+def root() -> BrowserCa:
+    return new_browser_ca(time.time() - 60.0, time.time() + 9 * DAY)
 
 
 @pytest.fixture(scope="module")
-def folder(root: Browsers, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(root: BrowserCa, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The keys of a page."""
     made = root.issue([ADDRESS, NAME], at=time.time() - 60.0, ends=time.time() + DAY)
     folder = tmp_path_factory.mktemp("keys") / "page"
-    write_page(folder, made.certificate, made.key)
+    write_web_keys(folder, made.certificate, made.key)
     return folder
 
 
@@ -67,7 +73,7 @@ class Client:
 
 
 @pytest.fixture
-def client(page, root: Browsers) -> Client:
+def client(page, root: BrowserCa) -> Client:
     return Client(page.link, root.certificate)
 
 
@@ -133,7 +139,7 @@ def test_without_tls_nothing_is_answered_and_strangers_believe_nobody(page, clie
         plain.sendall(f"GET {client.path} HTTP/1.1\r\nHost: {ADDRESS}:{client.port}\r\n\r\n".encode())
         assert b"HTTP" not in b"".join(iter(lambda: plain.recv(1 << 12), b""))
     with pytest.raises(ssl.SSLCertVerificationError):
-        Client(page.link, new_browsers(time.time() - 60.0, time.time() + DAY).certificate).asks("/")
+        Client(page.link, new_browser_ca(time.time() - 60.0, time.time() + DAY).certificate).asks("/")
     old = ssl.create_default_context()
     old.check_hostname, old.verify_mode, old.maximum_version = (
         False,
@@ -173,13 +179,13 @@ def test_a_browser_opens_it_and_presses_stop(page_of, folder: Path) -> None:
 
 
 @pytest.fixture
-def keys(folder: Path) -> PageKeys:
-    return read_page(folder)
+def keys(folder: Path) -> WebKeys:
+    return read_web_keys(folder)
 
 
-def test_a_site_has_the_names_of_its_certificate(keys: PageKeys) -> None:
+def test_a_site_has_the_names_of_its_certificate(keys: WebKeys) -> None:
     async def story() -> None:
-        site = await on_a_network(ADDRESS, 0, keys, print)
+        site = await network_site(ADDRESS, 0, keys, print)
         port = site.port
         assert site.addresses == [f"{ADDRESS}:{port}", f"{NAME}:{port}"]
         assert site.link("t") == f"https://{ADDRESS}:{port}/?token=t"
@@ -198,7 +204,7 @@ class Echo(asyncio.Protocol):
         self.transport.write(data)
 
 
-async def answers(address: str, port: int, root: Browsers) -> bool:
+async def answers(address: str, port: int, root: BrowserCa) -> bool:
     """Whether a browser that believes this root reaches the page at an address."""
     context = ssl.create_default_context(cadata=root.certificate.decode())
     try:
@@ -211,7 +217,7 @@ async def answers(address: str, port: int, root: Browsers) -> bool:
     return answered
 
 
-def test_a_page_is_served_where_its_name_leads_now(keys: PageKeys, root: Browsers, monkeypatch) -> None:
+def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: BrowserCa, monkeypatch) -> None:
     """Also at the other family, and where an address of the name is not there yet."""
     leads, real = ["192.0.2.1", "127.0.0.2", "10.99.99.99"], socket.getaddrinfo
 
@@ -224,15 +230,15 @@ def test_a_page_is_served_where_its_name_leads_now(keys: PageKeys, root: Browser
 
     async def story() -> None:
         notes: list[str] = []
-        site = await on_a_network(NAME, 0, keys, notes.append)
-        site.callers.begin(Echo)
+        site = await network_site(NAME, 0, keys, notes.append)
+        site.limiter.start(Echo)
         assert await answers("127.0.0.2", site.port, root)
         leads[:] = ["192.0.2.1", "::1"]
         async with asyncio.timeout(30.0):
             while not await answers("::1", site.port, root) or await answers("127.0.0.2", site.port, root):
                 await asyncio.sleep(0.01)
-        assert f"this computer listens at [::1]:{site.port}, too: {NAME} leads there now" in notes
-        assert any("cannot listen at 192.0.2.1:" in note and "'ip address' lists" in note for note in notes)
+        assert f"also listening on [::1]:{site.port}: {NAME} now resolves to it" in notes
+        assert any("not listening on 192.0.2.1:" in note and "'ip address' lists" in note for note in notes)
         site.close()
         await asyncio.sleep(0)
         assert not await answers("::1", site.port, root)
@@ -251,18 +257,18 @@ def test_a_page_is_served_where_its_name_leads_now(keys: PageKeys, root: Browser
 )
 def test_browsers_leave_out_the_usual_port(port: int, scheme: str, addresses: list[str]) -> None:
     assert addresses_of(("10.0.0.1", "fd00::2"), port, scheme) == addresses
-    assert Door(addresses, str, scheme).secure is (scheme == "https")
+    assert PageSessions(addresses, str, scheme).secure is (scheme == "https")
 
 
-def site_at(name: str, keys: PageKeys) -> None:
-    asyncio.run(on_a_network(name, 0, keys, print))
+def site_at(name: str, keys: WebKeys) -> None:
+    asyncio.run(network_site(name, 0, keys, print))
 
 
 def unknown(*words: object, **more: object) -> list[object]:
     raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
 
 
-def test_what_is_no_address_of_this_computer_is_told(keys: PageKeys, monkeypatch) -> None:
+def test_what_is_no_address_of_this_computer_is_told(keys: WebKeys, monkeypatch) -> None:
     with pytest.raises(AddressError, match="it is no address of this computer"):
         site_at("10.99.99.99", keys)
     for address in ("fe80::1", "fe80::1%eth0"):
@@ -271,11 +277,11 @@ def test_what_is_no_address_of_this_computer_is_told(keys: PageKeys, monkeypatch
     with pytest.raises(AddressError, match="which no other computer reaches; give the address"):
         site_at("localhost", keys)
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
-    with pytest.raises(AddressError, match="nobody here knows the address of that name"):
+    with pytest.raises(AddressError, match="unknown host name"):
         site_at(NAME, keys)
 
 
-def test_keys_that_openssl_cannot_use_are_told(keys: PageKeys) -> None:
-    broken = PageKeys(keys.names, keys.begins, keys.ends, keys.certificate, b"")
+def test_keys_that_openssl_cannot_use_are_told(keys: WebKeys) -> None:
+    broken = WebKeys(keys.names, keys.valid_from, keys.valid_until, keys.certificate, b"")
     with pytest.raises(KeysError, match="the page's keys cannot be used"):
         site_at(ADDRESS, broken)

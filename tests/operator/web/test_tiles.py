@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 
 import pytest
 
 from lfield.errors import InputFileError
-from lfield.operator.web.tiles import Tiles
+from lfield.operator.web.mbtiles import MbtilesSource
 
 PNG = b"\x89PNG\r\n\x1a\n"
 
@@ -26,30 +27,33 @@ def made(path, rows, metadata=(("attribution", "a survey"),)):
 
 
 def test_rows_are_counted_from_the_north(tmp_path):
-    tiles = Tiles(made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG + b"south"), (2, 1, 3, PNG + b"north")]))
-    assert tiles.tile(2, 1, 0).data == PNG + b"north"
-    assert tiles.tile(2, 1, 3).data == PNG + b"south"
-    assert tiles.tile(2, 1, 0).kind == "image/png"
-    assert (tiles.least, tiles.most, tiles.credit) == (2, 2, "a survey")
+    path = made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG + b"south"), (2, 1, 3, PNG + b"north")])
+    with closing(MbtilesSource(path)) as tiles:
+        assert tiles.tile(2, 1, 0).data == PNG + b"north"
+        assert tiles.tile(2, 1, 3).data == PNG + b"south"
+        assert tiles.tile(2, 1, 0).kind == "image/png"
+        assert (tiles.min_zoom, tiles.max_zoom, tiles.credit) == (2, 2, "a survey")
 
 
 @pytest.mark.parametrize(
     "at", [(2, 0, 0), (3, 1, 0), (-1, 0, 0), (25, 0, 0), (2, 4, 0), (2, 0, -1), (2, 0, 1 << 70)]
 )
 def test_what_is_not_there_is_no_tile(tmp_path, at):
-    assert Tiles(made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG)])).tile(*at) is None
+    with closing(MbtilesSource(made(tmp_path / "a.mbtiles", [(2, 1, 0, PNG)]))) as tiles:
+        assert tiles.tile(*at) is None
 
 
 def test_what_is_no_picture_is_no_tile(tmp_path):
     rows = [(1, 0, 1, PNG), (1, 1, 1, b"<script>"), (1, 0, 0, "text")]
-    tiles = Tiles(made(tmp_path / "a.mbtiles", rows))
-    assert [tiles.tile(1, 1, 0), tiles.tile(1, 0, 1)] == [None, None]
+    with closing(MbtilesSource(made(tmp_path / "a.mbtiles", rows))) as tiles:
+        assert [tiles.tile(1, 1, 0), tiles.tile(1, 0, 1)] == [None, None]
 
 
 def test_a_file_is_read_where_it_lies(tmp_path):
     path = made(tmp_path / "a ?#%.mbtiles", [(0, 0, 0, PNG)])
     path.chmod(0o444)
-    assert Tiles(path).tile(0, 0, 0) is not None
+    with closing(MbtilesSource(path)) as tiles:
+        assert tiles.tile(0, 0, 0) is not None
     assert [found.name for found in tmp_path.iterdir()] == [path.name]
 
 
@@ -88,17 +92,18 @@ def words_for_numbers(folder):
 def test_zooms_that_no_map_has_are_refused_with_a_sentence(tmp_path, zooms):
     path = made(tmp_path / "far.mbtiles", [(zoom, 0, 0, PNG) for zoom in zooms])
     with pytest.raises(InputFileError, match=f"it has no tiles of zoom 0 to 24, only of zoom {zooms[0]}"):
-        Tiles(path)
+        MbtilesSource(path)
 
 
 def test_of_many_zooms_those_count_that_a_map_has(tmp_path):
-    tiles = Tiles(made(tmp_path / "a.mbtiles", [(zoom, 0, 0, PNG) for zoom in (-3, 2, 9, 30)]))
-    assert (tiles.least, tiles.most) == (2, 9)
+    path = made(tmp_path / "a.mbtiles", [(zoom, 0, 0, PNG) for zoom in (-3, 2, 9, 30)])
+    with closing(MbtilesSource(path)) as tiles:
+        assert (tiles.min_zoom, tiles.max_zoom) == (2, 9)
 
 
 def test_a_folder_is_no_file(tmp_path):
     with pytest.raises(InputFileError, match="it is no file; an MBTiles file is meant"):
-        Tiles(tmp_path)
+        MbtilesSource(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -106,4 +111,4 @@ def test_a_folder_is_no_file(tmp_path):
 )
 def test_a_file_that_is_none_is_refused_with_a_sentence(tmp_path, make):
     with pytest.raises(InputFileError, match=r"(no such file|is no file|not an MBTiles file)"):
-        Tiles(make(tmp_path))
+        MbtilesSource(make(tmp_path))

@@ -16,7 +16,7 @@ class Transmission(NamedTuple, Generic[T]):
 
     sender: int
     item: T
-    begin: float
+    start: float
     end: float
 
 
@@ -52,7 +52,7 @@ class SharedChannel(Generic[T]):
         self._sizes[sender] += size
         return True
 
-    def begun(self, now: float) -> Iterator[Transmission[T]]:
+    def pop_started(self, now: float) -> Iterator[Transmission[T]]:
         """The transmissions that have begun by now and were not returned before."""
         while self._free_at <= now and (sender := self._next_sender()) is not None:
             queued = self._queues[sender].popleft()

@@ -18,9 +18,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Any
 
-from emulator.air import Air
 from emulator.cells import Cell, Link
 from emulator.packets import Header, read_header
+from emulator.radio_model import Air
 from emulator.tun import open_tun
 
 #: Packets that are read from one device before the others have their turn.
@@ -69,7 +69,7 @@ class Router:
                     self._obey(json.loads(line))
             for to, packet in self._air.advance(time.monotonic()):
                 self._write(to, packet)
-            for (source, to), packet in self._air.take_lost():
+            for (source, to), packet in self._air.pop_lost():
                 if header := read_header(packet):
                     self._count(self._names[source], self._names[to], header)[2] += 1
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.mavlink.link.wire import make_faults
-from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.mavlink.link.radio_link import make_faults
+from lfield_sim.mavlink.mavlink_fake import MavlinkFake
 
 ACCEPTED, REJECTED, DENIED, UNSUPPORTED, FAILED, IN_PROGRESS = range(6)
 ARM, TAKEOFF, LAND, MODE, YAW, SPEED, RTL, STREAM, ONCE = 400, 22, 21, 176, 115, 178, 20, 511, 512
@@ -25,7 +25,7 @@ class Client:
         self.out = dialect.MAVLink(None, srcSystem=sender, srcComponent=190)
         self.back = dialect.MAVLink(None)
         self.back.robust_parsing = True
-        self.heard: list = []
+        self.messages: list = []
 
     def send(self, message) -> list:
         """Send one message; the answers to it."""
@@ -44,7 +44,7 @@ class Client:
     def _parse(self, packets) -> list:
         messages = self.back.parse_buffer(b"".join(packets)) or []
         assert not [m for m in messages if m.get_type() == "BAD_DATA"]
-        self.heard += messages
+        self.messages += messages
         return messages
 
     def command(self, number, *values, target=1, component=1) -> int | None:
@@ -63,7 +63,7 @@ class Client:
     def ask(self, kind):
         """One message, now."""
         assert self.command(ONCE, kind) == ACCEPTED
-        return [m for m in self.heard if m.get_msgId() == kind][-1]
+        return [m for m in self.messages if m.get_msgId() == kind][-1]
 
     def heartbeat(self, kind=6):
         self.send(dialect.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3))
@@ -72,7 +72,7 @@ class Client:
         self.fake.faults.apply(texts)
 
     def texts(self) -> list[str]:
-        return [m.text for m in self.heard if m.get_type() == "STATUSTEXT"]
+        return [m.text for m in self.messages if m.get_type() == "STATUSTEXT"]
 
     def up(self, height=5.0):
         assert self.command(MODE, 1, GUIDED) == ACCEPTED

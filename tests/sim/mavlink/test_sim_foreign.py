@@ -13,8 +13,8 @@ import pytest
 from pymavlink import mavftp, mavutil, mavwp
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.protocol import STEP, MavlinkFake
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.mavlink_fake import STEP, MavlinkFake
 
 dialect = mavutil.mavlink
 HOME = (-35.3632621, 149.1652374, 584.0)
@@ -30,7 +30,7 @@ class Connection(mavutil.mavfile):
 
     def __init__(self, flavour="ardupilot"):
         self.autopilot = Autopilot(FLAVOURS[flavour]["copter"])
-        self.fake = MavlinkFake(self.autopilot, place=Place(*HOME))
+        self.fake = MavlinkFake(self.autopilot, place=GeoOrigin(*HOME))
         self._waiting = bytearray()
         self._reader = dialect.MAVLink(None)
         self._reader.robust_parsing = True

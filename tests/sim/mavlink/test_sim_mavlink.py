@@ -26,8 +26,8 @@ from mavlink_client import (
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS
-from lfield_sim.autopilot.equipment import Battery
-from lfield_sim.mavlink.telemetry.messages import MESSAGES
+from lfield_sim.autopilot.payload import Battery
+from lfield_sim.mavlink.telemetry.message_table import MESSAGES
 
 
 def kinds(messages) -> set[str]:
@@ -78,11 +78,11 @@ def test_every_message_can_be_asked_for_once(kind):
         c.up()
         goal = (5.0, 0.0, -5.0, *[0.0] * 8)
         c.send(dialect.MAVLink_set_position_target_local_ned_message(0, 1, 1, 1, 0x0DF8, *goal))
-        c.heard.clear()
+        c.messages.clear()
     assert c.command(ONCE, kind) == ACCEPTED
-    assert c.heard[-1].get_msgId() == kind
+    assert c.messages[-1].get_msgId() == kind
     assert c.command(510, kind) == ACCEPTED
-    assert c.heard[-1].get_type() == "MESSAGE_INTERVAL"
+    assert c.messages[-1].get_type() == "MESSAGE_INTERVAL"
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ def test_refusals(prepare, number, values, result, text):
         c.command(MODE, 1, BRAKE)
     elif prepare == "up":
         c.up()
-    c.heard.clear()
+    c.messages.clear()
     assert c.command(number, *values) == result
     c.wait(0.1)
     assert not text or text in c.texts()
@@ -129,7 +129,7 @@ def test_a_long_text_comes_in_chunks():
     c = Client(refuse_arming=reason)
     assert c.command(ARM, 1) == FAILED
     c.wait(0.1)
-    chunks = [m for m in c.heard if m.get_type() == "STATUSTEXT"]
+    chunks = [m for m in c.messages if m.get_type() == "STATUSTEXT"]
     assert [m.chunk_seq for m in chunks] == [0, 1]
     assert len({m.id for m in chunks}) == 1
     assert "".join(m.text for m in chunks) == f"Arm: {reason}"
@@ -208,7 +208,7 @@ def test_the_gcs_failsafe():
     assert c.autopilot.mode == "RTL"
     assert "GCS Failsafe" in c.texts()
     c.wait(1.0)
-    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 5
+    assert [m.system_status for m in c.messages if m.get_type() == "HEARTBEAT"][-1] == 5
     c.heartbeat()
     c.wait(0.3)
     assert "GCS Failsafe Cleared" not in c.texts()
@@ -304,7 +304,7 @@ def test_positions_agree():
     c.wait(20.0)
     for kind in (242, 33, 32):
         c.command(ONCE, kind)
-    home, globe, local = c.heard[-5], c.heard[-3], c.heard[-1]
+    home, globe, local = c.messages[-5], c.messages[-3], c.messages[-1]
     north = math.radians((globe.lat - home.latitude) / 1e7) * 6378137.0
     assert north == pytest.approx(local.x, abs=0.1)
     assert globe.relative_alt == pytest.approx(5000, abs=100)

@@ -9,9 +9,9 @@ from mavlink_client import ACCEPTED, ARM, DENIED, FAILED, GUIDED, MODE, STREAM, 
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.link.wire import make_faults
-from lfield_sim.mavlink.protocol import MavlinkFake, MavlinkLink
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.link.radio_link import make_faults
+from lfield_sim.mavlink.mavlink_fake import MavlinkFake, MavlinkLink
 
 NAN = math.nan
 POSITION, VELOCITY = 0x0DF8, 0x0DC7
@@ -118,9 +118,9 @@ def test_payload():
     status = c.ask(158)
     assert (status.pointing_a, status.pointing_c) == (-4500, 3000)
     assert c.command(203, 0, 0, 0, 0, 1) == ACCEPTED
-    assert c.heard[-1].get_type() == "CAMERA_FEEDBACK"
+    assert c.messages[-1].get_type() == "CAMERA_FEEDBACK"
     assert c.command(2000, 0, 0, 1) == ACCEPTED
-    assert c.heard[-1].image_index == 2
+    assert c.messages[-1].image_index == 2
     assert c.command(34) == UNSUPPORTED, "ArduCopter has no orbit"
 
 
@@ -183,10 +183,10 @@ def test_gps_loss():
     c.up()
     c.command(STREAM, 33, 100_000)
     c.fault("gps_loss=true")
-    c.heard.clear()
+    c.messages.clear()
     c.wait(8.0)
     # As recorded (gauntlet-a): it goes on as before, and tells a position all the while.
-    assert [m for m in c.heard if m.get_type() == "GLOBAL_POSITION_INT"]
+    assert [m for m in c.messages if m.get_type() == "GLOBAL_POSITION_INT"]
     assert c.ask(24).fix_type == dialect.GPS_FIX_TYPE_NO_FIX
     assert not c.ask(1).onboard_control_sensors_health & 0x20
     assert c.autopilot.mode == "GUIDED"
@@ -235,11 +235,11 @@ def test_arming_is_refused_while_the_fault_lasts():
 def test_delay_and_duplicates():
     c = Client(faults=["delay=0.5", "duplicate=1"])
     assert c.command(MODE, 1, GUIDED) is None
-    c.heard.clear()
+    c.messages.clear()
     c.wait(0.4)
-    assert not [m for m in c.heard if m.get_type() == "COMMAND_ACK"]
+    assert not [m for m in c.messages if m.get_type() == "COMMAND_ACK"]
     c.wait(0.2)
-    assert len([m for m in c.heard if m.get_type() == "COMMAND_ACK"]) == 2
+    assert len([m for m in c.messages if m.get_type() == "COMMAND_ACK"]) == 2
 
 
 def test_reordered_packets_all_come():
@@ -292,7 +292,7 @@ def test_a_fault_of_one_vehicle_is_not_the_others():
 
 
 def home_told(c):
-    return [(m.x, m.z) for m in c.heard if m.get_type() == "HOME_POSITION"]
+    return [(m.x, m.z) for m in c.messages if m.get_type() == "HOME_POSITION"]
 
 
 def test_ardupilot_tells_home_when_it_is_taken():
@@ -310,7 +310,7 @@ def test_ardupilot_tells_home_when_it_is_taken():
     cold.wait(4.6)
     assert not home_told(cold)
     cold.wait(0.2)
-    assert {m.get_type() for m in cold.heard} >= {"HOME_POSITION", "GPS_GLOBAL_ORIGIN"}
+    assert {m.get_type() for m in cold.messages} >= {"HOME_POSITION", "GPS_GLOBAL_ORIGIN"}
 
 
 def test_a_rover_takes_the_height_of_a_home_that_it_is_told():
@@ -333,12 +333,12 @@ def test_px4_takes_a_home_in_a_calibration_without_a_word():
 
 def test_vehicles_are_put_apart_from_the_start_and_may_be_carried():
     c = Client(faults=("north=30", "east=-40"))
-    assert Place().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((30.0, -40.0), abs=0.02)
+    assert GeoOrigin().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((30.0, -40.0), abs=0.02)
     assert (c.ask(32).x, c.ask(32).y) == (0.0, 0.0), "it was switched on there"
     c.fault("north=32")
     assert (c.ask(32).x, c.ask(32).y) == (2.0, 0.0), "and carried from there"
     c.up()
-    assert Place().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((32.0, -40.0), abs=0.1)
+    assert GeoOrigin().local(c.ask(33).lat, c.ask(33).lon) == pytest.approx((32.0, -40.0), abs=0.1)
 
 
 def test_a_rover_tells_its_distance_to_a_place_and_0_while_it_follows_a_velocity():
@@ -348,9 +348,9 @@ def test_a_rover_tells_its_distance_to_a_place_and_0_while_it_follows_a_velocity
     assert c.command(STREAM, kind, 2e5) == ACCEPTED
 
     def told():
-        c.heard.clear()
+        c.messages.clear()
         c.wait(1.0)
-        return [m.wp_dist for m in c.heard if m.get_msgId() == kind]
+        return [m.wp_dist for m in c.messages if m.get_msgId() == kind]
 
     assert told() == [], "it is in MANUAL or HOLD"
     assert c.command(MODE, 1, 15) == ACCEPTED

@@ -79,7 +79,7 @@ def test_a_rover_drives_to_the_edge_for_a_goal_beyond():
 def test_without_avoiding_it_breaches_and_acts(make, action, mode, texts):
     c = make(AVOID_ENABLE=0, FENCE_ACTION=action)
     c.wait(0.1)
-    c.heard.clear()
+    c.messages.clear()
     while c.place[0] < 30.0:
         drive(c, 4, 1)
     c.wait(0.3)
@@ -88,7 +88,7 @@ def test_without_avoiding_it_breaches_and_acts(make, action, mode, texts):
     status = c.ask(162)
     assert (status.breach_status, status.breach_type, status.breach_count) == (1, 3, 1)
     assert not c.autopilot.critical, "its heartbeats do not say so"
-    c.heard.clear()
+    c.messages.clear()
     guided = GUIDED if make is copter else 15
     assert c.command(MODE, 1, guided) == ACCEPTED, "also outside"
     c.target(PLACE, (0, 0, -10))
@@ -125,7 +125,7 @@ def test_px4_flies_through_its_fence_holds_and_then_acts():
         if number == 5:
             c.command(MODE, 1, 6)
     assert c.autopilot.mode == "AUTO.LOITER"
-    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 5
+    assert [m.system_status for m in c.messages if m.get_type() == "HEARTBEAT"][-1] == 5
     assert {
         "Geofence: exceeding maximum distance to Home",
         "Failsafe activated: entering Hold for 5 seconds\t",

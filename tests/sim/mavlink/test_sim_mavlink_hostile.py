@@ -10,8 +10,8 @@ from mavlink_client import ACCEPTED, ARM, GUIDED, MODE, ONCE, TAKEOFF, Client
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS
-from lfield_sim.mavlink.protocol import HANDLERS
-from lfield_sim.mavlink.telemetry.messages import MESSAGES
+from lfield_sim.mavlink.mavlink_fake import HANDLERS
+from lfield_sim.mavlink.telemetry.message_table import MESSAGES
 
 numbers = st.floats(width=32)
 flavours = st.sampled_from(sorted(FLAVOURS))
@@ -193,5 +193,5 @@ def test_what_nobody_takes_is_bounded():
     assert len(c.fake.wire._late) <= 10_000
     for _ in range(1000):
         c.autopilot.say("again")
-    assert len(c.autopilot.take_texts()) <= 101
+    assert len(c.autopilot.pop_texts()) <= 101
     assert c.command(ONCE, 0) is None, "it is under way"

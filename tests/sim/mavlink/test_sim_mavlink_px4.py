@@ -57,9 +57,9 @@ def test_it_holds_at_the_height_of_its_takeoff():
     c = px4()
     up(c, height=2.0)
     assert c.autopilot.vehicle.place[2] == pytest.approx(-2.0, abs=0.02)
-    c.heard.clear()
+    c.messages.clear()
     c.wait(60.0)
-    told = {m.altitude for m in c.heard if m.get_type() == "HOME_POSITION"}
+    told = {m.altitude for m in c.messages if m.get_type() == "HOME_POSITION"}
     assert len(told) > 20
     assert 1.0 < (max(told) - min(told)) / 1000 < 3.0, "home moves with GNSS, the vehicle does not"
     assert c.autopilot.vehicle.place[2] == pytest.approx(-2.0, abs=0.02)
@@ -162,19 +162,19 @@ def test_offboard_with_setpoints_and_what_happens_when_they_end():
     assert offboard(c, 2.0) == ACCEPTED
     assert c.autopilot.mode == "OFFBOARD"
     assert c.autopilot.vehicle.velocity[0] == pytest.approx(1.6, abs=0.07), "2 m/s were asked for"
-    c.heard.clear()
+    c.messages.clear()
     c.wait(0.9)
     assert c.autopilot.mode == "OFFBOARD"
     c.wait(0.4)
     assert c.autopilot.mode == "AUTO.RTL"
     c.wait(1.0)
     assert "Failsafe activated\t" in c.texts()
-    told = [(m.custom_mode, m.intended_custom_mode) for m in c.heard if m.get_type() == "CURRENT_MODE"][-1]
+    told = [(m.custom_mode, m.intended_custom_mode) for m in c.messages if m.get_type() == "CURRENT_MODE"][-1]
     assert told == (5 << 24 | 4 << 16, 6 << 16), "what was commanded stays, whatever the failsafe made of it"
-    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 5
+    assert [m.system_status for m in c.messages if m.get_type() == "HEARTBEAT"][-1] == 5
     assert c.command(MODE, 1, *LOITER) == ACCEPTED
     c.wait(1.1)
-    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 4
+    assert [m.system_status for m in c.messages if m.get_type() == "HEARTBEAT"][-1] == 4
 
 
 def test_offboard_lifts_off_by_setpoints():
@@ -287,11 +287,11 @@ def test_a_reboot_is_silent_for_a_moment_and_forgets():
 def test_a_slow_command_is_in_progress_first():
     c = px4(faults=["slow_acks=2"])
     assert c.command(RTL) == IN_PROGRESS
-    c.heard.clear()
+    c.messages.clear()
     c.wait(1.0)
     assert c.command(RTL) == IN_PROGRESS, "a repetition is not carried out again"
     c.wait(1.1)
-    (done,) = [m for m in c.heard if m.get_type() == "COMMAND_ACK" and m.result != IN_PROGRESS]
+    (done,) = [m for m in c.messages if m.get_type() == "COMMAND_ACK" and m.result != IN_PROGRESS]
     assert (done.command, done.result, done.target_system) == (RTL, ACCEPTED, 255)
 
 
@@ -360,8 +360,8 @@ def test_a_mode_that_is_not_available_is_accepted_and_refused_in_words():
 def test_the_origin_is_told_to_the_first_that_is_heard_and_no_stream():
     c = Client(flavour="px4")
     c.wait(1.0)
-    assert "GPS_GLOBAL_ORIGIN" not in {m.get_type() for m in c.heard}
+    assert "GPS_GLOBAL_ORIGIN" not in {m.get_type() for m in c.messages}
     assert c.command(STREAM, 49, 200_000) == ACCEPTED
     c.wait(3.0)
-    assert len([m for m in c.heard if m.get_type() == "GPS_GLOBAL_ORIGIN"]) == 1
+    assert len([m for m in c.messages if m.get_type() == "GPS_GLOBAL_ORIGIN"]) == 1
     assert c.ask(49)

@@ -7,7 +7,7 @@ from mavlink_client import ACCEPTED, ARM, FAILED, GUIDED, MODE, REJECTED, Client
 
 
 def without_station(kind="copter", flavour="ardupilot", **parameters):
-    """A client that stands in GUIDED and has not been heard for eight seconds."""
+    """A client that stands in GUIDED and has been unreachable for eight seconds."""
     c = Client(kind, flavour=flavour)
     c.autopilot.parameters.update(parameters)
     c.heartbeat()
@@ -20,7 +20,7 @@ def without_station(kind="copter", flavour="ardupilot", **parameters):
 def test_a_disarmed_copter_misses_its_station_and_is_not_armed_until_a_moment_after_it_is_back():
     c = without_station(FS_GCS_ENABLE=5, FS_GCS_TIMEOUT=2)
     assert "GCS Failsafe" in c.texts()
-    assert [m.system_status for m in c.heard if m.get_type() == "HEARTBEAT"][-1] == 5
+    assert [m.system_status for m in c.messages if m.get_type() == "HEARTBEAT"][-1] == 5
     assert c.autopilot.mode == "GUIDED", "the mode stays"
     assert c.command(ARM, 1) == FAILED
     c.wait(0.1)

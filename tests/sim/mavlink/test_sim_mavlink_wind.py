@@ -57,6 +57,7 @@ def test_it_leans_into_the_wind():
     assert (c.ask(ATTITUDE).roll, c.ask(ATTITUDE).pitch) == pytest.approx((0.0, 0.0), abs=0.01)
 
 
+@pytest.mark.few(1)
 @pytest.mark.parametrize(("flavour", "limit"), [("ardupilot", "ANGLE_MAX"), ("px4", "MPC_TILTMAX_AIR")])
 def test_what_is_more_than_it_may_lean_for_takes_it_along(flavour, limit):
     tilt = {"ANGLE_MAX": math.radians(30), "MPC_TILTMAX_AIR": math.radians(45)}[limit]
@@ -215,10 +216,10 @@ def test_arducopter_tells_where_it_comes_from():
 
 def test_px4_tells_where_it_goes_when_it_estimates_it():
     c = hovering("wind=6", f"wind_from={WEST}", flavour="px4")
-    assert not [m for m in c.heard if m.get_msgId() in (WIND, WIND_COV)], "as it comes out of the box"
+    assert not [m for m in c.messages if m.get_msgId() in (WIND, WIND_COV)], "as it comes out of the box"
     c.autopilot.parameters["EKF2_DRAG_CTRL"] = 1.0
     c.wait(1.0)
-    told = [m for m in c.heard if m.get_msgId() == WIND_COV]
+    told = [m for m in c.messages if m.get_msgId() == WIND_COV]
     assert len(told) >= 9, "unasked"
     assert (told[-1].wind_x, told[-1].wind_y) == pytest.approx((0.0, 6.0), abs=1e-5)
     assert math.isnan(c.ask(HUD).airspeed)

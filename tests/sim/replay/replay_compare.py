@@ -22,7 +22,7 @@ from replay_table import Difference, Figures, once
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS
-from lfield_sim.autopilot.flavours import Result
+from lfield_sim.autopilot.flavours import MavResult
 
 #: Seconds: heartbeats come once a second, so two recordings of one thing tell it up to 1.0 apart (0.0 to 1.0
 #: on ArduPilot, 0.5 to 1.0 on PX4), and the failsafes' own times spread by 0.3 (1.3 to 1.6, 6.6 to 7.1).
@@ -70,7 +70,7 @@ def _acknowledgements(real: Trace, played: Played) -> Iterator[Difference]:
         same = (c.t for c in commands[number + 1 :] if c.fields["command"] == line.fields["command"])
         end = min(next(same, math.inf), line.t + 8.0)
         ours, theirs = _acks(real, line, end), _acks(played.trace, line, end)
-        said, told = _words(ours), _words(theirs)
+        said, told = _describe(ours), _describe(theirs)
         what = f"{line.t:.1f} {_call(line)}"
         if said != told:
             yield Difference(f"{what}: {said} / {told}")
@@ -88,8 +88,8 @@ def _acks(trace: Trace, line: Line, end: float) -> list[Line]:
     return []
 
 
-def _words(acks: list[Line]) -> str:
-    words = [Result(int(ack.get("result"))).name for ack in acks]
+def _describe(acks: list[Line]) -> str:
+    words = [MavResult(int(ack.get("result"))).name for ack in acks]
     return ", ".join(word for n, word in enumerate(words) if n == 0 or word != words[n - 1]) or "no answer"
 
 

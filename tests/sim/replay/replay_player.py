@@ -18,10 +18,10 @@ from replay_inputs import BEAT, inputs
 from replay_trace import PRE_ARM, Line, Trace
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.autopilot.equipment import Payload
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.link.wire import make_faults
-from lfield_sim.mavlink.protocol import MavlinkFake
+from lfield_sim.autopilot.payload import Payload
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.link.radio_link import make_faults
+from lfield_sim.mavlink.mavlink_fake import MavlinkFake
 
 #: Seconds that time goes on by, that the recording waits for the fake, and of a recovery of patience.
 TICK, PATIENCE = 0.02, 10.0
@@ -76,10 +76,10 @@ def make_fake(trace: Trace) -> MavlinkFake:
     name = str(trace.header["vehicle"])
     name = "rover_skid" if "skid" in trace.name else name
     origin = (trace.out("GPS_GLOBAL_ORIGIN") or trace.out("HOME_POSITION") or [None])[0]
-    place = Place()
+    place = GeoOrigin()
     if origin is not None:
         latitude, longitude, altitude = (origin.get(n) for n in ("latitude", "longitude", "altitude"))
-        place = Place(latitude / 1e7, longitude / 1e7, altitude / 1000)
+        place = GeoOrigin(latitude / 1e7, longitude / 1e7, altitude / 1000)
     system = next(
         (int(line.get("target_system")) for line in trace.inputs if "target_system" in line.fields), 1
     )
@@ -132,14 +132,14 @@ class _Player:
             self.started_mission = line.t
         if is_motion(line):
             self.moved_at = line.t
-        self._take(self.fake.receive("recorder", self._pack(line)))
+        self._on_packet(self.fake.receive("recorder", self._pack(line)))
 
     def run_until(self, t: float) -> None:
         """Let the recording's time go on."""
         while self.now < t - 1e-9:
             step = min(TICK, t - self.now)
             self.now += step
-            self._take(self.fake.advance(step))
+            self._on_packet(self.fake.advance(step))
         self.now = max(self.now, t)
 
     # -- waiting for the fake -------------------------------------------------------------------------
@@ -152,11 +152,11 @@ class _Player:
         waited = 0.0
         while self.patient and missing and waited < PATIENCE:
             self.held += TICK
-            self._take(self.fake.advance(TICK))
+            self._on_packet(self.fake.advance(TICK))
             waited += TICK
             # The recorder's heartbeats would have gone on while it waited.
             if self.station is not None and waited % BEAT < TICK:
-                self._take(self.fake.receive("recorder", self._pack(self.station)))
+                self._on_packet(self.fake.receive("recorder", self._pack(self.station)))
             missing = self._missing(line)
         if missing:
             self.patient = False
@@ -221,7 +221,7 @@ class _Player:
         writer.seq = (writer.seq + 1) % 256
         return packet
 
-    def _take(self, packets: list[bytes]) -> None:
+    def _on_packet(self, packets: list[bytes]) -> None:
         if self.closed:
             return
         for packet in packets:

@@ -21,7 +21,7 @@ def verdict(name: str) -> Verdict:
     return replay.verdict(name, load())
 
 
-@pytest.mark.few(10)
+@pytest.mark.few(4)
 @pytest.mark.parametrize("name", names())
 def test_the_fake_does_what_the_real_one_did(name):
     found = verdict(name)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import asyncio
 import random
 
-from lfield.simulate.computers.connection import Connection
-from lfield.simulate.computers.loop import ProcessLoop
-from lfield.simulate.computers.machines import Machine, Ways
-from lfield.simulate.computers.timeline import Timeline
+from lfield.simulate.computers.event_queue import EventQueue
+from lfield.simulate.computers.process_loop import ProcessLoop
+from lfield.simulate.computers.simulated_connection import SimulatedConnection
+from lfield.simulate.computers.simulated_machine import NetworkPaths, SimulatedMachine
 
 
 class Slow(asyncio.Protocol):
@@ -29,11 +29,11 @@ class Slow(asyncio.Protocol):
 
 
 def test_what_comes_while_nobody_reads_waits_in_its_order():
-    timeline, reader = Timeline(), Slow()
-    alpha, bravo = (ProcessLoop(Machine(name, timeline, random.Random(1))) for name in "ab")
-    near, far = Connection(Ways(random.Random(2)), alpha, bravo, (("a", 1), ("b", 2))).ends
-    alpha.enter(lambda: near.begin(asyncio.Protocol))
-    bravo.enter(lambda: far.begin(lambda: reader))
+    timeline, reader = EventQueue(), Slow()
+    alpha, bravo = (ProcessLoop(SimulatedMachine(name, timeline, random.Random(1))) for name in "ab")
+    near, far = SimulatedConnection(NetworkPaths(random.Random(2)), alpha, bravo, (("a", 1), ("b", 2))).ends
+    alpha.enter(lambda: near.start(asyncio.Protocol))
+    bravo.enter(lambda: far.start(lambda: reader))
     for piece in (b"one", b"two"):
         near.write(piece)
     near.close()

@@ -9,21 +9,21 @@ from dataclasses import replace
 
 import pytest
 
-from lfield.simulate.computers.computer import Computer
-from lfield.simulate.computers.machines import Machine, MachineClock
-from lfield.simulate.computers.network import Network
-from lfield.simulate.computers.timeline import Endless, Timeline
+from lfield.simulate.computers.event_queue import EventQueue, TooManyEvents
+from lfield.simulate.computers.simulated_computer import SimulatedComputer
+from lfield.simulate.computers.simulated_machine import MachineClock, SimulatedMachine
+from lfield.simulate.computers.simulated_network import SimulatedNetwork
 from lfield.simulate.hardware import Hardware
-from lfield.simulate.stories import trial
-from lfield.simulate.stories.story import plain
+from simulation_testing.scenarios import scenario_run
+from simulation_testing.scenarios.scenario import plain
 
 
 def test_a_clock_runs_at_its_rate_and_boot_time_counts_suspensions() -> None:
-    timeline = Timeline()
-    clock = MachineClock(timeline, began=50.0, rate=1.01)
+    timeline = EventQueue()
+    clock = MachineClock(timeline, start=50.0, rate=1.01)
     timeline.run(10.0)
     assert clock.awake() == clock.monotonic() == pytest.approx(60.1)
-    clock.stands_still(5.0)
+    clock.suspend(5.0)
     assert clock.suspended
     timeline.run(5.0)
     assert not clock.suspended
@@ -32,9 +32,11 @@ def test_a_clock_runs_at_its_rate_and_boot_time_counts_suspensions() -> None:
 
 
 def test_a_process_that_never_waits_lets_time_go_on() -> None:
-    timeline = Timeline()
-    machine = Machine("m", timeline, random.Random(1))
-    process = Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {}).start()
+    timeline = EventQueue()
+    machine = SimulatedMachine("m", timeline, random.Random(1))
+    process = SimulatedComputer(
+        machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {}
+    ).start()
 
     async def spins() -> None:
         while True:
@@ -47,9 +49,9 @@ def test_a_process_that_never_waits_lets_time_go_on() -> None:
 
 
 def test_what_a_process_computes_takes_time_in_which_nothing_else_happens_to_it() -> None:
-    timeline = Timeline()
-    machine = Machine("m", timeline, random.Random(1))
-    computer = Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {})
+    timeline = EventQueue()
+    machine = SimulatedMachine("m", timeline, random.Random(1))
+    computer = SimulatedComputer(machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {})
     one, other = computer.start().loop, computer.start().loop
     seen: list[tuple[str, float]] = []
 
@@ -77,11 +79,15 @@ def test_what_a_process_computes_takes_time_in_which_nothing_else_happens_to_it(
 
 
 def test_who_looks_too_early_by_less_than_a_clock_can_tell_does_not_look_for_ever() -> None:
-    timeline = Timeline()
+    timeline = EventQueue()
     timeline.now, timeline.most = 1e6, 100
-    machine = Machine("m", timeline, random.Random(1))
-    machine.clock = MachineClock(timeline, began=1.0)
-    loop = Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {}).start().loop
+    machine = SimulatedMachine("m", timeline, random.Random(1))
+    machine.clock = MachineClock(timeline, start=1.0)
+    loop = (
+        SimulatedComputer(machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {})
+        .start()
+        .loop
+    )
     due = loop.time() + 1.0
     came: list[float] = []
 
@@ -97,29 +103,29 @@ def test_who_looks_too_early_by_less_than_a_clock_can_tell_does_not_look_for_eve
 
 
 def test_more_events_than_may_be_end_a_simulation() -> None:
-    timeline = Timeline()
+    timeline = EventQueue()
     timeline.most = 1000
 
     def again() -> None:
         timeline.after(0.0, again)
 
     again()
-    with pytest.raises(Endless, match="1,000 events, and it goes on at 0"):
+    with pytest.raises(TooManyEvents, match="1,000 events, but time is still 0"):
         timeline.run(1.0)
 
 
 def test_a_story_that_goes_on_for_ever_is_a_breach(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "MOST_EVENTS", 100)
-    verdict = trial.tell(replace(plain(3), keep=frozenset()))
+    monkeypatch.setattr(scenario_run, "MAX_EVENTS", 100)
+    verdict = scenario_run.run_scenario(replace(plain(3), keep=frozenset()))
     assert [breach.name for breach in verdict.breaches] == ["endless"]
 
 
 def test_what_its_watchdog_has_stopped_does_not_move_again_when_it_is_fed() -> None:
-    timeline = Timeline()
+    timeline = EventQueue()
     hardware = Hardware(timeline, random.Random(1))
-    hardware.tell(1, "setVelocity", (), float("inf"))
-    assert hardware.moving
+    hardware.command(1, "setVelocity", (), float("inf"))
+    assert hardware.is_moving
     timeline.run(2.0)
-    assert not hardware.moving
+    assert not hardware.is_moving
     hardware.feed()
-    assert not hardware.moving
+    assert not hardware.is_moving

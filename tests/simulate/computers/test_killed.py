@@ -7,16 +7,16 @@ import gc
 import random
 from collections.abc import AsyncIterator
 
-from lfield.simulate.computers.computer import Computer, Process
-from lfield.simulate.computers.loop import generators
-from lfield.simulate.computers.machines import Machine
-from lfield.simulate.computers.network import Network
-from lfield.simulate.computers.timeline import Timeline
+from lfield.simulate.computers.event_queue import EventQueue
+from lfield.simulate.computers.process_loop import closing_generators
+from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
+from lfield.simulate.computers.simulated_machine import SimulatedMachine
+from lfield.simulate.computers.simulated_network import SimulatedNetwork
 
 
-def _computer(timeline: Timeline) -> Computer:
-    machine = Machine("m", timeline, random.Random(1))
-    return Computer(machine, Network(timeline, {"m": machine}, random.Random(2)), {})
+def _computer(timeline: EventQueue) -> SimulatedComputer:
+    machine = SimulatedMachine("m", timeline, random.Random(1))
+    return SimulatedComputer(machine, SimulatedNetwork(timeline, {"m": machine}, random.Random(2)), {})
 
 
 async def _works(said: list[str]) -> None:
@@ -28,14 +28,14 @@ async def _works(said: list[str]) -> None:
         await asyncio.sleep(0.1)
 
 
-def _begun(timeline: Timeline, said: list[str]) -> Process:
+def _begun(timeline: EventQueue, said: list[str]) -> SimulatedProcess:
     process = _computer(timeline).start()
     process.loop.enter(lambda: process.loop.create_task(_works(said)))
     return process
 
 
 def test_what_was_killed_is_never_unwound() -> None:
-    timeline, said = Timeline(), list[str]()
+    timeline, said = EventQueue(), list[str]()
     process = _begun(timeline, said)
     timeline.run(1.0)
     process.die(-9)
@@ -47,7 +47,7 @@ def test_what_was_killed_is_never_unwound() -> None:
 
 def test_nor_is_what_nobody_simulates_any_more() -> None:
     said = list[str]()
-    timeline = Timeline()
+    timeline = EventQueue()
     process = _begun(timeline, said)
     timeline.run(1.0)
     del timeline, process
@@ -56,7 +56,7 @@ def test_nor_is_what_nobody_simulates_any_more() -> None:
 
 
 def test_who_ends_by_himself_does_so_in_order() -> None:
-    timeline, said = Timeline(), list[str]()
+    timeline, said = EventQueue(), list[str]()
     _begun(timeline, said)
     timeline.run(6.0)
     assert said == ["worked", "tidied up"]
@@ -78,9 +78,9 @@ async def _takes_one(said: list[str]) -> None:
 
 
 def test_a_generator_that_is_left_is_closed_by_its_process() -> None:
-    timeline, said = Timeline(), list[str]()
+    timeline, said = EventQueue(), list[str]()
     process = _computer(timeline).start()
-    with generators():
+    with closing_generators():
         process.loop.enter(lambda: process.loop.create_task(_takes_one(said)))
         timeline.run(1.0)
     assert said == ["1", "tidied up"]

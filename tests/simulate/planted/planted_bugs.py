@@ -11,43 +11,44 @@ import pytest
 from msgspec import structs
 
 from lfield.errors import DeviceError
+from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.host import Host
-from lfield.host.team.beginning import Beginning
-from lfield.host.team.keeping import Keeping
-from lfield.journal.pages import CopyPage
-from lfield.mobility.arrivals import Arrivals
-from lfield.mobility.copies import Copy
-from lfield.mobility.core import Mobility
-from lfield.mobility.departures import Departures
-from lfield.mobility.effects import Effect, Persist, Send
-from lfield.mobility.fates import Absent
-from lfield.mobility.hearsay import Hearsay
-from lfield.mobility.relays import Relays
-from lfield.mobility.starts import Starts
-from lfield.simulate.seeds import Draws
-from lfield.simulate.stories.drawing import apart
-from lfield.simulate.stories.story import FOR_EVER, Story, forgetful, plain
+from lfield.host.migration.write_ahead import WriteAheadQueue
+from lfield.host.team.startup import Startup
+from lfield.journal.records import CoordinatorRecord
+from lfield.replication.locate.outcomes import UnavailableHosts
+from lfield.replication.membership.membership import Membership
+from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import Effect, PersistRecord, Send
+from lfield.replication.transfer.query_relay import QueryRelay
+from lfield.replication.transfer.start_gate import StartGate
+from lfield.replication.transfer.transfer_receiver import TransferReceiver
+from lfield.replication.transfer.transfer_sender import TransferSender
 from lfield.vm.machine import Machine
-from lfield.wire.coordinators import NEVER_ARRIVED, Accepted, Inquire, Refused
+from lfield.wire.coordinator_messages import NEVER_ARRIVED, TransferAccepted, TransferQuery, TransferRefused
 from lfield.wire.messages import Hello
+from simulation_testing.scenarios.scenario import FOR_EVER, Scenario, forgetful, plain
+from simulation_testing.scenarios.scenario_drawing import apart
+from simulation_testing.seed_runner import DrawScenario
 
 Patch = pytest.MonkeyPatch
 
 
 @dataclass(frozen=True)
 class Bug:
-    """A bug: how it is planted, why it is one, by which breaches it may be found, and a seed that does.
+    """A bug: how it is planted, what is broken, by which breaches it may be found, and a seed that does.
 
     `draws` has the kind of stories that finds it fastest. When `seed` finds it no more, since a change has
     moved what happens in it, the `within` stories from `first` on are searched; a thousand find every bug.
     """
 
     plant: Callable[[Patch], None]
-    why: str
+    broken: str
     breaches: frozenset[str]
     seed: int
-    draws: Draws = plain
+    draws: DrawScenario = plain
     first: int = 0
     within: int = 150
 
@@ -56,7 +57,7 @@ class Bug:
         return self.plant.__name__
 
 
-def forgotten(seed: int) -> Story:
+def forgotten(seed: int) -> Scenario:
     """One of a small team without journals, in which a home often begins anew what it cannot hear."""
     dice = random.Random(f"forgotten {seed}")
     means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "island", "cut")}
@@ -65,14 +66,16 @@ def forgotten(seed: int) -> Story:
 
 
 def silence_is_a_loss(patch: Patch) -> None:
-    def absent(self: Hearsay, answered: Any, now: float, lost_after: float, unmet: float) -> Absent:
-        return Absent(gone=[host for host in self._others if host not in answered])
+    def absent(
+        self: Membership, answered: Any, now: float, lost_after: float, unmet: float
+    ) -> UnavailableHosts:
+        return UnavailableHosts(ended=[host for host in self._others if host not in answered])
 
-    patch.setattr(Hearsay, "absent", absent)
+    patch.setattr(Membership, "unavailable_hosts", absent)
 
 
 def two_starts_on_one_host(patch: Patch) -> None:
-    admit = Machine.admit
+    admit = Machine.inject
 
     def admit_beside(self: Machine, member: Any, *more: Any) -> Any:
         other = self.agents.get(member.id)
@@ -82,11 +85,11 @@ def two_starts_on_one_host(patch: Patch) -> None:
             other.ended = ended
         return agent
 
-    patch.setattr(Machine, "admit", admit_beside)
+    patch.setattr(Machine, "inject", admit_beside)
 
 
 def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
-    enter, unlinked = Host._enter, HostCore.unlinked
+    enter, unlinked = Host._dispatch, HostCore.on_unlinked
 
     def breaks(self: HostCore, host: str) -> None:
         self.breaks = getattr(self, "breaks", 0) + 1  # type: ignore[attr-defined]
@@ -98,45 +101,46 @@ def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
         if not hasattr(self, "pump_died"):
             enter(self, event)
 
-    patch.setattr(HostCore, "unlinked", breaks)
-    patch.setattr(Host, "_enter", enter_if_alive)
+    patch.setattr(HostCore, "on_unlinked", breaks)
+    patch.setattr(Host, "_dispatch", enter_if_alive)
     patch.setattr(Host, "fail", lambda self, error: setattr(self, "pump_died", error))
-    patch.setattr(Host, "turn", lambda self: self._enter(lambda: None) or True)
+    patch.setattr(Host, "step", lambda self: self._dispatch(lambda: None) or True)
 
 
 def an_exception_loses_a_thread(patch: Patch) -> None:
-    answered = HostCore.answered
+    answered = HostCore.on_device_answer
 
     def lost(self: HostCore, asked: Any, value: Any) -> None:
         if not isinstance(value, DeviceError):
             answered(self, asked, value)
 
-    patch.setattr(HostCore, "answered", lost)
+    patch.setattr(HostCore, "on_device_answer", lost)
 
 
 def resume_after_the_point_of_no_return(patch: Patch) -> None:
-    def overdue(self: Departures, copy: Copy) -> list[Effect]:
+    def overdue(self: TransferSender, copy: CoordinatorCopy, now: float) -> list[Effect]:
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
-    patch.setattr(Departures, "overdue", overdue)
+    patch.setattr(TransferSender, "on_deadline", overdue)
+    patch.setattr("lfield.replication.transfer.transfer_sender.MIN_DOUBT_TIME", 0.0)
 
 
 def no_memory_of_ids(patch: Patch) -> None:
-    def inquire(self: Arrivals, host: str, asked: Inquire) -> list[Effect]:
-        refused = Refused(asked.agent, asked.generation, asked.sequence, NEVER_ARRIVED, "who?")
+    def inquire(self: TransferReceiver, host: str, asked: TransferQuery) -> list[Effect]:
+        refused = TransferRefused(asked.agent, asked.generation, asked.sequence, NEVER_ARRIVED, "who?")
         return [Send(host, refused)]
 
-    patch.setattr(Arrivals, "inquire", inquire)
+    patch.setattr(TransferReceiver, "on_query", inquire)
 
 
 def a_restart_is_taken_for_a_proof(patch: Patch) -> None:
-    take_up = Departures._take_up
+    take_up = TransferSender._retry
 
-    def take_up_boldly(self: Departures, copy: Copy, peer: Hello) -> list[Effect]:
-        restarted = copy.state == "PREPARED" and peer.remembers != copy.memory
+    def take_up_boldly(self: TransferSender, copy: CoordinatorCopy, peer: Hello) -> list[Effect]:
+        restarted = copy.state == "PREPARED" and peer.state_id != copy.receiver_memory
         return self._send(copy) if restarted else take_up(self, copy, peer)
 
-    patch.setattr(Departures, "_take_up", take_up_boldly)
+    patch.setattr(TransferSender, "_retry", take_up_boldly)
 
 
 def _drops(patch: Patch, cls: type, name: str, states: str) -> None:
@@ -145,29 +149,33 @@ def _drops(patch: Patch, cls: type, name: str, states: str) -> None:
 
     def forgets(self: Any, *given: Any, **named: Any) -> list[Effect]:
         effects: list[Effect] = go(self, *given, **named)
-        return [e for e in effects if not (isinstance(e, Persist) and e.page.state in states.split())]  # type: ignore[union-attr]
+        return [e for e in effects if not (isinstance(e, PersistRecord) and e.record.state in states.split())]  # type: ignore[union-attr]
 
     patch.setattr(cls, name, forgets)
 
 
 def what_is_sent_is_not_on_disk(patch: Patch) -> None:
-    _drops(patch, Departures, "_send", "PREPARED")
+    _drops(patch, TransferSender, "_send", "PREPARED")
 
 
 def verdicts_are_not_on_disk(patch: Patch) -> None:
-    _drops(patch, Arrivals, "arrive", "RUN ABSENT")
-    _drops(patch, Arrivals, "inquire", "RUN ABSENT MOVED")
+    _drops(patch, TransferReceiver, "on_transfer", "RUN ABSENT")
+    _drops(patch, TransferReceiver, "on_query", "RUN ABSENT MOVED")
 
 
 def an_answer_overtakes_its_page(patch: Patch) -> None:
-    put = Keeping.put
+    put = WriteAheadQueue.put
 
-    def hasty(self: Keeping, effects: Iterable[Effect], now: float) -> list[Effect]:
+    def hasty(self: WriteAheadQueue, effects: Iterable[Effect], now: float) -> list[Effect]:
         effects = list(effects)
-        answers = [e for e in effects if isinstance(e, Send) and isinstance(e.message, Accepted | Refused)]
+        answers = [
+            e
+            for e in effects
+            if isinstance(e, Send) and isinstance(e.message, TransferAccepted | TransferRefused)
+        ]
         return [*answers, *put(self, [e for e in effects if e not in answers], now)]
 
-    patch.setattr(Keeping, "put", hasty)
+    patch.setattr(WriteAheadQueue, "put", hasty)
 
 
 def a_call_overtakes_its_page(patch: Patch) -> None:
@@ -176,32 +184,32 @@ def a_call_overtakes_its_page(patch: Patch) -> None:
 
 
 def a_kept_copy_runs_although_it_had_left(patch: Patch) -> None:
-    restore = Copy.restore
+    restore = CoordinatorCopy.restore
 
-    def returns(self: Copy, page: CopyPage) -> None:
+    def returns(self: CoordinatorCopy, page: CoordinatorRecord) -> None:
         left = page.state in ("PREPARED", "MOVED") and page.block
         restore(self, structs.replace(page, state="RUN") if left else page)
 
-    patch.setattr(Copy, "restore", returns)
+    patch.setattr(CoordinatorCopy, "restore", returns)
 
 
 def a_journal_is_no_memory(patch: Patch) -> None:
-    patch.setattr(Hello, "remembers", property(lambda self: self.incarnation))
+    patch.setattr(Hello, "state_id", property(lambda self: self.incarnation))
 
 
 def generations_from_the_wall_clock(patch: Patch) -> None:
-    begin = Beginning.__init__
+    begin = Startup.__init__
 
-    def with_clock(self: Beginning, own: Any, others: Any, team: Any, *more: Any, **named: Any) -> None:
-        begin(self, own, others, team, *more, **named)
-        self._starts.clock = team._clock  # type: ignore[attr-defined]
+    def with_clock(self: Startup, context: HostContext, *more: Any) -> None:
+        begin(self, context, *more)
+        self._gate.clock = context.clock  # type: ignore[attr-defined]
 
-    patch.setattr(Beginning, "__init__", with_clock)
-    patch.setattr(Starts, "next", property(lambda self: int(self.clock.time())))
+    patch.setattr(Startup, "__init__", with_clock)
+    patch.setattr(StartGate, "next_generation", property(lambda self: int(self.clock.time())))
 
 
 def nobody_asks_over_other_hosts(patch: Patch) -> None:
-    patch.setattr(Relays, "arm", lambda self: None)
+    patch.setattr(QueryRelay, "arm", lambda self: None)
 
 
 BUGS = [

@@ -8,22 +8,22 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
-from lfield.devices.guards import Guards
+from lfield.devices.device_guards import DeviceGuards
 from lfield.host.core import HostCore
-from lfield.host.orders.executed import Executed, Standing
-from lfield.host.stopping.stops import Stops
-from lfield.host.team import words
-from lfield.journal.pages import Paused
-from lfield.mobility.core import Mobility
-from lfield.mobility.departures import UNREACHABLE
-from lfield.mobility.effects import Effect
-from lfield.simulate.stories.drawing import crowd, under_orders, wrecked
-from lfield.simulate.stories.story import FOR_EVER, Story, plain
-from lfield.simulate.weather import Fault
-from lfield.wire.orders import HOLDS, Kind
+from lfield.host.order_history.executed_orders import ExecutedOrders, OrderStanding
+from lfield.host.stop_orders.order_executor import OrderExecutor
+from lfield.host.team import operator_commands
+from lfield.journal.records import PauseFlag
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import Effect
+from lfield.replication.transfer.transfer_sender import UNREACHABLE
+from lfield.wire.order_messages import HOLDS, OrderKind
+from simulation_testing.fault_injection import Fault
+from simulation_testing.scenarios.scenario import FOR_EVER, Scenario, plain
+from simulation_testing.scenarios.scenario_drawing import crowd, under_orders, wrecked
 
 
-def ordered(seed: int) -> Story:
+def ordered(seed: int) -> Scenario:
     """One under orders of a person, of hosts with journals that are often killed."""
     dice = random.Random(f"ordered {seed}")
     means = {kind: dice.uniform(1.5, 4.0) for kind in ("kill", "restart", "guard_kill")}
@@ -33,30 +33,30 @@ def ordered(seed: int) -> Story:
 
 
 def a_stop_is_forgotten_by_a_restart(patch: Patch) -> None:
-    patch.setattr(Stops, "stay_stopped", lambda self: None)
+    patch.setattr(OrderExecutor, "restore_emergency_stop", lambda self: None)
 
 
 def a_pause_is_forgotten_by_a_restart(patch: Patch) -> None:
-    patch.setattr(words, "Paused", lambda on, order: Paused(False, order))
+    patch.setattr(operator_commands, "PauseFlag", lambda on, order: PauseFlag(False, order))
 
 
 def a_stop_bars_nobody(patch: Patch) -> None:
-    def bar(self: Guards, reason: str) -> None:
+    def bar(self: DeviceGuards, reason: str) -> None:
         for guard in self._guards:
-            for name in guard.movable:
+            for name in guard.actuated_devices:
                 guard.make_safe(name, reason)
 
-    patch.setattr(Guards, "bar", bar)
+    patch.setattr(DeviceGuards, "inhibit", bar)
 
 
 def a_pause_leaves_devices_alone(patch: Patch) -> None:
-    async def rest(self: Guards, reason: str) -> dict[str, str]:
-        return {name: "" for guard in self._guards for name in guard.movable}
+    async def rest(self: DeviceGuards, reason: str) -> dict[str, str]:
+        return {name: "" for guard in self._guards for name in guard.actuated_devices}
 
-    patch.setattr(Guards, "rest", rest)
+    patch.setattr(DeviceGuards, "enter_safe_state", rest)
 
 
-def hasty(seed: int) -> Story:
+def hasty(seed: int) -> Scenario:
     """One in which the end of a stop is under way on slow links while the next stop comes over quick ones."""
     dice, story = random.Random(f"hasty {seed}"), ordered(seed)
     aimed: list[Fault] = []
@@ -71,37 +71,39 @@ def hasty(seed: int) -> Story:
 
 
 def an_order_that_comes_late_ends_a_newer_stop(patch: Patch) -> None:
-    standing = Executed.standing
+    standing = ExecutedOrders.standing_of
 
-    def any_epoch(self: Executed, kind: Kind, id: bytes, epoch: bytes) -> Standing:
+    def any_epoch(self: ExecutedOrders, kind: OrderKind, id: bytes, epoch: bytes) -> OrderStanding:
         found = standing(self, kind, id, epoch)
         return "new" if found in ("old", "unknown") and kind not in HOLDS else found
 
-    patch.setattr(Executed, "standing", any_epoch)
+    patch.setattr(ExecutedOrders, "standing_of", any_epoch)
 
 
 def a_coordinator_that_was_given_up_continues(patch: Patch) -> None:
     def forget(self: Mobility, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
-        doubted = [copy for copy in self._copies.of(agent) if copy.doubt and copy.state == "PREPARED"]
+        doubted = [
+            copy for copy in self._copies.starts_of(agent) if copy.doubt_reason and copy.state == "PREPARED"
+        ]
         effects: list[Effect] = []
         for copy in doubted:
-            copy.doubt = ""
-            effects += self._departures._resume(copy, UNREACHABLE, detail)
+            copy.doubt_reason = ""
+            effects += self._sender._resume(copy, UNREACHABLE, detail)
         return [copy.generation for copy in doubted], effects
 
-    patch.setattr(Mobility, "forget", forget)
+    patch.setattr(Mobility, "declare_lost", forget)
 
 
 def only_neighbours_are_called(patch: Patch) -> None:
     def wanted(self: HostCore) -> set[str]:
-        return {*self.hearsay.wanted(self._clock.monotonic())} - {self.name}
+        return {*self.membership.overlay_links(self._clock.monotonic())} - {self.name}
 
-    patch.setattr(HostCore, "wanted", wanted)
-    patch.setattr(HostCore, "_reach", lambda self, host: None)
+    patch.setattr(HostCore, "needed_hosts", wanted)
+    patch.setattr(HostCore, "require_link", lambda self, host: None)
 
 
-def _bug(plant: Any, why: str, found: str, seed: int, draws: Any = ordered) -> Bug:
-    return Bug(plant, why, frozenset(found.split()), seed, draws)
+def _bug(plant: Any, broken: str, found: str, seed: int, draws: Any = ordered) -> Bug:
+    return Bug(plant, broken, frozenset(found.split()), seed, draws)
 
 
 ORDER_BUGS = [

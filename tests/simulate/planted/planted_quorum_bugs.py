@@ -10,20 +10,20 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
-from lfield.host.team.keeping import Keeping
-from lfield.host.team.leases import Leases
-from lfield.journal.pages import Fence
-from lfield.mobility.effects import Effect, Persist
-from lfield.quorum.core import Quorum
-from lfield.quorum.lease import Lease
-from lfield.quorum.members import Members
-from lfield.quorum.recovery import Recoveries
-from lfield.simulate.seeds import Draws
-from lfield.simulate.stories.drawing import split
-from lfield.simulate.stories.story import Story, doubted, parted
-from lfield.simulate.weather import Fault
+from lfield.host.migration.write_ahead import WriteAheadQueue
+from lfield.host.team.leases import TeamLeases
+from lfield.journal.records import FenceRecord
+from lfield.replication.lease.core import Quorum
+from lfield.replication.lease.failover import Failover
+from lfield.replication.lease.lease import Lease
+from lfield.replication.lease.quorum_members import QuorumMembers
+from lfield.replication.transfer.effects import Effect, PersistRecord
 from lfield.vm.agent import Agent
-from lfield.wire.quorum import Ack, Heartbeat
+from lfield.wire.quorum_messages import Heartbeat, HeartbeatAck
+from simulation_testing.fault_injection import Fault
+from simulation_testing.scenarios.scenario import Scenario, doubted, parted
+from simulation_testing.scenarios.scenario_drawing import split
+from simulation_testing.seed_runner import DrawScenario
 
 #: The seed of `parted` that finds `the_fence_is_not_on_disk`: at 7.5 s the former holder of a coordinator
 #: meets a host that had promised it to another one, and was restarted since.
@@ -48,7 +48,7 @@ def fences_told_once_and_lost_with_their_link(patch: Patch) -> None:
     _answers(patch, fences)
 
 
-def interrupted(seed: int) -> Story:
+def interrupted(seed: int) -> Scenario:
     """The story of `parted` in which those who must not meet do; their link is slow at first, and breaks."""
     story, met = parted(MEETING), 7.1 + random.Random(f"interrupted {seed}").uniform(0.0, 0.4)
     slow = Fault(met, "slow", "h2", "h0", 0.5, 1.0)
@@ -63,8 +63,8 @@ def _answers(patch: Patch, fences: Any) -> None:
         told = fences(self, host, message)
         effects = on_heartbeat(self, host, message, now)
         return [
-            type(e)(e.host, Ack(message.life, message.number, told))
-            if isinstance(getattr(e, "message", None), Ack)
+            type(e)(e.host, HeartbeatAck(message.incarnation, message.number, told))
+            if isinstance(getattr(e, "message", None), HeartbeatAck)
             else e
             for e in effects
         ]
@@ -73,35 +73,37 @@ def _answers(patch: Patch, fences: Any) -> None:
 
 
 def no_wait_after_the_promises(patch: Patch) -> None:
-    patch.setattr(Members, "wait", property(lambda self: 0.0))
+    patch.setattr(QuorumMembers, "grace_period", property(lambda self: 0.0))
 
 
 def a_wait_that_is_shorter_than_the_lease(patch: Patch) -> None:
-    patch.setattr(Members, "wait", property(lambda self: 0.1 * self.lease))
+    patch.setattr(QuorumMembers, "grace_period", property(lambda self: 0.1 * self.lease))
 
 
 def the_fence_is_not_on_disk(patch: Patch) -> None:
     """As on a disk, but its page is never written."""
-    put = Keeping.put
+    put = WriteAheadQueue.put
 
-    def forgets(self: Keeping, effects: Any, now: float) -> list[Effect]:
-        kept = [e for e in effects if not (isinstance(e, Persist) and isinstance(e.page, Fence))]
+    def forgets(self: WriteAheadQueue, effects: Any, now: float) -> list[Effect]:
+        kept = [
+            e for e in effects if not (isinstance(e, PersistRecord) and isinstance(e.record, FenceRecord))
+        ]
         return put(self, kept, now)
 
-    patch.setattr(Keeping, "put", forgets)
+    patch.setattr(WriteAheadQueue, "put", forgets)
 
 
 def the_promises_of_a_minority(patch: Patch) -> None:
-    begin = Recoveries.__init__
+    begin = Failover.__init__
 
-    class Few(Members):
+    class Few(QuorumMembers):
         def is_majority(self, names: Collection[str]) -> bool:
             return bool(self.names.intersection(names))
 
-    def with_few(self: Recoveries, members: Members, *more: Any) -> None:
-        begin(self, Few(members.names, members.here, members.lease), *more)
+    def with_few(self: Failover, members: QuorumMembers, *more: Any) -> None:
+        begin(self, Few(members.names, members.own_name, members.lease), *more)
 
-    patch.setattr(Recoveries, "__init__", with_few)
+    patch.setattr(Failover, "__init__", with_few)
 
 
 def the_first_acknowledgement_is_enough(patch: Patch) -> None:
@@ -109,26 +111,26 @@ def the_first_acknowledgement_is_enough(patch: Patch) -> None:
 
     def count(self: Lease) -> None:
         times = sorted(self._acknowledged.values(), reverse=True)
-        if not self._alone and len(times) >= self._members.majority - self._members.counts_itself:
-            self.until = times[0] + self._members.lease
+        if not self._alone and len(times) >= self._members.majority - self._members.is_voter:
+            self.valid_until = times[0] + self._members.lease
 
-    patch.setattr(Lease, "_count", count)
+    patch.setattr(Lease, "_update", count)
 
 
 def running_without_a_lease(patch: Patch) -> None:
     def may_act(self: Quorum, agent: str, generation: int, now: float) -> bool:
-        return not self.barred(agent, generation)
+        return not self.is_fenced(agent, generation)
 
-    def until(self: Leases, caller: Agent, device: str) -> float:
+    def until(self: TeamLeases, caller: Agent, device: str) -> float:
         return math.inf
 
     patch.setattr(Quorum, "may_act", may_act)
-    patch.setattr(Leases, "until", until)
-    patch.setattr(Leases, "_lost", lambda self: None)
+    patch.setattr(TeamLeases, "actuation_deadline", until)
+    patch.setattr(TeamLeases, "_on_lost", lambda self: None)
 
 
-def _bug(plant: Any, why: str, seed: int, draws: Draws = doubted) -> Bug:
-    return Bug(plant, why, TWO_ACT, seed, draws)
+def _bug(plant: Any, broken: str, seed: int, draws: DrawScenario = doubted) -> Bug:
+    return Bug(plant, broken, TWO_ACT, seed, draws)
 
 
 QUORUM_BUGS = [

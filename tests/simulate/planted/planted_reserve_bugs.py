@@ -6,42 +6,47 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
-from lfield.host.team.reservations import Reservations, Start
-from lfield.host.team.reserving import Reserving
-from lfield.simulate.stories.story import keeper
+from lfield.host.team.reservation_service import ReservationService
+from lfield.host.team.reservations import Reservations, StartKey
+from simulation_testing.scenarios.scenario import keeper
 
 
 def a_number_is_told_before_it_is_kept(patch: Patch) -> None:
-    write = Reserving._write
+    write = ReservationService._write
 
-    def boldly(self: Reserving, effect: Any) -> None:
+    def boldly(self: ReservationService, effect: Any) -> None:
         write(self, effect)
         if effect.holder is not None:
-            self._core.written(effect.resource, effect.number, self._clock.monotonic())
+            self._reservations.on_durable(effect.resource, effect.number, self._clock.monotonic())
 
-    patch.setattr(Reserving, "_write", boldly)
+    patch.setattr(ReservationService, "_write", boldly)
 
 
 def no_wait_after_a_restart(patch: Patch) -> None:
     restore = Reservations.restore
 
-    def free(self: Reservations, resource: str, number: int, holder: Start | None, now: float) -> None:
+    def free(self: Reservations, resource: str, number: int, holder: StartKey | None, now: float) -> None:
         restore(self, resource, number, None, now)
 
     patch.setattr(Reservations, "restore", free)
 
 
 def a_stale_holder_renews(patch: Patch) -> None:
-    def renew(self: Reservations, start: Start, resource: str, number: int, now: float) -> None:
+    def renew(self: Reservations, start: StartKey, resource: str, number: int, now: float) -> None:
         found = self._find(resource, now)
         if found.number >= number:
-            found.holder, found.until, found.written, found.told = start, now + self._lease, True, True
+            found.holder, found.until, found.is_durable, found.is_granted = (
+                start,
+                now + self._lease,
+                True,
+                True,
+            )
 
     patch.setattr(Reservations, "renew", renew)
 
 
 def numbers_begin_again(patch: Patch) -> None:
-    def nothing(self: Reservations, resource: str, number: int, holder: Start | None, now: float) -> None:
+    def nothing(self: Reservations, resource: str, number: int, holder: StartKey | None, now: float) -> None:
         """Nothing is known of earlier lives."""
         self._first = 1
 
@@ -49,26 +54,26 @@ def numbers_begin_again(patch: Patch) -> None:
 
 
 def any_number_will_do(patch: Patch) -> None:
-    serves = Reservations.serves
+    serves = Reservations.may_serve
 
     def whoever(
-        self: Reservations, start: Start, resource: str, number: int, now: float, *, nested: bool
+        self: Reservations, start: StartKey, resource: str, number: int, now: float, *, nested: bool
     ) -> bool:
         return bool(number) or serves(self, start, resource, number, now, nested=nested)
 
-    patch.setattr(Reservations, "serves", whoever)
+    patch.setattr(Reservations, "may_serve", whoever)
 
 
 def it_is_given_while_others_are_at_work(patch: Patch) -> None:
-    patch.setattr(Reserving, "_busy", lambda self, resource, agent: False)
+    patch.setattr(ReservationService, "_busy", lambda self, resource, agent: False)
 
 
 def who_only_calls_need_not_ask(patch: Patch) -> None:
-    patch.setattr(Reservations, "concerns", lambda self, resource: False)
+    patch.setattr(Reservations, "is_contended", lambda self, resource: False)
 
 
-def _bug(plant: Any, why: str, found: str, seed: int) -> Bug:
-    return Bug(plant, why, frozenset(found.split()), seed, keeper)
+def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
+    return Bug(plant, broken, frozenset(found.split()), seed, keeper)
 
 
 RESERVE_BUGS = [

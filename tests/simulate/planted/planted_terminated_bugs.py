@@ -9,12 +9,12 @@ from typing import Any
 from msgspec import structs
 from planted_bugs import Bug, Patch
 
-from lfield.host.team.keeping import Keeping
-from lfield.host.team.leases import Leases
-from lfield.quorum.core import Quorum
-from lfield.quorum.terminations import Terminations
-from lfield.simulate.seeds import Draws
-from lfield.simulate.stories.story import Story, ending
+from lfield.host.migration.write_ahead import WriteAheadQueue
+from lfield.host.team.leases import TeamLeases
+from lfield.replication.lease.core import Quorum
+from lfield.replication.lease.termination_log import TerminationLog
+from simulation_testing.scenarios.scenario import Scenario, ending
+from simulation_testing.seed_runner import DrawScenario
 
 #: By which breaches they may be found.
 RECOVERED = frozenset({"terminated", "promised"})
@@ -22,12 +22,12 @@ RECOVERED = frozenset({"terminated", "promised"})
 
 def an_end_is_like_nothing_known(patch: Patch) -> None:
     """A coordinator that has terminated looks like one of which nothing was ever heard."""
-    patch.setattr(Leases, "_saved_end", lambda self, agent: None)
+    patch.setattr(TeamLeases, "_termination_checkpoint", lambda self, agent: None)
 
 
 def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
     """It is told in acknowledgements, but whoever is asked does not look."""
-    on_propose, sought = Quorum._on_propose, Quorum._sought
+    on_propose, sought = Quorum._on_propose, Quorum._locate
 
     def promises(self: Quorum, host: str, message: Any, now: float) -> Any:
         return on_propose(self, host, structs.replace(message, start=2**62), now)
@@ -36,31 +36,31 @@ def a_promise_in_spite_of_a_known_end(patch: Patch) -> None:
         return structs.replace(sought(self, agent, now), ended=None)
 
     patch.setattr(Quorum, "_on_propose", promises)
-    patch.setattr(Quorum, "_sought", silent)
-    patch.setattr(Terminations, "all", property(lambda self: []))
+    patch.setattr(Quorum, "_locate", silent)
+    patch.setattr(TerminationLog, "all", property(lambda self: []))
 
 
 def an_end_is_told_before_it_is_on_disk(patch: Patch) -> None:
-    patch.setattr(Keeping, "on_record", lambda self, rows, here: list(rows))
+    patch.setattr(WriteAheadQueue, "durable_states", lambda self, rows, here: list(rows))
 
 
 def an_end_is_written_down_in_spite_of_a_promise(patch: Patch) -> None:
     """It becomes final while the recovery that was promised begins, and its proposer is not told."""
-    patch.setattr(Terminations, "is_delayed", lambda self, ended, now: False)
-    patch.setattr(Terminations, "all", property(lambda self: []))
+    patch.setattr(TerminationLog, "is_delayed", lambda self, ended, now: False)
+    patch.setattr(TerminationLog, "all", property(lambda self: []))
 
 
-def _bug(plant: Any, why: str, seed: int, draws: Draws = ending) -> Bug:
-    return Bug(plant, why, RECOVERED, seed, draws)
+def _bug(plant: Any, broken: str, seed: int, draws: DrawScenario = ending) -> Bug:
+    return Bug(plant, broken, RECOVERED, seed, draws)
 
 
-def calm(seed: int) -> Story:
+def calm(seed: int) -> Scenario:
     """One of three hosts in which nothing else happens than that one link is cut."""
     story = replace(ending(seed), means={}, cast=3, hosts=3, walkers=3, witnesses=0)
     return replace(story, aimed=story.aimed[:1])
 
 
-def slowly(seed: int) -> Story:
+def slowly(seed: int) -> Scenario:
     """One in which a host loses power while the end of a coordinator is on its way to the disk."""
     story = replace(ending(seed), calls=1 + seed % 2, stay=1.0, means={}, sync=0.002)
     slow = replace(
@@ -71,8 +71,15 @@ def slowly(seed: int) -> Story:
 
 
 TERMINATED_BUGS = [
-    _bug(an_end_is_like_nothing_known, "who knows of the end answers like one that does not", 0, calm),
-    _bug(a_promise_in_spite_of_a_known_end, "whoever is asked for a promise does not look", 0, calm),
+    _bug(
+        an_end_is_like_nothing_known, "a host that has a termination answers like one that has none", 99, calm
+    ),
+    _bug(
+        a_promise_in_spite_of_a_known_end,
+        "a host that is asked for a promise does not check for a termination",
+        99,
+        calm,
+    ),
     _bug(
         an_end_is_told_before_it_is_on_disk, "it goes on from that disk, and others have its end", 7, slowly
     ),

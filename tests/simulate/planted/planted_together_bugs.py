@@ -7,53 +7,53 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
-from lfield.host.team.begun import BegunPages
-from lfield.simulate.stories.story import crew
+from lfield.host.team.pending_call_store import PendingCallStore
 from lfield.vm.agent import Agent
-from lfield.vm.begun import Begun
-from lfield.vm.limits import TimeLimits
-from lfield.vm.machine import Machine
+from lfield.vm.deadlines import Deadlines
+from lfield.vm.pending_call import PendingCall
+from lfield.vm.together.itinerary import Itinerary
+from simulation_testing.scenarios.scenario import crew
 
 
 def a_result_is_told_before_it_is_kept(patch: Patch) -> None:
-    came_back = BegunPages.came_back
+    came_back = PendingCallStore.on_call_completed
 
-    def boldly(self: BegunPages, begun: Begun) -> None:
+    def boldly(self: PendingCallStore, begun: PendingCall) -> None:
         came_back(self, begun)
-        self._machine.kept_result(begun.key)
+        self._machine.pending_calls.on_persisted(begun.key)
 
-    patch.setattr(BegunPages, "came_back", boldly)
+    patch.setattr(PendingCallStore, "on_call_completed", boldly)
 
 
 def what_is_begun_is_not_on_disk(patch: Patch) -> None:
-    def begins(self: BegunPages, agent: Agent, calls: Sequence[Any]) -> bool:
-        return self._leases.may_begin(agent)
+    def begins(self: PendingCallStore, agent: Agent, calls: Sequence[Any]) -> bool:
+        return self._leases.may_start_call(agent)
 
-    patch.setattr(BegunPages, "begins", begins)
+    patch.setattr(PendingCallStore, "may_start_calls", begins)
 
 
 def a_fence_cancels_nothing(patch: Patch) -> None:
-    patch.setattr(BegunPages, "_over", lambda self, start: "")
+    patch.setattr(PendingCallStore, "_end_reason", lambda self, start: "")
 
 
 def a_result_goes_before_its_coordinators_page(patch: Patch) -> None:
-    def look(self: BegunPages) -> None:
+    def look(self: PendingCallStore, now: float) -> None:
         for agent in self._machine.agents.values():
-            self._forget(agent.fetched)
+            self._delete(agent.fetched)
 
-    patch.setattr(BegunPages, "look", look)
+    patch.setattr(PendingCallStore, "on_tick", look)
 
 
 def who_may_have_begun_begins_again(patch: Patch) -> None:
-    patch.setattr(Machine, "goes_on", lambda self, agent: True)
+    patch.setattr(Itinerary, "may_continue", lambda self, agent: True)
 
 
 def a_begun_call_knows_no_time_limit(patch: Patch) -> None:
-    patch.setattr(TimeLimits, "cancel_at_end", lambda self, agent, resource, begun: None)
+    patch.setattr(Deadlines, "schedule_cancel", lambda self, agent, resource, begun: None)
 
 
-def _bug(plant: Any, why: str, found: str, seed: int) -> Bug:
-    return Bug(plant, why, frozenset(found.split()), seed, crew)
+def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
+    return Bug(plant, broken, frozenset(found.split()), seed, crew)
 
 
 TOGETHER_BUGS = [

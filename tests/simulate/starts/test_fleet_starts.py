@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from lfield.host.core import HostCore
-from lfield.journal.pages import Starts
-from lfield.mission.access.release import Release
-from lfield.mission.load import load_mission
+from lfield.journal.records import StartCounter
+from lfield.mission.access.signed_bundle import BundleId
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.fleet import Fleet
-from lfield.wire.observing import Status
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.wire.observer_messages import Status
 
 PROGRAM = """
 resource Post {
@@ -76,12 +76,12 @@ def started(fleet: Fleet) -> bool:
 def event(fleet: Fleet, event: Callable[[HostCore], object]) -> None:
     """Let something happen to alpha, in its own process."""
     life = fleet.lives["alpha"]
-    life.process.loop.enter(lambda: life.host._enter(lambda: event(life.core)))
+    life.process.loop.enter(lambda: life.host._dispatch(lambda: event(life.core)))
 
 
-def alone(made: Mission, *absent: str, **options: bool) -> Fleet:
+def alone(made: Mission, *absent: str, keeps: bool = True) -> Fleet:
     """A fleet of which some hosts are not there yet."""
-    fleet = Fleet(made, 1, **options)  # type: ignore[arg-type]  # keeps
+    fleet = Fleet(made, 1, options=FleetOptions(keeps=keeps))
     for name in absent:
         fleet.power_off(name)
     return fleet
@@ -107,14 +107,14 @@ def test_a_new_start_waits_for_every_host_with_resources_and_for_no_other(
 
 def test_without_a_record_a_witness_is_heard_too_unless_it_is_left_out(tmp_path: Path) -> None:
     made = mission(tmp_path, "dora")
-    fleet = Fleet(made, 1, keeps=False)
+    fleet = Fleet(made, 1, options=FleetOptions(keeps=False))
     fleet.power_off("dora")
     for name in ("alpha", "bravo", "carol"):
         fleet.crash(name)
         fleet.boot(name)
     fleet.run(10.0)
     assert started(fleet)
-    warning = "starting boss without a record of earlier starts on this host and without an answer of dora"
+    warning = "boss started without proof: this host has no record of earlier starts, and dora did not answer"
     assert said(fleet, warning, "alpha") == 1
 
 
@@ -162,7 +162,7 @@ def test_a_host_that_is_lost_before_the_start_is_waited_for_again(tmp_path: Path
 def test_the_log_names_what_is_waited_for_at_once_and_then_ever_more_rarely(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(3.0)
-    line = "boss is not started: waiting for carol (it has not been linked yet)"
+    line = "boss not started: waiting for carol (no link yet)"
     assert said(fleet, line, "alpha") == 1
     fleet.run(1200.0)
     times = [at for at, _, text in fleet.log if line in text]
@@ -183,10 +183,10 @@ def other_bundle(fleet: Fleet, host: str, made: Mission) -> None:
 
 def test_a_host_with_another_bundle_stops_the_start_and_both_say_why(tmp_path: Path) -> None:
     ours, theirs = b"\x11" * 32, b"\x22" * 32
-    made = replace(mission(tmp_path), release=Release(ours))
+    made = replace(mission(tmp_path), release=BundleId(ours))
     fleet = alone(made, "carol")
     fleet.boot("carol")
-    other_bundle(fleet, "carol", replace(made, release=Release(theirs)))
+    other_bundle(fleet, "carol", replace(made, release=BundleId(theirs)))
     fleet.run(15.0)
     assert not started(fleet)
     words = "alpha runs bundle 1111111111111111 and carol runs bundle 2222222222222222"
@@ -194,7 +194,7 @@ def test_a_host_with_another_bundle_stops_the_start_and_both_say_why(tmp_path: P
     assert (refused.bundle, words in refused.reason or "carol runs" in refused.reason) == (theirs, True)
     assert {one.bundle for one in status(fleet, "carol").refused} == {ours}
     assert {one.host for one in status(fleet, "carol").refused} == {"alpha", "bravo", "dora"}
-    assert said(fleet, "boss is not started: waiting for carol (refused: ", "alpha")
+    assert said(fleet, "boss not started: waiting for carol (refused: ", "alpha")
     assert said(fleet, "runs bundle 2222222222222222", "alpha")
     # The right bundle is copied there, and it joins.
     fleet.crash("carol")
@@ -216,7 +216,7 @@ def test_what_goes_on_from_the_journal_waits_for_nobody(tmp_path: Path) -> None:
         fleet.boot("alpha")
         fleet.run(5.0)
         assert said(fleet, "boss: restarted", "alpha") == 1
-        assert not said(fleet, "is not started")
+        assert not said(fleet, "not started: ")
         fleet.close()
 
 
@@ -227,7 +227,7 @@ def test_a_crash_during_the_wait_leaves_a_start_that_waits(tmp_path: Path) -> No
     fleet.boot("alpha")
     fleet.run(20.0)
     assert not started(fleet)
-    assert not any(isinstance(page, Starts) and page.count for page in fleet.disks["alpha"].pages())
+    assert not any(isinstance(page, StartCounter) and page.count for page in fleet.disks["alpha"].pages())
     fleet.boot("carol")
     fleet.run(3.0)
     assert started(fleet)
@@ -247,11 +247,11 @@ def test_a_stop_of_the_host_ends_the_wait(tmp_path: Path) -> None:
 def test_a_pause_during_the_wait_holds_the_start_until_the_mission_is_resumed(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
-    event(fleet, lambda core: core.pause(on=True))
+    event(fleet, lambda core: core.set_paused(on=True))
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
-    event(fleet, lambda core: core.pause(on=False))
+    event(fleet, lambda core: core.set_paused(on=False))
     fleet.run(1.0)
     assert started(fleet)
 
@@ -259,12 +259,12 @@ def test_a_pause_during_the_wait_holds_the_start_until_the_mission_is_resumed(tm
 def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
-    event(fleet, lambda core: core.stop("a person on the field"))
+    event(fleet, lambda core: core.set_emergency_stop("a person on the field"))
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
     # To lift it moves nothing.
-    event(fleet, lambda core: core.stop(""))
+    event(fleet, lambda core: core.set_emergency_stop(""))
     fleet.run(20.0)
     start = status(fleet, "alpha").start
     assert start is not None
@@ -280,7 +280,7 @@ def test_in_an_overlay_the_start_needs_all_hosts_and_not_only_the_neighbours(tmp
     team = "//Boss:boss@h00?{0}\n" + "".join(f"//Post:p{name}@{name}\n" for name in names)
     made = mission(tmp_path, team=team)
     fleet = Fleet(made, 1)
-    near = fleet.lives["h00"].core.hearsay.near
+    near = fleet.lives["h00"].core.membership.neighbours
     far = next(name for name in names[1:] if name not in near)
     fleet.power_off(far)
     fleet.run(30.0)
@@ -294,7 +294,7 @@ def test_in_an_overlay_the_start_needs_all_hosts_and_not_only_the_neighbours(tmp
 
 
 def test_until_done_waits_as_long_as_the_start_does(tmp_path: Path) -> None:
-    fleet = Fleet(mission(tmp_path), 1, lost_after=3.0)
+    fleet = Fleet(mission(tmp_path), 1, options=FleetOptions(lost_after=3.0))
     fleet.power_off("carol")
     fleet.run(60.0)
     assert {"alpha", "bravo"} <= fleet.lives.keys()

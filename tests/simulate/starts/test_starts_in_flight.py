@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from test_fleet_starts import event, mission, said, started, status
 
-from lfield.mission.load import load_mission
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate import hardware
-from lfield.simulate.fleet import Fleet
+from lfield.simulate.host_fleet import Fleet, FleetOptions
 
 FLIES = """
 resource Post {
@@ -30,7 +30,7 @@ def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_ane
 ) -> None:
     (tmp_path / "mission.L").write_text(FLIES)
     (tmp_path / "mission.dL").write_text("//Boss:boss@alpha\n//Post:two@bravo\n")
-    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, keeps=keeps)
+    fleet = Fleet(load_mission(tmp_path / "mission.dL", simulate=True), 1, options=FleetOptions(keeps=keeps))
     fleet.run(5.0)
     assert said(fleet, "boss: begins") == said(fleet, "boss: ends") == 1
     # The coordinator has ended and its vehicle flies on.
@@ -41,7 +41,7 @@ def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_ane
     fleet.boot("alpha")
     fleet.run(5.0)
     assert said(fleet, "boss: begins") == 1
-    assert said(fleet, "boss is not started: two.fc of bravo is off the ground", "alpha") == 1
+    assert said(fleet, "boss not started: two.fc of bravo is off the ground", "alpha") == 1
     # It has landed: nothing takes off again by itself.
     monkeypatch.setitem(hardware.VALUES, "boolean", True)  # type: ignore[arg-type]
     fleet.run(30.0)
@@ -88,7 +88,7 @@ def test_a_vehicle_that_does_not_say_where_it_is_stops_the_start_until_its_host_
     start = status(fleet, "alpha").start
     assert start is not None
     assert (start.hosts, start.held) == (["bravo"], "")
-    why = "boss is not started: waiting for bravo (two.fc does not say whether it is on the ground)"
+    why = "boss not started: waiting for bravo (two.fc has not reported whether it is on the ground)"
     assert said(fleet, why, "alpha") >= 1
     event(fleet, lambda core: core.startup.start(["bravo"]))
     fleet.run(2.0)

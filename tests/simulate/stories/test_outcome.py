@@ -7,32 +7,32 @@ from pathlib import Path
 
 import pytest
 
-from lfield.mobility.copies import Copy
-from lfield.mobility.departures import Departures
-from lfield.mobility.effects import Effect
-from lfield.simulate.__main__ import main
-from lfield.simulate.fleet import Book
-from lfield.simulate.seeds import Tally, told
+from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
+from lfield.replication.transfer.effects import Effect
+from lfield.replication.transfer.transfer_sender import TransferSender
+from lfield.simulate.host_fleet import ProcessLog
+from simulation_testing.command_line import main
+from simulation_testing.seed_runner import SeedTally, run_seed
 
 
 def test_another_log_line_changes_the_digest_of_a_story_and_not_its_outcome(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    before, write = told(3), Book.write
-    monkeypatch.setattr(Book, "write", lambda self, text: write(self, f"in other words: {text}"))
-    after = told(3)
+    before, write = run_seed(3), ProcessLog.write
+    monkeypatch.setattr(ProcessLog, "write", lambda self, text: write(self, f"in other words: {text}"))
+    after = run_seed(3)
     assert after.digest != before.digest
     assert after.outcome == before.outcome
 
 
 def test_another_behaviour_changes_the_outcome(monkeypatch: pytest.MonkeyPatch) -> None:
-    before = told(15)
+    before = run_seed(11)
 
-    def resumes(self: Departures, copy: Copy) -> list[Effect]:
+    def resumes(self: TransferSender, copy: CoordinatorCopy, now: float) -> list[Effect]:
         return self._resume(copy, "UnreachableResourceException", "it took too long")
 
-    monkeypatch.setattr(Departures, "overdue", resumes)
-    assert told(15).outcome != before.outcome
+    monkeypatch.setattr(TransferSender, "on_deadline", resumes)
+    assert run_seed(11).outcome != before.outcome
 
 
 def test_a_story_of_orders_is_the_same_at_other_addresses_in_memory() -> None:
@@ -41,13 +41,13 @@ def test_a_story_of_orders_is_the_same_at_other_addresses_in_memory() -> None:
     outcomes = set()
     for _ in range(3):
         kept.append([object() for _ in range(1000)])
-        outcomes.add(told(19).outcome)
+        outcomes.add(run_seed(19).outcome)
     assert len(outcomes) == 1
 
 
 def test_outcomes_are_written_to_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    tally = Tally(outcomes={seed: f"{seed:064x}" for seed in range(10)})
-    monkeypatch.setattr("lfield.simulate.__main__.run", lambda seeds, processes: tally)
+    tally = SeedTally(outcomes={seed: f"{seed:064x}" for seed in range(10)})
+    monkeypatch.setattr("simulation_testing.command_line.run_seeds", lambda seeds, processes: tally)
     file = tmp_path / "outcomes.txt"
     monkeypatch.setattr(sys, "argv", ["simulate", "--seeds", "10", "--outcomes", str(file)])
     assert main() == 0

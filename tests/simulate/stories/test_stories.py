@@ -10,17 +10,17 @@ from dataclasses import replace
 import pytest
 
 from lfield.host.host import Host
-from lfield.host.stopping.stops import HOLDS_OF, NEWER
-from lfield.mobility.neighbours import Neighbourhood
-from lfield.simulate.fleet import Fleet
-from lfield.simulate.judging.judge import Judge
-from lfield.simulate.operator import Hold, Operator
-from lfield.simulate.seeds import told
-from lfield.simulate.stories.drawing import KINDS, drawn, under_orders
-from lfield.simulate.stories.shrink import command
-from lfield.simulate.stories.story import FOR_EVER, plain
-from lfield.simulate.stories.trial import tell
-from lfield.simulate.weather import Weather
+from lfield.host.stop_orders.order_executor import HOLD_NAMES, NEWER_ORDER
+from lfield.replication.membership.overlay import Overlay
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from simulation_testing.fault_injection import FaultRates
+from simulation_testing.invariants.run_judge import RunJudge
+from simulation_testing.scenarios.scenario import FOR_EVER, plain
+from simulation_testing.scenarios.scenario_drawing import KINDS, draw_scenario, under_orders
+from simulation_testing.scenarios.scenario_run import run_scenario
+from simulation_testing.scenarios.scenario_shrinker import command
+from simulation_testing.seed_runner import run_seed
+from simulation_testing.simulated_operator import Hold, SimulatedOperator
 
 
 @pytest.mark.few(2)
@@ -28,7 +28,7 @@ from lfield.simulate.weather import Weather
 def test_rarer_stories_keep_every_promise(kind: str) -> None:
     seen = Counter[str]()
     for seed in range(3):
-        verdict = told(seed, KINDS[kind])
+        verdict = run_seed(seed, KINDS[kind])
         assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
         seen.update(calls=verdict.calls, **verdict.orders)
     assert seen["calls"] > 20
@@ -39,24 +39,24 @@ def test_hosts_keep_what_they_confirm_to_a_person() -> None:
     seen = Counter[str]()
     for seed in range(6):
         story = under_orders(replace(plain(seed), journals=True), random.Random(seed))
-        verdict = tell(story)
+        verdict = run_scenario(story)
         assert not verdict.breaches, verdict.breaches[0]
         seen.update(verdict.orders)
     assert min(seen["stop"], seen["pause"]) > 3
 
 
 def test_seeds_draw_stories_of_all_kinds() -> None:
-    stories = [drawn(seed) for seed in range(400)]
+    stories = [draw_scenario(seed) for seed in range(400)]
     assert {story.kind for story in stories} == KINDS.keys()
     struck = {kind for story in stories for kind in story.means}
-    assert struck == Weather.__dataclass_fields__.keys()
+    assert struck == FaultRates.__dataclass_fields__.keys()
     assert {story.slowness for story in stories} > {1.0}
 
 
 def test_a_team_of_more_than_nine_hosts_has_links_with_neighbours_only() -> None:
     mission = KINDS["crowd"](0).mission
     hosts = mission.team.hosts
-    assert len(Neighbourhood(hosts, 0).near) < len(hosts) - 1
+    assert len(Overlay(hosts, 0).neighbours) < len(hosts) - 1
 
 
 def test_code_takes_processor_time_on_a_slow_computer() -> None:
@@ -64,8 +64,10 @@ def test_code_takes_processor_time_on_a_slow_computer() -> None:
     story = replace(plain(1), keep=frozenset(), hosts=3, walkers=3, arms=0, calls=FOR_EVER, stay=0.04)
     calls = []
     for slowness in (1.0, 1000.0):
-        judge = Judge()
-        judge.fleet = Fleet(story.mission, 1, born=judge.born, slowness=slowness)
+        judge = RunJudge()
+        judge.fleet = Fleet(
+            story.mission, 1, on_start=judge.on_host_start, options=FleetOptions(slowness=slowness)
+        )
         judge.fleet.run(8.0)
         calls.append(judge.calls)
         judge.fleet.close()
@@ -74,9 +76,9 @@ def test_code_takes_processor_time_on_a_slow_computer() -> None:
 
 def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
     story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
-    judge = Judge()
-    fleet = judge.fleet = Fleet(story.mission, 1, born=judge.born)
-    operator = Operator(fleet, judge.orders, random.Random(1))
+    judge = RunJudge()
+    fleet = judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
+    operator = SimulatedOperator(fleet, judge.orders, random.Random(1))
     fleet.run(4.0)
     operator.press("pause", 3.0)
     fleet.run(1.0)
@@ -93,7 +95,7 @@ def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
     fleet.run(2.0)
     assert {life.core.coordinators.stopped for life in fleet.lives.values()} == {""}
     assert operator.carried_out == {"pause": 3, "stop": 3}
-    judge.look()
+    judge.check()
     assert not judge.breaches
     fleet.close()
 
@@ -101,9 +103,9 @@ def test_a_person_stops_and_pauses_a_team_until_that_is_taken_back() -> None:
 @pytest.mark.parametrize("hold", ["stop", "pause"])
 def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(hold: Hold) -> None:
     story = replace(plain(1), keep=frozenset(), hosts=3, walkers=1, arms=1, calls=FOR_EVER, stay=0.04)
-    judge = Judge()
-    fleet = judge.fleet = Fleet(story.mission, 1, born=judge.born)
-    operator = Operator(fleet, judge.orders, random.Random(1))
+    judge = RunJudge()
+    fleet = judge.fleet = Fleet(story.mission, 1, on_start=judge.on_host_start)
+    operator = SimulatedOperator(fleet, judge.orders, random.Random(1))
 
     def held() -> list[bool]:
         cores = [life.core.coordinators for _, life in sorted(fleet.lives.items())]
@@ -122,9 +124,9 @@ def test_an_order_that_comes_late_does_not_end_a_stop_that_was_pressed_after_it(
     assert held() == [True] * 3
     fleet.run(5.0)
     assert held() == [True] * 3
-    why = NEWER.format(HOLDS_OF[hold], HOLDS_OF[hold])
+    why = NEWER_ORDER.format(HOLD_NAMES[hold], HOLD_NAMES[hold])
     assert any(why in text for _, _, text in fleet.log)
-    judge.look()
+    judge.check()
     assert not judge.breaches
     operator.free_all()
     fleet.run(2.0)
@@ -137,7 +139,7 @@ def test_a_story_leaves_nothing_in_memory() -> None:
     gc.collect()
     # Not isinstance: it asks weak references of other tests for the class of what is gone.
     before = sum(type(found) is Host for found in gc.get_objects())
-    verdict = told(0)
+    verdict = run_seed(0)
     assert verdict.calls
     gc.collect()
     assert sum(type(found) is Host for found in gc.get_objects()) == before

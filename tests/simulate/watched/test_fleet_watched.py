@@ -7,11 +7,11 @@ from pathlib import Path
 from secrets import token_bytes
 
 import pytest
-from eyes import PROGRAM, chain, fleet_of, watch
+from event_watcher import PROGRAM, chain, fleet_of, watch
 
 from lfield.wire import events
-from lfield.wire.observing import EmergencyStop, Pause, Status
-from lfield.wire.watching import WINDOW, Seen, Watch
+from lfield.wire.observer_messages import EmergencyStop, Pause, Status
+from lfield.wire.subscription_messages import WINDOW, EventAck, Subscribe
 
 
 def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Path) -> None:
@@ -19,23 +19,27 @@ def test_a_hop_can_be_followed_from_cause_to_effect_over_two_hosts(tmp_path: Pat
     fleet.run(8.0)
     alpha, beta = watch(fleet, "alpha"), watch(fleet, "beta")
     fleet.run(30.0)
-    came = {(e.what.agent, e.what.generation, e.what.sequence): e for e in beta.of(events.Came)}  # type: ignore[union-attr]
-    left = alpha.of(events.Left)
+    came = {(e.what.agent, e.what.generation, e.what.sequence): e for e in beta.of(events.MigrationArrived)}  # type: ignore[union-attr]
+    left = alpha.of(events.MigrationStarted)
     assert len(left) > 3
     for event in left[:-1]:
         what = event.what
-        assert isinstance(what, events.Left)
+        assert isinstance(what, events.MigrationStarted)
         assert (what.to, what.resource, what.portal) == ("beta", "q", "climb")
         there = came[what.agent, what.generation, what.sequence].what
-        assert isinstance(there, events.Came)
+        assert isinstance(there, events.MigrationArrived)
         assert (there.of, there.size) == ("alpha", what.size)
         assert what.size > 100
     # What it did here led to its leaving: it came, its portal began, commanded the copter, and ended.
     last = chain(alpha, left[-2])
     assert last[:6] == ["printed", "ended", "answered", "asked", "began", "came"]
-    hopped = alpha.of(events.Hopped)
+    hopped = alpha.of(events.MigrationConfirmed)
     known = alpha.by_number()
-    assert all(isinstance(known[event.cause].what, events.Left) for event in hopped if event.cause in known)
+    assert all(
+        isinstance(known[event.cause].what, events.MigrationStarted)
+        for event in hopped
+        if event.cause in known
+    )
     assert all(0.0 < event.what.seconds < 0.5 for event in hopped if event.cause in known)  # type: ignore[union-attr]
 
 
@@ -44,13 +48,13 @@ def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) 
     fleet.run(5.0)
     eye = watch(fleet, "alpha")
     fleet.run(10.0)
-    ended = [event.what for event in eye.of(events.Ended)]
+    ended = [event.what for event in eye.of(events.PortalCallEnded)]
     assert ended
     for what in ended:
-        assert isinstance(what, events.Ended)
+        assert isinstance(what, events.PortalCallEnded)
         assert (what.agent, what.resource, what.portal, what.how) == ("walker", "p", "climb", "done")
         assert what.seconds > 0.0
-    answered = [event.what for event in eye.of(events.Answered)]
+    answered = [event.what for event in eye.of(events.DeviceCallEnded)]
     assert {(w.agent, w.device, w.instruction, w.error) for w in answered} == {  # type: ignore[union-attr]
         ("p", "p.fc", "takeoff", "")
     }
@@ -59,13 +63,13 @@ def test_portal_calls_and_instructions_have_names_and_durations(tmp_path: Path) 
 def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Watch(1))
+    eye = watch(fleet, "alpha", Subscribe(1))
     fleet.run(20.0)
     lines = "".join(text for _, host, text in fleet.log if host == "alpha").splitlines()
     told = []
     for event in eye.states:
         what = event.what
-        if isinstance(what, events.Logged):
+        if isinstance(what, events.LineLogged):
             told.append(what.text)
         elif isinstance(what, events.Printed):
             told.append(f"{what.agent}: {what.text}" if what.on == "log" else what.text.rstrip("\n"))
@@ -76,12 +80,12 @@ def test_every_line_of_log_and_output_is_one_event_and_the_other_way_round(tmp_p
 def test_states_are_numbered_without_a_gap_from_the_first_moment(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(6.0)
-    eye = watch(fleet, "alpha", Watch(1, 0, 5.0))
+    eye = watch(fleet, "alpha", Subscribe(1, 0, 5.0))
     fleet.run(6.0)
     assert eye.batches[0].snapshot is not None
     numbers = [event.number for event in eye.states]
     assert numbers == list(range(1, len(numbers) + 1))
-    assert any(isinstance(event.what, events.Started) for event in eye.states)
+    assert any(isinstance(event.what, events.AgentStarted) for event in eye.states)
     times = [event.up for event in eye.states]
     assert times == sorted(times)
 
@@ -93,18 +97,20 @@ def test_an_emergency_stop_leads_to_the_latches_of_all_devices(tmp_path: Path) -
     fleet.run(1.0)
     eye.order(EmergencyStop(token_bytes(16), "people on the field"))
     fleet.run(6.0)
-    (stopped,) = eye.of(events.Stopped)
-    assert stopped.what == events.Stopped("the eye", "people on the field")
-    (latched,) = eye.of(events.Latched)
+    (stopped,) = eye.of(events.EmergencyStopChanged)
+    assert stopped.what == events.EmergencyStopChanged("the eye", "people on the field")
+    (latched,) = eye.of(events.DeviceLatched)
     assert latched.cause == stopped.number
-    (confirmed,) = eye.of(events.Confirmed)
+    (confirmed,) = eye.of(events.SafeStateConfirmed)
     assert confirmed.cause == latched.number
-    assert chain(eye, eye.of(events.Moving)[-1])[-3:] == ["confirmed", "latched", "stopped"]
-    assert eye.of(events.Moving)[-1].what == events.Moving("p.fc", "")
+    assert chain(eye, eye.of(events.DeviceMoving)[-1])[-3:] == ["confirmed", "latched", "stopped"]
+    assert eye.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
     assert 0.0 <= latched.up - stopped.up < 0.2
     eye.order(EmergencyStop(token_bytes(16), "", lift=True))
     fleet.run(0.5)
-    assert eye.of(events.Stopped)[-1].what == events.Stopped("the eye", "", lifted=True)
+    assert eye.of(events.EmergencyStopChanged)[-1].what == events.EmergencyStopChanged(
+        "the eye", "", lifted=True
+    )
 
 
 def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> None:
@@ -115,10 +121,13 @@ def test_a_pause_and_its_end_are_told_with_whoever_said_so(tmp_path: Path) -> No
     fleet.run(6.0)
     eye.order(Pause(token_bytes(16), lift=True))
     fleet.run(6.0)
-    paused, resumed = eye.of(events.Paused)
-    assert (paused.what, resumed.what) == (events.Paused("the eye"), events.Paused("the eye", lifted=True))
-    assert [e.cause for e in eye.of(events.Latched)] == [paused.number]
-    assert chain(eye, eye.of(events.Released)[0])
+    paused, resumed = eye.of(events.PauseChanged)
+    assert (paused.what, resumed.what) == (
+        events.PauseChanged("the eye"),
+        events.PauseChanged("the eye", lifted=True),
+    )
+    assert [e.cause for e in eye.of(events.DeviceLatched)] == [paused.number]
+    assert chain(eye, eye.of(events.DeviceReleased)[0])
 
 
 def test_links_that_break_and_hosts_that_come_again_are_told(tmp_path: Path) -> None:
@@ -128,18 +137,21 @@ def test_links_that_break_and_hosts_that_come_again_are_told(tmp_path: Path) -> 
     fleet.run(0.1)
     fleet.crash("beta")
     fleet.run(4.0)
-    assert eye.of(events.Unlinked)[-1].what == events.Unlinked("beta")
+    assert eye.of(events.LinkDown)[-1].what == events.LinkDown("beta")
     fleet.boot("beta")
     fleet.run(6.0)
-    assert eye.of(events.Linked)[-1].what == events.Linked("beta", restarted=True)
+    assert eye.of(events.LinkUp)[-1].what == events.LinkUp("beta", restarted=True)
 
 
 def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    often, seldom = watch(fleet, "alpha", Watch(telemetry=5.0)), watch(fleet, "alpha", Watch(telemetry=1.0))
+    often, seldom = (
+        watch(fleet, "alpha", Subscribe(telemetry=5.0)),
+        watch(fleet, "alpha", Subscribe(telemetry=1.0)),
+    )
     fleet.run(10.0)
-    standing = [event.what for event in often.of(events.Standing)]
+    standing = [event.what for event in often.of(events.AgentActivity)]
     walks = [what for what in standing if what.agent == "walker"]  # type: ignore[union-attr]
     lines = PROGRAM.splitlines()
     shown = {(lines[w.line - 1].strip(), w.waits) for w in walks if w.line}  # type: ignore[union-attr]
@@ -147,10 +159,10 @@ def test_where_everybody_stands_is_told_as_often_as_was_asked(tmp_path: Path) ->
     assert ("sleep(0.5);", "") in shown
     serving = {w.waits for w in standing if w.agent == "p"}  # type: ignore[union-attr]
     assert "p.fc.takeoff" in serving
-    measured = often.of(events.Measured)
+    measured = often.of(events.DeviceTelemetry)
     assert 40 <= len(measured) <= 51
     assert {event.what.device for event in measured} == {"p.fc"}  # type: ignore[union-attr]
-    assert 8 <= len(seldom.of(events.Measured)) <= 11
+    assert 8 <= len(seldom.of(events.DeviceTelemetry)) <= 11
     gaps = [b.up - a.up for a, b in pairwise(measured)]
     assert min(gaps) > 0.15
 
@@ -164,7 +176,7 @@ def test_a_watcher_that_comes_back_goes_on_where_it_was(tmp_path: Path) -> None:
     last = first.states[-1].number
     life = first.batches[0].incarnation
     fleet.run(20.0)
-    second = watch(fleet, "alpha", Watch(life, last))
+    second = watch(fleet, "alpha", Subscribe(life, last))
     fleet.run(2.0)
     assert second.batches[0].after == last
     assert second.batches[0].snapshot is None
@@ -181,7 +193,7 @@ def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tm
     fleet.crash("alpha")
     fleet.boot("alpha")
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Watch(life, 5000))
+    eye = watch(fleet, "alpha", Subscribe(life, 5000))
     fleet.run(1.0)
     assert eye.batches[0].incarnation != life
     assert isinstance(eye.batches[0].snapshot, Status)
@@ -191,8 +203,8 @@ def test_a_restarted_host_tells_its_whole_life_to_whoever_knew_the_one_before(tm
 def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Watch(telemetry=10.0), reads=False)
-    other = watch(fleet, "alpha", Watch(telemetry=10.0))
+    eye = watch(fleet, "alpha", Subscribe(telemetry=10.0), reads=False)
+    other = watch(fleet, "alpha", Subscribe(telemetry=10.0))
     fleet.run(50.0)
     assert len(eye.batches) == WINDOW
     assert eye.refused == ""
@@ -208,10 +220,10 @@ def test_who_stops_reading_gets_a_window_and_then_an_end(tmp_path: Path) -> None
 def test_a_slow_watcher_loses_telemetry_is_told_so_and_loses_no_state(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Watch(telemetry=20.0), reads=False)
+    eye = watch(fleet, "alpha", Subscribe(telemetry=20.0), reads=False)
     for _ in range(20):
         fleet.run(2.0)
-        eye.say(Seen(eye.batches[-1].batch))
+        eye.say(EventAck(eye.batches[-1].batch))
     eye.reads = True
     fleet.run(2.0)
     lost = [kind for batch in eye.batches for kind in batch.lost]
@@ -233,7 +245,7 @@ def test_nobody_keeps_a_host_busy_by_asking_anew(tmp_path: Path) -> None:
     fleet.run(2.0)
     eye = watch(fleet, "alpha")
     for _ in range(500):
-        eye.say(Watch())
+        eye.say(Subscribe())
     assert len(eye.batches) == 1
     fleet.run(1.0)
     assert [batch.batch for batch in eye.batches[:2]] == [1, 1]
@@ -247,24 +259,24 @@ def test_a_host_that_ends_says_so_and_how_its_devices_came_to_rest(tmp_path: Pat
     fleet.run(0.2)
     fleet.stop("alpha")
     fleet.run(30.0)
-    (ending,) = eye.of(events.Ending)
-    (latched,) = eye.of(events.Latched)
+    (ending,) = eye.of(events.HostStopping)
+    (latched,) = eye.of(events.DeviceLatched)
     assert latched.cause == ending.number
-    assert eye.of(events.Moving)[-1].what == events.Moving("p.fc", "")
+    assert eye.of(events.DeviceMoving)[-1].what == events.DeviceMoving("p.fc", "")
 
 
 def test_nothing_is_told_of_portal_calls_before_somebody_watches(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path)
     fleet.run(10.0)
     core = fleet.lives["alpha"].core
-    assert core.machine.attached.watch is None
-    eye = watch(fleet, "alpha", Watch(1))
+    assert core.machine.hooks.observer is None
+    eye = watch(fleet, "alpha", Subscribe(1))
     fleet.run(5.0)
-    assert core.machine.attached.watch is not None
-    began = eye.of(events.Began)
+    assert core.machine.hooks.observer is not None
+    began = eye.of(events.PortalCallStarted)
     assert began
     assert min(event.up for event in began) > 9.0
-    assert eye.of(events.Left)[0].up < 9.0
+    assert eye.of(events.MigrationStarted)[0].up < 9.0
 
 
 BUSY = """
@@ -283,15 +295,15 @@ coordinator Walker {
 def test_what_happens_too_often_is_counted(tmp_path: Path) -> None:
     fleet = fleet_of(tmp_path, BUSY, "//Post:p@alpha\n//Walker:walker@alpha\n")
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Watch(1))
+    eye = watch(fleet, "alpha", Subscribe(1))
     fleet.run(12.0)
     skipped: dict[str, int] = {}
-    for event in eye.of(events.Skipped):
+    for event in eye.of(events.EventsDropped):
         what = event.what
-        assert isinstance(what, events.Skipped)
+        assert isinstance(what, events.EventsDropped)
         skipped[what.skipped] = skipped.get(what.skipped, 0) + what.count
-    assert len(eye.of(events.Began)) + skipped["began"] == 12000
-    assert len(eye.of(events.Ended)) == len(eye.of(events.Began))
+    assert len(eye.of(events.PortalCallStarted)) + skipped["began"] == 12000
+    assert len(eye.of(events.PortalCallEnded)) == len(eye.of(events.PortalCallStarted))
     assert len(eye.of(events.Printed)) + skipped["printed"] == 20000
     assert not any(batch.lost for batch in eye.batches)
 
@@ -300,13 +312,13 @@ def test_what_a_portal_throws_is_told_with_its_end(tmp_path: Path) -> None:
     program = PROGRAM.replace("fc.takeoff(height);", "int none = 0; print(i2s(1 / none));")
     fleet = fleet_of(tmp_path, program)
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Watch(1))
+    eye = watch(fleet, "alpha", Subscribe(1))
     fleet.run(6.0)
-    (ended,) = eye.of(events.Ended)
-    assert isinstance(ended.what, events.Ended)
+    (ended,) = eye.of(events.PortalCallEnded)
+    assert isinstance(ended.what, events.PortalCallEnded)
     assert (ended.what.how, ended.what.detail) == ("thrown", "ArithmeticException: division by zero")
-    (finished,) = eye.of(events.Finished)
-    assert isinstance(finished.what, events.Finished)
+    (finished,) = eye.of(events.AgentFinished)
+    assert isinstance(finished.what, events.AgentFinished)
     assert finished.what.how == "died"
     assert finished.what.detail.startswith("ArithmeticException")
     assert chain(eye, finished)[:2] == ["ended", "began"]
@@ -321,7 +333,7 @@ def test_a_run_is_the_same_whether_or_not_it_is_watched(tmp_path: Path, seed: in
         fleet = fleet_of(tmp_path, seed=seed)
         fleet.run(2.0)
         if watched:
-            watch(fleet, "alpha", Watch(telemetry=20.0))
+            watch(fleet, "alpha", Subscribe(telemetry=20.0))
         fleet.run(15.0)
         return [(host, text) for _, host, text in fleet.log]
 

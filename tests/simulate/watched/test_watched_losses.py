@@ -7,16 +7,16 @@ from pathlib import Path
 from secrets import token_bytes
 
 import pytest
-from eyes import Eye, chain, watch
+from event_watcher import EventWatcher, chain, watch
 from msgspec import structs
 
-from lfield.driver.binding import WithoutPolicy
-from lfield.mission.load import load_mission
+from lfield.driver.binding import OrphanPolicy
+from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.fleet import Fleet
+from lfield.simulate.host_fleet import Fleet
 from lfield.wire import events
-from lfield.wire.observing import EmergencyStop
-from lfield.wire.watching import Watch
+from lfield.wire.observer_messages import EmergencyStop
+from lfield.wire.subscription_messages import Subscribe
 
 PROGRAM = """
 resource Post {
@@ -85,15 +85,15 @@ def test_who_goes_on_with_the_coordinator_of_a_lost_host_says_so(tmp_path: Path)
     fleet.run(0.2)
     fleet.lose(lost)
     fleet.run(60.0)
-    found = [(name, event) for name, eye in left.items() for event in eye.of(events.Recovered)]
+    found = [(name, event) for name, eye in left.items() for event in eye.of(events.CoordinatorRecovered)]
     ((name, recovered),) = found
-    assert isinstance(recovered.what, events.Recovered)
+    assert isinstance(recovered.what, events.CoordinatorRecovered)
     agent = fleet.lives[name].core.machine.agents.get("walker")
-    later = left[name].of(events.Came) + left[name].of(events.Left)
+    later = left[name].of(events.MigrationArrived) + left[name].of(events.MigrationStarted)
     assert recovered.what.agent == "walker"
     assert agent is not None or any(event.number > recovered.number for event in later)
     assert any(
-        event.what == events.Unlinked(lost) for eye in left.values() for event in eye.of(events.Unlinked)
+        event.what == events.LinkDown(lost) for eye in left.values() for event in eye.of(events.LinkDown)
     )
 
 
@@ -104,10 +104,10 @@ def test_a_coordinator_that_does_not_get_away_stays_with_an_exception(tmp_path: 
     eye = watch(fleet, "alpha")
     fleet.crash("bravo")
     fleet.run(40.0)
-    stayed = eye.of(events.Stayed)
+    stayed = eye.of(events.MigrationFailed)
     assert stayed
     what = stayed[0].what
-    assert isinstance(what, events.Stayed)
+    assert isinstance(what, events.MigrationFailed)
     assert (what.agent, what.to, what.exception) == ("walker", "bravo", "UnreachableResourceException")
     assert "bravo" in what.reason
     printed = next(e for e in eye.of(events.Printed) if e.number > stayed[0].number)
@@ -118,9 +118,7 @@ def test_a_coordinator_that_does_not_get_away_stays_with_an_exception(tmp_path: 
 def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_path: Path) -> None:
     made = mission(tmp_path)
     bound = {
-        agent: {
-            name: structs.replace(d, without_policy=WithoutPolicy(10.0, "hold")) for name, d in of.items()
-        }
+        agent: {name: structs.replace(d, without_policy=OrphanPolicy(10.0, "hold")) for name, d in of.items()}
         for agent, of in made.bindings.devices.items()
     }
     fleet = Fleet(replace(made, bindings=replace(made.bindings, devices=bound)), 1)
@@ -130,10 +128,10 @@ def test_what_nobody_looks_after_comes_down_because_of_whoever_has_left_it(tmp_p
     fleet.run(0.1)
     fleet.lose(gone)
     fleet.run(60.0)
-    latched = [(eye, event) for eye in eyes.values() for event in eye.of(events.Latched)]
+    latched = [(eye, event) for eye in eyes.values() for event in eye.of(events.DeviceLatched)]
     assert latched
     for eye, event in latched:
-        assert isinstance(event.what, events.Latched)
+        assert isinstance(event.what, events.DeviceLatched)
         assert "no coordinator that used it (walker" in event.what.reason
         led = eye.by_number().get(event.cause)
         assert led is None or led.what.agent == "walker"  # type: ignore[union-attr]
@@ -157,19 +155,19 @@ def test_who_can_be_called_and_who_no_more_is_told_with_its_cause(
     snapshot = eye.batches[0].snapshot
     assert snapshot is not None
     assert [(told.agent, told.refusal) for told in snapshot.directory] == [("one", ""), ("two", "")]
-    assert not eye.of(events.Withdrawn) + eye.of(events.Offered)
+    assert not eye.of(events.OfferWithdrawn) + eye.of(events.OfferPublished)
     eye.order(EmergencyStop(token_bytes(16), "why"))
     fleet.crash("bravo")
     fleet.run(5.0)
-    withdrawn = {event.what.agent: event for event in eye.of(events.Withdrawn)}  # type: ignore[union-attr]
+    withdrawn = {event.what.agent: event for event in eye.of(events.OfferWithdrawn)}  # type: ignore[union-attr]
     assert withdrawn.keys() == {"one", "two"}
     assert "stopped" in chain(eye, withdrawn["one"])
     assert chain(eye, withdrawn["two"]) == ["unlinked"]
     assert "unreachable" in withdrawn["two"].what.reason  # type: ignore[union-attr]
     fleet.boot("bravo")
     fleet.run(8.0)
-    (offered,) = eye.of(events.Offered)
-    assert offered.what == events.Offered("two")
+    (offered,) = eye.of(events.OfferPublished)
+    assert offered.what == events.OfferPublished("two")
     assert chain(eye, offered) == ["linked"]
 
 
@@ -180,14 +178,14 @@ def test_a_coordinator_goes_on_from_the_journal_of_its_host(tmp_path: Path) -> N
     fleet.crash("alpha")
     fleet.boot("alpha")
     fleet.run(0.001)
-    eye = watch(fleet, "alpha", Watch(1))
+    eye = watch(fleet, "alpha", Subscribe(1))
     fleet.run(8.0)
     assert eye.states[0].number == 1
-    (kept,) = [e for e in eye.of(events.Started) if e.what.agent == "walker"]  # type: ignore[union-attr]
-    assert kept.what == events.Started("walker", 1, kept=True)
+    (kept,) = [e for e in eye.of(events.AgentStarted) if e.what.agent == "walker"]  # type: ignore[union-attr]
+    assert kept.what == events.AgentStarted("walker", 1, kept=True)
 
 
-def reads_all(eye: Eye) -> bool:
+def reads_all(eye: EventWatcher) -> bool:
     """Whether no state is missing in what it was told."""
     numbers = [event.number for event in eye.states]
     return numbers == list(range(numbers[0], numbers[0] + len(numbers)))
@@ -196,7 +194,7 @@ def reads_all(eye: Eye) -> bool:
 def test_over_storms_of_links_and_hosts_no_state_is_missing(tmp_path: Path) -> None:
     fleet = Fleet(mission(tmp_path, "heartbeatInterval(3.0);"), 5)
     fleet.run(8.0)
-    eye = watch(fleet, "alpha", Watch(telemetry=10.0))
+    eye = watch(fleet, "alpha", Subscribe(telemetry=10.0))
     for _ in range(6):
         fleet.cut("alpha", "bravo")
         fleet.run(3.0)
@@ -206,5 +204,5 @@ def test_over_storms_of_links_and_hosts_no_state_is_missing(tmp_path: Path) -> N
         fleet.boot("charlie")
         fleet.run(4.0)
     assert reads_all(eye)
-    assert len(eye.of(events.Unlinked)) >= 6
+    assert len(eye.of(events.LinkDown)) >= 6
     assert not any("state" in batch.lost for batch in eye.batches)

@@ -10,12 +10,12 @@ import pytest
 
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
-from lfield.capability.reading.reader import read_registry
+from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle, team_for
-from lfield.testing.offers import still_answers
-from lfield.vm.agent import Member
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle, team_for
+from lfield.testing.still_team import still_answers
+from lfield.vm.agent import MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 
 STORES = """
@@ -38,9 +38,9 @@ coordinator Clerk {
 }
 """
 TEAM = [
-    Member(0, "near", "Store", "resource", 0),
-    Member(1, "far", "Store", "resource", 1),
-    Member(2, "clerk", "Clerk", "coordinator", 0),
+    TeamMember(0, "near", "Store", "resource", 0),
+    TeamMember(1, "far", "Store", "resource", 1),
+    TeamMember(2, "clerk", "Clerk", "coordinator", 0),
 ]
 LIFTING = Path(__file__).parents[2] / "golden" / "programs" / "lifting.yaml"
 
@@ -66,25 +66,27 @@ def stores(opening: str) -> Program:
 
 def clerk(rules: Ruled | None, opening: str = "") -> list[str]:
     """What is said on the two hosts of the clerk."""
-    clock, desks, machines = ManualClock(), (Desk(), Desk()), []
+    clock, desks, machines = ManualClock(), (GoldenWorld(), GoldenWorld()), []
     if rules is not None:
         rules.program = stores(opening)
     for host, desk in enumerate(desks):
-        machine = desk.machine = Machine(stores(opening), TEAM, host, 1 + host, desk, clock, random.Random(1))
-        machine.attached.rules = rules
-        machine.start(TEAM[host], Limits(), 0)
+        machine = desk.machine = Machine(
+            stores(opening), MachineTeam(TEAM, host, 1 + host), desk, clock, random.Random(1)
+        )
+        machine.hooks.rules = rules
+        machine.start(TEAM[host], AgentLimits(), 0)
         machines.append(machine)
-    machines[0].start(TEAM[2], Limits(), 1)
+    machines[0].start(TEAM[2], AgentLimits(), 1)
     for _ in range(20):
         for machine in machines:
-            settle(machine, clock)
+            run_until_idle(machine, clock)
         leaving = next((i for i, desk in enumerate(desks) if desk.departures), None)
         if leaving is None:
             break
         agent, _ = desks[leaving].departures.pop()
         image = bytes(machines[leaving].pack(agent))
         machines[leaving].release(agent)
-        machines[1 - leaving].go(machines[1 - leaving].admit(TEAM[2], image, Limits()))
+        machines[1 - leaving].unfreeze(machines[1 - leaving].inject(TEAM[2], image, AgentLimits()))
     (ended,) = (agent for desk in desks for agent in desk.endings)
     return [*(line for desk in desks for line in desk.output), ended.report.partition("\n")[0]]
 
@@ -150,13 +152,13 @@ def lifting() -> Registry:
 def test_each_portal_of_a_composed_offer_is_asked_for(
     lifting: Registry, refused: str, said: list[str]
 ) -> None:
-    rules, desk, clock = Ruled(refused), Desk(), ManualClock()
+    rules, desk, clock = Ruled(refused), GoldenWorld(), ManualClock()
     program = rules.program = compile_text(COMPOSED, registry=lifting)
     team = team_for(program, [("Copter", "weak", ""), ("Claw", "claw", ""), ("Boss", "boss", "")])
     desk.answers = still_answers(lifting, program, team)
-    machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1))
-    machine.attached.rules = rules
+    machine = desk.machine = Machine(program, MachineTeam(team, 0, 1), desk, clock, random.Random(1))
+    machine.hooks.rules = rules
     for member in team:
-        machine.start(member, Limits(), generation=1)
-    settle(machine, clock)
+        machine.start(member, AgentLimits(), generation=1)
+    run_until_idle(machine, clock)
     assert desk.output == said

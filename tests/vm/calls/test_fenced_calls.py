@@ -11,14 +11,17 @@ from hypothesis import strategies as st
 
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm.agent import Agent, Member
-from lfield.vm.contract import Limits
-from lfield.vm.inspect.decode import view
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
+from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.inspection.block_view import view
 from lfield.vm.machine import Machine
 
-STORE, CLERK = Member(0, "store", "Store", "resource", 0), Member(1, "clerk", "Clerk", "coordinator", 0)
-FAR, LIMITS = Member(2, "far", "Store", "resource", 1), Limits()
+STORE, CLERK = (
+    TeamMember(0, "store", "Store", "resource", 0),
+    TeamMember(1, "clerk", "Clerk", "coordinator", 0),
+)
+FAR, LIMITS = TeamMember(2, "far", "Store", "resource", 1), AgentLimits()
 #: More than the machine does before it looks at the world.
 BUSY = 20_000
 STORES = """
@@ -41,7 +44,7 @@ def program(body: str, busy: int) -> Program:
     return compile_text(STORES.replace("BUSY", str(busy)) % body)
 
 
-class Gate(Desk):
+class Gate(GoldenWorld):
     """A world that says what it was told to, and who asked: whether the portal acts, and what was kept."""
 
     def __init__(self) -> None:
@@ -49,10 +52,10 @@ class Gate(Desk):
         self.open = True
         self.asked: list[tuple[bool, bool]] = []
 
-    def may_begin(self, agent: Agent, acts: bool) -> bool:
+    def may_start_call(self, agent: Agent, acts: bool) -> bool:
         assert agent.frozen
         assert agent.fenced
-        self.asked.append((acts, agent.kept))
+        self.asked.append((acts, agent.is_persisted))
         return self.open
 
 
@@ -62,13 +65,17 @@ class Host:
     def __init__(self, body: str, busy: int = 0) -> None:
         self.gate, self.clock = Gate(), ManualClock()
         self.machine = Machine(
-            program(body, busy), [STORE, CLERK, FAR], 0, 1, self.gate, self.clock, random.Random(1), {"clerk"}
+            program(body, busy),
+            MachineTeam([STORE, CLERK, FAR], 0, 1, {"clerk"}),
+            self.gate,
+            self.clock,
+            random.Random(1),
         )
         self.clerk = self.machine.start(CLERK, LIMITS, 1)
         self.store = self.machine.start(STORE, LIMITS, 1)
 
     def run(self) -> list[str]:
-        settle(self.machine, self.clock)
+        run_until_idle(self.machine, self.clock)
         return self.gate.output
 
     def until(self, seconds: float) -> list[str]:
@@ -103,20 +110,22 @@ def test_who_came_asks_too_and_its_block_is_kept() -> None:
     ((agent, _),) = host.gate.departures
     image = bytes(host.machine.pack(agent))
     gate, clock, dice = Gate(), ManualClock(), random.Random(1)
-    machine = Machine(host.machine.program, [STORE, CLERK, FAR], 1, 2, gate, clock, dice, {"clerk"})
+    machine = Machine(
+        host.machine.program, MachineTeam([STORE, CLERK, FAR], 1, 2, {"clerk"}), gate, clock, dice
+    )
     machine.start(FAR, LIMITS, 1)
     gate.open = False
-    came = machine.admit(CLERK, image, LIMITS)
-    settle(machine, clock)
+    came = machine.inject(CLERK, image, LIMITS)
+    run_until_idle(machine, clock)
     assert gate.asked == []
     for count in (1, 2, 3):
-        machine.go(came)
-        settle(machine, clock)
+        machine.unfreeze(came)
+        run_until_idle(machine, clock)
         assert gate.asked == [(True, True)] * count
         assert came.frozen
     gate.open = True
-    machine.go(came)
-    settle(machine, clock)
+    machine.unfreeze(came)
+    run_until_idle(machine, clock)
     assert machine.agents["far"].served == 1
     assert not machine.agents.get("clerk")
 
@@ -132,7 +141,7 @@ def test_a_call_that_waited_for_a_resource_is_asked_about_when_it_would_begin() 
     assert host.clerk.frozen
     assert (host.store.served, host.calls, host.gate.output) == (0, 0, [])
     host.gate.open = True
-    host.machine.go(host.clerk)
+    host.machine.unfreeze(host.clerk)
     assert host.run() == ["0"]
     assert host.gate.asked == [(False, False)] * 2
 
@@ -141,7 +150,7 @@ def test_a_call_that_must_not_begin_ends_by_an_exception_and_the_next_is_asked_a
     host = Host("try { store.add(5); } catch (LimitException e) { print(e.message()); } print(store.add(1));")
     host.gate.open = False
     host.run()
-    host.clerk.kept = True  # its page is on the disk
+    host.clerk.is_persisted = True  # its page is on the disk
     host.gate.open = True
     host.machine.resume(host.clerk, "LimitException", "no lease", "store")
     assert host.run() == ["no lease", "1"]
@@ -157,7 +166,7 @@ def test_nothing_begins_while_the_host_says_no(answers: list[bool]) -> None:
     for answer in [*answers, *[True] * 4]:
         host.gate.open = answer
         before = len(host.gate.asked)
-        host.machine.go(host.clerk)
+        host.machine.unfreeze(host.clerk)
         host.run()
         new = len(host.gate.asked) - before
         yes += new if answer else 0
@@ -180,12 +189,10 @@ def test_a_call_under_way_is_taken_and_its_portal_goes_on_alone() -> None:
     assert host.calls == 1
     (thread,) = (t.id for t in view(host.store.block, host.machine.program).threads)
     assert host.machine.caller(host.store, thread) is host.clerk
-    assert not host.machine.is_left(host.store, thread)
-    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *TAKEN)
     assert host.calls == 0
     assert host.machine.caller(host.store, thread) is None
-    assert host.machine.is_left(host.store, thread)
-    assert not host.machine.abandon(host.clerk, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *TAKEN)
     # The portal goes on, and what it gives is dropped.
     assert host.run() == ["the mission is paused store", "0", "1", "0"]
     assert (host.clerk.ended, host.store.ended, host.store.served, host.calls) == ("done", "", 4, 0)
@@ -197,7 +204,7 @@ def test_a_portal_that_throws_with_nobody_waiting_frees_its_monitor() -> None:
         "sleep(3.0); print(store.after());"
     )
     host.until(8.0)
-    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *TAKEN)
     assert host.run() == ["store", "0"]
     assert (host.store.ended, host.store.served, host.calls) == ("", 3, 0)
 
@@ -207,7 +214,7 @@ def test_a_call_that_waits_for_its_resource_is_taken() -> None:
     host = Host(body, busy=BUSY)
     host.machine.run()
     assert host.store.waiting
-    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *TAKEN)
     assert host.store.waiting == []
     assert host.run() == ["store", "1"]
 
@@ -215,7 +222,7 @@ def test_a_call_that_waits_for_its_resource_is_taken() -> None:
 def test_a_coordinator_that_dies_of_it_leaves_its_portal_alone() -> None:
     host = Host("store.hold(new int[1]);")
     host.until(8.0)
-    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *TAKEN)
     assert host.clerk.ended == "died"
     assert host.clerk.report.startswith("RestartException: the mission is paused\n    at Clerk.init")
     host.until(3.0)
@@ -225,7 +232,7 @@ def test_a_coordinator_that_dies_of_it_leaves_its_portal_alone() -> None:
 def test_a_resource_that_dies_meanwhile_troubles_nobody() -> None:
     host = Host(HOLD + "sleep(20.0);")
     host.until(8.0)
-    assert host.machine.abandon(host.clerk, *TAKEN)
+    assert host.machine.detach_caller(host.clerk, *TAKEN)
     host.machine._scheduler.die(host.store, "bug")
     host.run()
     assert host.clerk.ended == "done"
@@ -235,8 +242,8 @@ def test_a_resource_that_dies_meanwhile_troubles_nobody() -> None:
 def test_who_waits_for_no_portal_is_left_alone(body: str) -> None:
     host = Host(body)
     host.until(1.0) if "while" not in body else host.machine.run()
-    assert not host.machine.abandon(host.clerk, *TAKEN)
-    assert not host.machine.abandon(host.store, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *TAKEN)
+    assert not host.machine.detach_caller(host.store, *TAKEN)
     assert not host.clerk.ended
 
 
@@ -245,9 +252,9 @@ def test_who_is_frozen_before_its_call_is_left_alone() -> None:
     host.gate.open = False
     host.run()
     assert host.clerk.frozen
-    assert not host.machine.abandon(host.clerk, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *TAKEN)
     host.gate.open = True
-    host.machine.go(host.clerk)
+    host.machine.unfreeze(host.clerk)
     host.run()
     assert (host.clerk.ended, host.store.served) == ("done", 1)
-    assert not host.machine.abandon(host.clerk, *TAKEN)
+    assert not host.machine.detach_caller(host.clerk, *TAKEN)

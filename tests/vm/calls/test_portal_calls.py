@@ -10,18 +10,18 @@ import pytest
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
 from lfield.errors import BlockError
-from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm.agent import Agent, Member
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
+from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 
 TEAM = [
-    Member(0, "near", "Store", "resource", 0),
-    Member(1, "far", "Store", "resource", 1),
-    Member(2, "clerk", "Clerk", "coordinator", 0),
+    TeamMember(0, "near", "Store", "resource", 0),
+    TeamMember(1, "far", "Store", "resource", 1),
+    TeamMember(2, "clerk", "Clerk", "coordinator", 0),
 ]
-CLERK, LIMITS = TEAM[2], Limits()
+CLERK, LIMITS = TEAM[2], AgentLimits()
 
 #: Two stores on two hosts, and a clerk who does what a test says. `add` acts, `total` only queries.
 STORES = """
@@ -43,7 +43,7 @@ def program(body: str) -> Program:
     return compile_text(STORES % body)
 
 
-class Disk(Desk):
+class Disk(GoldenWorld):
     """A world that packs whoever asks, and lets it go on when a test says so; at once if it is `volatile`."""
 
     def __init__(self, volatile: bool = False) -> None:
@@ -53,17 +53,17 @@ class Disk(Desk):
         self.kept: list[tuple[Agent, bytes]] = []
         self.stopped: set[int] = set()
 
-    def may_begin(self, agent: Agent, acts: bool) -> bool:
+    def may_start_call(self, agent: Agent, acts: bool) -> bool:
         assert acts
-        assert not agent.kept
+        assert not agent.is_persisted
         self.asked += 1
         if not self.volatile:
             assert agent.frozen
             self.kept.append((agent, bytes(self.machine.pack(agent))))
-            agent.kept = True
+            agent.is_persisted = True
         return self.volatile
 
-    def superseded(self, agent: str, generation: int) -> bool:
+    def is_superseded(self, agent: str, generation: int) -> bool:
         return generation in self.stopped
 
 
@@ -82,7 +82,9 @@ class Hosts:
 
     def _machine(self, host: int, life: int) -> Machine:
         disk = Disk(self.volatile)
-        disk.machine = Machine(self.program, TEAM, host, life, disk, self.clock, random.Random(1))
+        disk.machine = Machine(
+            self.program, MachineTeam(TEAM, host, life), disk, self.clock, random.Random(1)
+        )
         self.disks[host:] = [disk, *self.disks[host + 1 :]]
         disk.machine.start(TEAM[host], LIMITS, 0)
         return disk.machine
@@ -94,14 +96,14 @@ class Hosts:
 
     def settle(self) -> None:
         for machine in self.machines:
-            settle(machine, self.clock)
+            run_until_idle(machine, self.clock)
 
     def hop(self, source: int) -> Agent:
         """Carry the clerk, who wants to leave this host, to the other one."""
         agent, _ = self.disks[source].departures.pop()
         self.images.append(bytes(self.machines[source].pack(agent)))
         self.machines[source].release(agent)
-        return self.machines[1 - source].admit(CLERK, self.images[-1], LIMITS)
+        return self.machines[1 - source].inject(CLERK, self.images[-1], LIMITS)
 
     def run(self, restarted: int = 0) -> list[str]:
         """All to the end; a host's next life is `restarted`, if any, while the clerk is on the other host."""
@@ -112,7 +114,7 @@ class Hosts:
                 said = self.disks[0].output
                 self.restart(0, restarted)
                 self.disks[0].output, restarted = said, 0
-            self.machines[1 - away[0]].go(agent)
+            self.machines[1 - away[0]].unfreeze(agent)
             self.settle()
         return [line for disk in self.disks for line in disk.output]
 
@@ -125,7 +127,8 @@ print(near.add(1)); print(other.add(1)); far.add(1);
 try { called.add(1); } catch (RestartException e) { print(called.add(1)); }
 """
 TOLD = (
-    "near was started again since this proxy last called it: its fields are as new; this call has not begun"
+    "near has restarted since this proxy last called it: its fields have their initial values; this call has "
+    "not begun"
 )
 
 
@@ -141,7 +144,7 @@ def test_a_host_that_was_not_restarted_throws_nothing() -> None:
 def test_a_call_that_was_refused_at_a_limit_is_no_first_call() -> None:
     """What the proxy has not seen cannot be lost."""
     hosts = Hosts("try { near.add(1); } catch (LimitException e) { far.add(1); print(near.add(1)); }")
-    hosts.machines[0].agents["near"].limits = Limits(threads=0)
+    hosts.machines[0].agents["near"].limits = AgentLimits(threads=0)
     assert hosts.run(restarted=99) == ["1"]
 
 
@@ -160,8 +163,8 @@ def test_a_proxy_with_an_impossible_start_is_refused(start: int) -> None:
     while words[place] & 0xFF != layout.PROXY:
         place += words[place] >> 32
     words[place + layout.PROXY_START] = start
-    with pytest.raises(BlockError, match="a proxy leads to no resource of its type"):
-        Hosts("near.add(1); far.add(1); far.add(2);").machines[1].admit(CLERK, image, LIMITS)
+    with pytest.raises(BlockError, match="a proxy does not refer to a resource of its type"):
+        Hosts("near.add(1); far.add(1); far.add(2);").machines[1].inject(CLERK, image, LIMITS)
 
 
 # --- older copies --------------------------------------------------------------------------------------
@@ -184,16 +187,16 @@ def visited(copies: list[tuple[int, int]], stopped: set[int]) -> list[str]:
     hosts.disks[1].stopped = stopped
     machine = hosts.machines[1]
     for copy in copies:
-        machine.go(machine.admit(CLERK, numbered(hosts.images[0], *copy), LIMITS))
-        settle(machine, hosts.clock)
+        machine.unfreeze(machine.inject(CLERK, numbered(hosts.images[0], *copy), LIMITS))
+        run_until_idle(machine, hosts.clock)
     return hosts.disks[1].output
 
 
 @pytest.mark.parametrize(
     ("copies", "refused"),
     [
-        ([(1, 5), (1, 4)], "a later copy of clerk has called far: this one is not served any more"),
-        ([(2, 0), (1, 9)], "a later start of clerk has called far: this one is not served any more"),
+        ([(1, 5), (1, 4)], "a later copy of clerk has called far: this older one is no longer served"),
+        ([(2, 0), (1, 9)], "a later start of clerk has called far: this older one is no longer served"),
     ],
 )
 def test_a_resource_serves_no_older_copy(copies: list[tuple[int, int]], refused: str) -> None:
@@ -232,7 +235,7 @@ def test_a_call_waits_until_its_block_is_kept_and_begins_once() -> None:
         assert agent.frozen
         assert disk.asked == asked
         assert len(disk.output) == asked - 1
-        machine.go(agent)
+        machine.unfreeze(agent)
     hosts.settle()
     assert disk.output == ["5", "10"]
     assert disk.asked == 2
@@ -244,10 +247,10 @@ def test_a_call_that_could_not_be_kept_has_not_begun_and_the_next_is_asked_about
     hosts.settle()
     disk, machine = hosts.disks[0], hosts.machines[0]
     machine.resume(disk.kept[0][0], "LimitException", "the disk is full", "near")
-    settle(machine, hosts.clock)
+    run_until_idle(machine, hosts.clock)
     assert disk.asked == 2
-    machine.go(disk.kept[1][0])
-    settle(machine, hosts.clock)
+    machine.unfreeze(disk.kept[1][0])
+    run_until_idle(machine, hosts.clock)
     assert disk.output == ["the disk is full", "5"]
 
 
@@ -256,8 +259,8 @@ def test_a_coordinator_that_was_stopped_meanwhile_does_not_go_on() -> None:
     hosts.settle()
     disk, machine = hosts.disks[0], hosts.machines[0]
     disk.kept[0][0].ended = "dropped"
-    machine.go(disk.kept[0][0])
-    settle(machine, hosts.clock)
+    machine.unfreeze(disk.kept[0][0])
+    run_until_idle(machine, hosts.clock)
     assert machine.agents["near"].served == 0
 
 
@@ -268,8 +271,8 @@ def test_who_arrives_is_frozen_until_it_may_go_and_is_not_asked_about() -> None:
     hosts.settle()
     assert agent.frozen
     assert not hosts.disks[1].output
-    hosts.machines[1].go(agent)
-    hosts.machines[1].go(agent)
+    hosts.machines[1].unfreeze(agent)
+    hosts.machines[1].unfreeze(agent)
     hosts.settle()
     assert hosts.disks[1].output == ["1"]
     assert hosts.disks[1].asked == 0
@@ -279,13 +282,13 @@ def test_a_block_says_which_call_it_stands_at() -> None:
     hosts = Hosts("far.total();")
     hosts.settle()
     agent = hosts.hop(0)
-    assert hosts.machines[1].calling(agent) == (TEAM[1], "total")
+    assert hosts.machines[1].itinerary.current_target(agent) == (TEAM[1], "total")
     # A block whose proxy is null is sound: its call throws a NullException.
     w = agent.block.w
     frame = w[w[layout.W_THREADS] + layout.THREAD_FRAME]
     for slot in range(1, (w[frame] >> 32) - layout.FRAME_SLOTS):
         w[frame + layout.FRAME_SLOTS + slot] = 0
-    assert hosts.machines[1].calling(agent) is None
+    assert hosts.machines[1].itinerary.current_target(agent) is None
 
 
 # --- after a crash -------------------------------------------------------------------------------------
@@ -304,19 +307,19 @@ def test_a_block_that_was_kept_at_a_local_call_goes_on_in_another_life_with_an_e
     hosts = Hosts(RECOVERS, volatile=False)
     hosts.settle()
     for source in (0, 1):
-        hosts.machines[1 - source].go(hosts.hop(source))
+        hosts.machines[1 - source].unfreeze(hosts.hop(source))
         hosts.settle()
     ((_, image),) = hosts.disks[0].kept
     machine = hosts.restart(0)
     agent = machine.restore(CLERK, image, LIMITS)
     assert agent.block.trail() == [0, 1, 0]
-    assert machine.calling(agent) == (TEAM[0], "add")
+    assert machine.itinerary.current_target(agent) == (TEAM[0], "add")
     machine.resume(agent, "RestartException", "the call may have begun", "near")
-    settle(machine, hosts.clock)
+    run_until_idle(machine, hosts.clock)
     (disk,) = hosts.disks[:1]
     assert disk.output == ["the call may have begun", "near", "2", "as new"]
-    machine.go(disk.kept[0][0])
-    settle(machine, hosts.clock)
+    machine.unfreeze(disk.kept[0][0])
+    run_until_idle(machine, hosts.clock)
     assert disk.output[4:] == ["7"]
 
 
@@ -325,6 +328,6 @@ def test_a_block_that_came_for_a_call_goes_on_in_another_life_with_an_exception(
     hosts.settle()
     hosts.hop(0)
     machine = hosts.restart(1)
-    machine.resume(machine.admit(CLERK, hosts.images[0], LIMITS), "RestartException", "not begun", "far")
-    settle(machine, hosts.clock)
+    machine.resume(machine.inject(CLERK, hosts.images[0], LIMITS), "RestartException", "not begun", "far")
+    run_until_idle(machine, hosts.clock)
     assert hosts.disks[1].output == ["not begun", "1"]

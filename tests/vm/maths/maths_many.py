@@ -10,14 +10,14 @@ import time
 
 from maths_values import Lowered, arguments, differing
 
-from lfield.vm.maths.library import MATHS
+from lfield.vm.maths.intrinsics import MATHS
 
 #: Arguments in one go.
 BATCH = 100_000
 
 
 def main(count: int, seed: int) -> int:
-    """Try so many arguments for each function; prints a line for each, and what differs."""
+    """Try that many arguments for each function; prints a line for each, and the differences."""
     lowered, wrong = Lowered(), 0
     for name in MATHS:
         began, found = time.monotonic(), []

@@ -1,4 +1,4 @@
-"""Reals that maths is tried with, by seed; and the functions as WebAssembly, run over many at once."""
+"""Random reals for tests of the maths, by seed; and the functions as WebAssembly over arrays."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ from array import array
 from collections.abc import Callable
 from inspect import signature
 
-from lfield.vm.maths.library import MATHS
-from lfield.vm.memory.values import canonical, real_of
-from lfield.vm.wasm.lower.maths import maths_name, maths_text
+from lfield.vm.maths.intrinsics import MATHS
+from lfield.vm.memory.word_codec import canonical, real_from_bits
+from lfield.vm.wasm.lowering.maths_lowering import maths_name, maths_text
 
 #: Where somebody might have made a mistake.
 EDGES = [
@@ -25,31 +25,31 @@ EDGES += [-x for x in EDGES]
 
 
 def arity(name: str) -> int:
-    """How many reals the function of an instruction takes."""
+    """The number of arguments of an instruction's function."""
     return len(signature(MATHS[name]).parameters)
 
 
-def any_real(dice: random.Random) -> float:
-    """An edge, any bits at all, a multiple of pi / 2, or something people calculate with."""
-    match dice.randrange(8):
+def any_real(rng: random.Random) -> float:
+    """An edge case, random bits, a multiple of pi / 2, or a common number."""
+    match rng.randrange(8):
         case 0:
-            return dice.choice(EDGES)
+            return rng.choice(EDGES)
         case 1 | 2:
-            return canonical(real_of(dice.getrandbits(64) - (1 << 63)))
+            return canonical(real_from_bits(rng.getrandbits(64) - (1 << 63)))
         case 3:
-            return dice.randrange(-(1 << dice.randrange(1, 53)), 1 << 53) * math.pi / 2
+            return rng.randrange(-(1 << rng.randrange(1, 53)), 1 << 53) * math.pi / 2
         case 4:
-            return math.copysign(1.0 - dice.random() ** 12, dice.random() - 0.5)
+            return math.copysign(1.0 - rng.random() ** 12, rng.random() - 0.5)
         case 5:
-            return dice.uniform(-2000.0, 2000.0)
+            return rng.uniform(-2000.0, 2000.0)
         case 6:
-            return float(dice.randrange(-40, 41)) / 2
+            return float(rng.randrange(-40, 41)) / 2
         case _:
-            return math.ldexp(dice.uniform(-1.0, 1.0), dice.randrange(-60, 60))
+            return math.ldexp(rng.uniform(-1.0, 1.0), rng.randrange(-60, 60))
 
 
 def arguments(name: str, count: int, seed: int) -> list[tuple[float, ...]]:
-    """So many arguments for a function; two reals are near to one another now and then."""
+    """That many arguments for a function; sometimes two reals are close to each other."""
     dice = random.Random(f"{name} {seed}")
     found = [tuple(any_real(dice) for _ in range(arity(name))) for _ in range(count)]
     if arity(name) == 1:
@@ -59,12 +59,12 @@ def arguments(name: str, count: int, seed: int) -> list[tuple[float, ...]]:
     return [(y, y * dice.uniform(-3.0, 3.0)) if dice.random() < 0.3 else (y, x) for y, x in found]
 
 
-def _bounded(x: float, y: float, dice: random.Random) -> tuple[float, ...]:
-    """Two reals whose power is a real."""
+def _bounded(x: float, y: float, rng: random.Random) -> tuple[float, ...]:
+    """Two reals whose power is finite."""
     size = abs(x)
     if not 0.0 < size < math.inf or size == 1.0:
         return x, y
-    return size, dice.uniform(-745.0, 709.0) / math.log(size)
+    return size, rng.uniform(-745.0, 709.0) / math.log(size)
 
 
 class Lowered:
@@ -104,7 +104,7 @@ class Lowered:
 
 
 def differing(lowered: Lowered, name: str, values: list[tuple[float, ...]]) -> list[str]:
-    """Where WebAssembly has other bits than Python; a NaN is a NaN there."""
+    """The indexes where WebAssembly and Python differ; all NaNs are equal."""
     function: Callable[..., float] = MATHS[name]
     theirs = lowered.run(name, values)
     found = []

@@ -9,7 +9,7 @@ import mpmath
 import pytest
 from maths_values import EDGES, arguments, arity
 
-from lfield.vm.maths.library import MATHS, has_result
+from lfield.vm.maths.intrinsics import MATHS, has_result
 
 #: Bits that mpmath calculates with: angles of 2^1023 need as many, and as many behind the point.
 _BITS = 1300
@@ -43,6 +43,7 @@ def off_by(name: str, values: tuple[float, ...]) -> float:
         return float(abs(mpmath.mpf(got) - exact) / mpmath.mpf(unit))
 
 
+@pytest.mark.few(9)
 @pytest.mark.parametrize("name", _EXACT)
 def test_less_than_one_unit_in_the_last_place(name: str) -> None:
     """Decision 58 has the worst that was found: 0.79."""

@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lfield.testing.golden import run_text
-from lfield.vm.maths.library import MATHS
-from lfield.vm.memory.values import NAN_WORD, canonical, real_of, word_of
+from lfield.vm.maths.intrinsics import MATHS
+from lfield.vm.memory.word_codec import NAN_WORD, bits_of_real, canonical, real_from_bits
 
 
 @pytest.mark.parametrize("row", ROWS.strip().splitlines())
@@ -25,15 +25,15 @@ def test_the_table_of_bits(row: str) -> None:
 @given(st.integers(0, (1 << 51) - 1), st.booleans(), st.booleans())
 def test_every_nan_is_one_word(payload: int, quiet: bool, negative: bool) -> None:
     word = (0x7FF0 << 48) | payload + 1 | (quiet << 51) | 0
-    value = real_of(word - (1 << 63) if negative else word)
+    value = real_from_bits(word - (1 << 63) if negative else word)
     assert math.isnan(value)
-    assert word_of(value) == NAN_WORD
+    assert bits_of_real(value) == NAN_WORD
     assert struct.pack("<d", canonical(value)) == struct.pack("<q", NAN_WORD)
 
 
 @given(st.floats(allow_nan=False))
 def test_any_other_real_keeps_its_bits(value: float) -> None:
-    assert struct.pack("<q", word_of(value)) == struct.pack("<d", value)
+    assert struct.pack("<q", bits_of_real(value)) == struct.pack("<d", value)
 
 
 #: Ways to make a NaN, or to calculate with one.

@@ -1,4 +1,4 @@
-"""Random programs and random heaps of theirs: all kinds of things, references to what slots may hold."""
+"""Random programs and random heaps of them: all kinds of objects, references of valid types."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from lfield.bytecode.program import Program
 from lfield.testing.golden import compile_text
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
+from lfield.vm.memory.block_allocator import BlockAllocator
+from lfield.vm.memory.heap_schema import ANY_FRAME, ANY_OBJECT, HeapSchema
 from lfield.vm.memory.layout import Layouts
-from lfield.vm.memory.shapes import ANY_FRAME, ANY_OBJECT, Shapes
-from lfield.vm.memory.space import Space
-from lfield.vm.wasm.heaps import Heaps
+from lfield.vm.wasm.heap_arena import HeapArena
 
 #: What fields may be, C standing for some class.
 TYPES = ("int", "real", "boolean", "string", "C", "C[]", "int[]", "real[]", "string[]", "C[][]", "int[][]")
@@ -65,30 +65,30 @@ def layouts_of(program: Program) -> Layouts:
 
 
 @cache
-def shapes_of(program: Program) -> Shapes:
-    return Shapes(program, layouts_of(program), MEMBERS)
+def shapes_of(program: Program) -> HeapSchema:
+    return HeapSchema(program, layouts_of(program), MEMBERS)
 
 
 @cache
-def heaps() -> Heaps:
-    """One arena for all of these tests: regions are used again and again, with whatever is in them."""
-    return Heaps()
+def heaps() -> HeapArena:
+    """One arena for all of these tests: regions are reused with their old contents."""
+    return HeapArena()
 
 
 class RandomHeap:
-    """A block with a random heap. `tickets`: there may be some, which mean nothing."""
+    """A block with a random heap. `tickets`: it may have some with random contents."""
 
     def __init__(self, seed: int, *, version: int = layout.VERSION, tickets: bool = True) -> None:
         self.program = random_program(seed % 23)
         self.layouts, self.shapes = layouts_of(self.program), shapes_of(self.program)
-        self.dice = random.Random(seed)
+        self.rng = random.Random(seed)
         self.block = Block.empty(self.program.digest, LIMIT)
         self.block.replace(bytearray(8 * 16384), layout.HEADERS[version])
         w = self.block.w
         w[:5] = memoryview(Block.empty(self.program.digest, LIMIT).data).cast("q")[:5]
         w[layout.W_MAGIC] = layout.MAGIC | version << 32
         halves = [half for half in self.shapes.sizes if tickets or half & 0xFF != layout.TICKET]
-        self.places = [self._thing(half) for half in self.dice.choices(halves, k=self.dice.randint(1, 40))]
+        self.places = [self._thing(half) for half in self.rng.choices(halves, k=self.rng.randint(1, 40))]
         for place in filter(None, self.places):
             self._lead(place)
         self.places = [place for place in self.places if place]
@@ -98,7 +98,7 @@ class RandomHeap:
         w[layout.W_TOP] = self.block.top
 
     def some(self, expected: int) -> int:
-        """Something that a reference may lead to which expects this, or null."""
+        """The target of a reference with that expected type, or null."""
         w, shapes = self.block.w, self.shapes
         found = [
             place
@@ -106,11 +106,11 @@ class RandomHeap:
             if place
             and (w[place] & 0xFFFFFFFF == expected or shapes.is_kind(w[place] & 0xFFFFFFFF, expected))
         ]
-        return self.dice.choice([0, *found, *found])
+        return self.rng.choice([0, *found, *found])
 
     def _thing(self, half: int) -> int:
-        """One thing, its words at random; 0 when it cannot be."""
-        dice, block, kind = self.dice, self.block, half & 0xFF
+        """One object with random words; 0 when it is impossible."""
+        dice, block, kind = self.rng, self.block, half & 0xFF
         if kind == layout.STRING:
             return block.new_string("".join(dice.choices(LETTERS, k=dice.choice([0, 1, 3, 8, 30]))))
         size = self.shapes.sizes[half] or 1 + dice.choice([0, 1, 2, 5, 40])
@@ -126,7 +126,7 @@ class RandomHeap:
         return place
 
     def _lead(self, place: int) -> None:
-        """Let the references of a thing lead somewhere."""
+        """Set the references of an object."""
         w = self.block.w
         expects = dict(self.shapes.references(w[place]))
         for offset in self.layouts.references(w[place]):
@@ -135,11 +135,11 @@ class RandomHeap:
 
     def roots(self) -> list[int]:
         """A few references, some of them null or the same."""
-        return self.dice.choices([0, *self.places], k=self.dice.randint(0, 5))
+        return self.rng.choices([0, *self.places], k=self.rng.randint(0, 5))
 
 
-def twin(block: Block, space: Space) -> Block:
+def twin(block: Block, space: BlockAllocator) -> Block:
     """The same block with bytes from a space."""
-    data = space.room(len(block.data))
+    data = space.allocate(len(block.data))
     data[:] = block.data
     return Block(data, block.top, block.limit, space)

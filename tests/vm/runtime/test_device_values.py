@@ -20,10 +20,10 @@ from lfield.bytecode.program import (
     Program,
     TypeRecord,
 )
-from lfield.driver.values import CHECKS, conform
+from lfield.driver.value_types import VALUE_CHECKS, conform
 from lfield.errors import DeviceError
 from lfield.vm.memory.block import Block
-from lfield.vm.memory.values import plain, word_for
+from lfield.vm.memory.word_codec import decode_value, encode_device_value
 
 PROGRAM = Program(
     Core((*map(TypeRecord, range(8)), TypeRecord(ARRAY, REAL), TypeRecord(ARRAY, INT)), (), (), (), (), b""),
@@ -57,7 +57,9 @@ VALUES = st.one_of(SCALARS, st.lists(SCALARS, max_size=4), st.tuples(st.integers
 def brought(kind: str, value: object) -> object:
     """The value as L has it."""
     block = Block.empty(bytes(32), 1 << 16)
-    return plain(block, PROGRAM, KINDS[kind], word_for(block, PROGRAM, KINDS[kind], value, "fc"))  # type: ignore
+    return decode_value(
+        block, PROGRAM, KINDS[kind], encode_device_value(block, PROGRAM, KINDS[kind], value, "fc")
+    )  # type: ignore
 
 
 def same(left: object, right: object) -> bool:
@@ -74,8 +76,8 @@ def test_a_value_or_an_error_that_names_the_device(kind: str, value: object) -> 
     try:
         found = brought(kind, value)
     except DeviceError as error:
-        told = error.device, error.reason[:16], len(error.reason) < 300
-        assert told == ("fc", "its driver gave ", True)
+        told = error.device, error.reason[:20], len(error.reason) < 300
+        assert told == ("fc", "its driver returned ", True)
         return
     if value is None:
         # A text or an array may be null; nothing else may.
@@ -122,12 +124,12 @@ def test_what_a_guard_lets_pass_arrives(kind: str, value: object) -> None:
 )
 def test_what_is_of_another_type(kind: str, value: object) -> None:
     with pytest.raises(
-        DeviceError, match=r"^fc: its driver gave .* where its manifest promises another type$"
+        DeviceError, match=r"^fc: its driver returned .*, but its manifest states another type$"
     ):
         brought(kind, value)
 
 
 def test_every_type_of_a_driver_is_tried() -> None:
-    assert set(KINDS) == set(CHECKS)
+    assert set(KINDS) == set(VALUE_CHECKS)
     assert same(brought("real[]", [1, 2.5]), [1.0, 2.5])
     assert same(brought("int[]", [1, -(2**63)]), [1, -(2**63)])

@@ -15,11 +15,11 @@ import wasmtime
 from random_heaps import LIMIT, RandomHeap, heaps, twin
 
 from lfield.vm.memory import layout
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.memory.block import Block, HeapFull
 from lfield.vm.memory.collector import collect, compact
 from lfield.vm.memory.copier import deep_copy
 from lfield.vm.wasm.arena import PAGE
-from lfield.vm.wasm.heaps import Heaps
+from lfield.vm.wasm.heap_arena import HeapArena
 
 seeds = st.integers(0, 1 << 32)
 versions = st.sampled_from(sorted(layout.HEADERS))
@@ -47,11 +47,11 @@ def test_a_collection_leaves_the_same_block(seed: int, version: int, room: int) 
 def test_the_python_has_nothing_to_do_where_the_arena_can(seed: int) -> None:
     heap = RandomHeap(seed, tickets=False)
     there, space = twin(heap.block, heaps()), heaps()
-    assert space.copied(there.data, there.top, heap.roots(), there.data, there.top, there.end, heap.layouts)
-    target = space.room(8 * there.top)
+    assert space.copy(there.data, there.top, heap.roots(), there.data, there.top, there.end, heap.layouts)
+    target = space.allocate(8 * there.top)
     memoryview(target).cast("q")[: layout.HEADER_WORDS] = there.w[: layout.HEADER_WORDS]
-    assert space.walked(there.data, there.heap, there.top, heap.shapes) is not None
-    assert space.collected(there.data, target, heap.layouts)
+    assert space.verify_heap(there.data, there.heap, there.top, heap.shapes) is not None
+    assert space.collect(there.data, target, heap.layouts)
 
 
 @given(seeds, st.booleans())
@@ -82,7 +82,7 @@ def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> N
         before = bytes(source.image()), bytes(target.image()), target.top
         try:
             outcomes.append(deep_copy(source, roots, target, heap.layouts))
-        except Full as full:
+        except HeapFull as full:
             outcomes.append(full.words)
             assert (bytes(source.image()), bytes(target.image()), target.top) == before
         assert bytes(source.data[8 * layout.W_TOP + 8 : len(before[0])]) == before[0][8 * layout.W_TOP + 8 :]
@@ -94,9 +94,9 @@ def copied(heap: RandomHeap, roots: list[int], *pairs: tuple[Block, Block]) -> N
 def test_a_heap_that_is_damaged_harms_no_other(seed: int) -> None:
     """It never comes to that, as arrivals are checked; but no bug of ours may reach another agent's block."""
     heap, space = RandomHeap(seed), heaps()
-    others = [space.room(len(heap.block.data)) for _ in range(4)]
+    others = [space.allocate(len(heap.block.data)) for _ in range(4)]
     there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)
-    others += [space.room(len(heap.block.data)) for _ in range(4)]
+    others += [space.allocate(len(heap.block.data)) for _ in range(4)]
     for other in others:
         other[:] = b"\x5a" * len(other)
     dice = random.Random(seed)
@@ -109,7 +109,7 @@ def test_a_heap_that_is_damaged_harms_no_other(seed: int) -> None:
                 there.w[at] ^ 1 << dice.randrange(62),
             ]
         )
-    with suppress(wasmtime.Trap, Full):
+    with suppress(wasmtime.Trap, HeapFull):
         deep_copy(there, heap.roots(), target, heap.layouts)
     with suppress(wasmtime.Trap):
         collect(there, heap.layouts)
@@ -152,8 +152,8 @@ def test_where_the_arena_is_full_python_does_it_to_the_same_bytes(monkeypatch: p
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     done_here = set()
     for left in (0, 1 << 14, 1 << 17, 1 << 18, 1 << 20):
-        space = Heaps()
-        assert space.take((1 << 24) - 2 * PAGE - (1 << 12) - left) > 0
+        space = HeapArena()
+        assert space.allocate_region((1 << 24) - 2 * PAGE - (1 << 12) - left) > 0
         for seed in range(20):
             heap = RandomHeap(seed)
             there, target = twin(heap.block, space), Block.empty(heap.program.digest, LIMIT, space)

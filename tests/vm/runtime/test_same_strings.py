@@ -13,15 +13,15 @@ pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime
 
 from random_heaps import LETTERS, heaps, layouts_of, random_program
 
-from lfield.vm.contract import Limits, Trap
-from lfield.vm.memory.block import Block, Full
+from lfield.vm.engine_interface import AgentLimits, Trap
+from lfield.vm.memory.block import Block, HeapFull
+from lfield.vm.memory.block_allocator import HEAP_ALLOCATOR
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import HEADER_WORDS
-from lfield.vm.memory.space import SEPARATE
 from lfield.vm.reference.arithmetic import STRING_COMPARE
-from lfield.vm.reference.library import FUNCTIONS
-from lfield.vm.reference.registers import Registers
-from lfield.vm.wasm.calls import quick, unsigned
+from lfield.vm.reference.call_steps import Registers
+from lfield.vm.reference.library_functions import FUNCTIONS
+from lfield.vm.wasm.native_calls import bind_function, unsigned
 
 texts = st.text(st.sampled_from(LETTERS) | st.characters(exclude_categories=("Cs",)), max_size=40)
 maybe = st.none() | texts
@@ -29,7 +29,7 @@ maybe = st.none() | texts
 
 @cache
 def called(name: str, count: int) -> Callable[..., int]:
-    return quick(heaps().store, heaps().functions.instance, name, count)
+    return bind_function(heaps().store, heaps().functions.instance, name, count)
 
 
 class Two:
@@ -37,7 +37,7 @@ class Two:
 
     def __init__(self, *strings: str | None, room: int = 400, most: int = 100) -> None:
         program = random_program(1)
-        self.python, self.arena = (Block.empty(program.digest, 4096, s) for s in (SEPARATE, heaps()))
+        self.python, self.arena = (Block.empty(program.digest, 4096, s) for s in (HEAP_ALLOCATOR, heaps()))
         for block in (self.python, self.arena):
             collect(block, layouts_of(program), 2048)
         self.places = [0 if text is None else self.python.new_string(text) for text in strings]
@@ -48,8 +48,8 @@ class Two:
             # Nothing of what lies there matters.
             block.w[block.top :] = memoryview(b"\xaa" * 8 * (len(block.w) - block.top)).cast("q")
             block.end = min(block.top + room, len(block.w))
-        m = self.registers = Registers()
-        m.block, m.w, m.limits = self.python, self.python.w, Limits(string_length=most)
+        m = self.registers = Registers(program, [], float)
+        m.block, m.w, m.limits = self.python, self.python.w, AgentLimits(string_length=most)
         self.most = most
 
     @property
@@ -63,7 +63,7 @@ class Two:
         before = bytes(block.image())
         try:
             place = FUNCTIONS[name](self.registers, *numbers)
-        except (Trap, Full):
+        except (Trap, HeapFull):
             assert size == 0
             return False
         if not size:

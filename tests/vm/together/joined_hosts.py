@@ -1,51 +1,51 @@
-"""Several machines and no network: coordinators leave, and calls begin and come back, when a test says."""
+"""Several machines without network: a test decides when coordinators migrate, and calls start and return."""
 
 from __future__ import annotations
 
 import random
 from collections.abc import Callable, Sequence
 
-from lfield.bytecode.program import DeviceCall, Program
+from lfield.bytecode.program import DeviceCallRecord, Program
 from lfield.clock import ManualClock
 from lfield.manifest import DeviceValue
-from lfield.testing.golden import Desk
-from lfield.vm.agent import Agent, Member
-from lfield.vm.attached import Rules
-from lfield.vm.begun import Beginning, Begun
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld
+from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.hooks import CallRules
+from lfield.vm.host_interface import PENDING, Pending
 from lfield.vm.machine import Machine
 from lfield.vm.memory.collector import collect
-from lfield.vm.world import PENDING, Pending
+from lfield.vm.pending_call import CallRequest, PendingCall
 
 
-class Place(Desk):
-    """The world of one host. `lets` and `keeps` say whether calls begin, and results are kept, at once.
+class HostWorldStub(GoldenWorld):
+    """A stub of one host. `lets` and `keeps`: calls start, and results are persisted, at once.
 
-    `asked` are the calls that wanted to begin; `unkept` the results that wait for a disk. Devices never
-    answer: `waiting` has who waits for them; `cancels` says whether they can be cancelled.
+    `asked` are the calls that waited for permission; `unkept` the results that wait for a disk. Devices never
+    answer: `waiting` has their callers; `cancels` says whether they can be cancelled.
     """
 
     def __init__(self) -> None:
         super().__init__()
         self.lets = self.keeps = self.cancels = True
-        self.asked: list[list[Beginning]] = []
-        self.unkept: list[Begun] = []
+        self.asked: list[list[CallRequest]] = []
+        self.unkept: list[PendingCall] = []
         self.waiting: list[tuple[Agent, int]] = []
         self.cancelled: list[int] = []
 
-    def begins(self, agent: Agent, calls: Sequence[Beginning]) -> bool:
+    def may_start_calls(self, agent: Agent, calls: Sequence[CallRequest]) -> bool:
         assert agent.frozen
         self.asked.append(list(calls))
         return self.lets
 
-    def came_back(self, begun: Begun) -> None:
+    def on_call_completed(self, begun: PendingCall) -> None:
         if self.keeps:
-            self.machine.kept_result(begun.key)
+            self.machine.pending_calls.on_persisted(begun.key)
         else:
             self.unkept.append(begun)
 
-    def device(
-        self, agent: Agent, thread: int, call: DeviceCall, values: list[DeviceValue]
+    def call_device(
+        self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
         self.waiting.append((agent, thread))
         return PENDING
@@ -55,10 +55,10 @@ class Place(Desk):
         return self.cancels
 
 
-class Joined:
+class JoinedHosts:
     """Hosts with one resource each, r0, r1 ..., and a coordinator `boss` that starts on host 0.
 
-    `hops` counts its migrations; whoever wants to a host in `cut` is told that it is unreachable.
+    `hops` counts its migrations; hosts in `cut` are unreachable.
     """
 
     def __init__(
@@ -66,15 +66,15 @@ class Joined:
         program: Program,
         hosts: int,
         kind: str = "Post",
-        limits: Limits | None = None,
-        place: Callable[[], Place] = Place,
-        rules: Rules | None = None,
+        limits: AgentLimits | None = None,
+        place: Callable[[], HostWorldStub] = HostWorldStub,
+        rules: CallRules | None = None,
     ) -> None:
-        self.program, self.clock, self.limits = program, ManualClock(), limits or Limits()
+        self.program, self.clock, self.limits = program, ManualClock(), limits or AgentLimits()
         self.rules = rules
-        self.team = [Member(i, f"r{i}", kind, "resource", i) for i in range(hosts)]
-        self.team.append(Member(hosts, "boss", "Boss", "coordinator", 0))
-        self.places: list[Place] = []
+        self.team = [TeamMember(i, f"r{i}", kind, "resource", i) for i in range(hosts)]
+        self.team.append(TeamMember(hosts, "boss", "Boss", "coordinator", 0))
+        self.places: list[HostWorldStub] = []
         self.machines: list[Machine] = []
         self.cut: set[int] = set()
         self.hops = 0
@@ -86,30 +86,32 @@ class Joined:
 
     def _machine(self, host: int, life: int) -> Machine:
         place = self.places[host]
-        place.machine = Machine(self.program, self.team, host, life, place, self.clock, random.Random(1))
-        place.machine.attached.rules = self.rules
+        place.machine = Machine(
+            self.program, MachineTeam(self.team, host, life), place, self.clock, random.Random(1)
+        )
+        place.machine.hooks.rules = self.rules
         place.machine.start(self.team[host], self.limits, 0)
         return place.machine
 
-    def restart(self, host: int, kept: Sequence[Begun] = ()) -> Machine:
-        """Another life of a host, which knows what was kept of its begun calls."""
+    def restart(self, host: int, kept: Sequence[PendingCall] = ()) -> Machine:
+        """A new incarnation of a host, with the persisted records of its pending calls."""
         self.places[host].departures.clear()
         self.machines[host] = self._machine(host, 100 + host)
-        self.machines[host].restore_begun(kept)
+        self.machines[host].pending_calls.restore(kept)
         return self.machines[host]
 
     @property
     def printed(self) -> list[str]:
-        """What was said, host by host."""
+        """The output, host by host."""
         return [line for place in self.places for line in place.output]
 
     @property
     def boss(self) -> tuple[int, Agent]:
-        """Where the coordinator is, and the coordinator."""
+        """The host of the coordinator, and the coordinator."""
         return next((i, m.agents["boss"]) for i, m in enumerate(self.machines) if "boss" in m.agents)
 
     def still(self) -> float | None:
-        """Run all machines until nothing can happen at this time; the seconds until something can."""
+        """Run all machines until none is ready; returns the seconds until one is."""
         for _ in range(10_000):
             pauses = [machine.run() for machine in self.machines]
             if 0.0 not in pauses:
@@ -117,7 +119,7 @@ class Joined:
         raise AssertionError("the machines never rest")
 
     def carry(self) -> bool:
-        """Let whoever wants to leave do so; false when nobody wants."""
+        """Perform a requested migration; false when there is none."""
         for source, place in enumerate(self.places):
             if place.departures:
                 agent, resource = place.departures.pop()
@@ -126,20 +128,20 @@ class Joined:
         return False
 
     def leave(self, source: int, agent: Agent, target: int) -> None:
-        """One hop, or the word that the host is unreachable."""
+        """One hop, or the error for an unreachable host."""
         if target in self.cut:
             message = f"host {target} cannot be reached"
             self.machines[source].resume(agent, "UnreachableResourceException", message)
             return
         image = bytes(self.machines[source].pack(agent))
         self.machines[source].release(agent)
-        arrived = self.machines[target].admit(agent.member, image, agent.limits)
-        self.machines[target].go(arrived)
+        arrived = self.machines[target].inject(agent.member, image, agent.limits)
+        self.machines[target].unfreeze(arrived)
         self.hops += 1
         self.route.append(target)
 
     def run(self, until: float = 1000.0) -> None:
-        """All to the end, or to a time on the clock that is counted from now; hops take no time."""
+        """Run to the end, or for a time from now; hops take no time."""
         end = self.clock.now + until
         while True:
             pause = self.still()
@@ -151,8 +153,8 @@ class Joined:
             self.clock.advance(pause)
 
 
-class Collecting(Joined):
-    """Collects everything whenever it can, and packs and restores the coordinator on every hop."""
+class CollectingHosts(JoinedHosts):
+    """Runs a garbage collection at every opportunity, and packs and restores the coordinator on every hop."""
 
     def still(self) -> float | None:
         for _ in range(100_000):

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cache
 
-from joined_hosts import Joined, Place
+from joined_hosts import HostWorldStub, JoinedHosts
 
 from lfield.bytecode.program import Program
 from lfield.testing.golden import compile_text
-from lfield.vm.agent import Agent, Member
-from lfield.vm.contract import Limits, Trap
+from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.engine_interface import AgentLimits, Trap
 
 POST = """
 class Own { public int n; public Own(int n) { this.n = n; } }
@@ -41,10 +41,10 @@ def program(body: str) -> Program:
     return compile_text(POST % body)
 
 
-class Book:
-    """Who has what, for all hosts: `free` has what can be taken at once, what is not there is waited for.
+class ReservationBook:
+    """The reservations of all hosts: a resource that is neither `busy` nor `refused` is granted at once.
 
-    `log` has what was asked, in order: `take r1`, `drop r1 7`, `serve r1 7`.
+    `log` has the requests, in order: `take r1`, `drop r1 7`, `serve r1 7`.
     """
 
     def __init__(self) -> None:
@@ -56,14 +56,14 @@ class Book:
         self.log: list[str] = []
 
 
-class Booth(Place):
-    """The world of one host. It asserts what the machine promises."""
+class ReservingWorld(HostWorldStub):
+    """A stub of one host that asserts the contract of the machine."""
 
-    def __init__(self, book: Book) -> None:
+    def __init__(self, book: ReservationBook) -> None:
         super().__init__()
         self.book = book
 
-    def take(self, agent: Agent, resource: Member, *, nested: bool) -> int:
+    def acquire_reservation(self, agent: Agent, resource: TeamMember, *, nested: bool) -> int:
         assert agent.frozen
         assert resource.id in self.machine.agents
         book = self.book
@@ -81,7 +81,7 @@ class Booth(Place):
         self.machine.agents[resource.id].reserved = True
         return book.held[resource.id]
 
-    def drop(self, agent: Agent, held: Sequence[tuple[Member, int]]) -> None:
+    def release_reservations(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
         assert not agent.frozen
         assert held
         for resource, number in held:
@@ -89,7 +89,7 @@ class Booth(Place):
             if self.book.held.get(resource.id) == number:
                 del self.book.held[resource.id]
 
-    def serves(self, agent: Agent, resource: Member, number: int) -> bool:
+    def may_serve(self, agent: Agent, resource: TeamMember, number: int) -> bool:
         assert agent.frozen
         self.book.log.append(f"serve {resource.id} {number}")
         if resource.id in self.book.busy:
@@ -100,33 +100,33 @@ class Booth(Place):
         return True
 
 
-class Reserving(Joined):
-    """`Joined` with one book for all."""
+class ReservingHosts(JoinedHosts):
+    """`JoinedHosts` with one book for all hosts."""
 
-    def __init__(self, program: Program, hosts: int = 3, limits: Limits | None = None) -> None:
-        self.book = Book()
-        super().__init__(program, hosts, limits=limits, place=lambda: Booth(self.book))
+    def __init__(self, program: Program, hosts: int = 3, limits: AgentLimits | None = None) -> None:
+        self.book = ReservationBook()
+        super().__init__(program, hosts, limits=limits, place=lambda: ReservingWorld(self.book))
 
     @property
     def served(self) -> list[str]:
-        """The calls that were asked for, with the number that they had."""
+        """The requested calls, with their reservation numbers."""
         return [line.removeprefix("serve ") for line in self.book.log if line.startswith("serve")]
 
     @property
     def kept(self) -> list[str]:
-        """What was taken and dropped, in order."""
+        """The acquired and released reservations, in order."""
         return [line for line in self.book.log if not line.startswith("serve")]
 
     @property
     def death(self) -> str:
-        """What the boss died of, '' when it did not."""
+        """The reason of the coordinator's death, '' for none."""
         ended = [agent for place in self.places for agent in place.endings]
         return ended[0].report.splitlines()[0] if ended and ended[0].ended == "died" else ""
 
 
-def ran(body: str) -> Reserving:
-    """A mission that came to its end."""
-    joined = Reserving(program(body))
+def ran(body: str) -> ReservingHosts:
+    """A mission that has completed."""
+    joined = ReservingHosts(program(body))
     joined.run()
     assert not any("boss" in machine.agents for machine in joined.machines)
     return joined

@@ -6,15 +6,15 @@ import random
 from functools import cache
 
 import pytest
-from joined_hosts import Place
+from joined_hosts import HostWorldStub
 
 from lfield.bytecode.program import Program
 from lfield.clock import ManualClock
-from lfield.compiler.build import compile_program
+from lfield.compiler.program_builder import compile_program
 from lfield.lang.frontend import check_text
 from lfield.manifest import DeviceManifest, Instruction
-from lfield.vm.agent import Agent, Member
-from lfield.vm.contract import Limits
+from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 from lfield.vm.memory.threads import threads
@@ -55,7 +55,7 @@ coordinator Boss {
 """
 OVER = "the time is over; crane.{}() was cancelled"
 #: The same when the call took longer than its limit to end.
-LATE = OVER + ", {:.1f} s late since it took so long to end"
+LATE = OVER + ", {:.1f} s late: it took that long to end"
 
 
 @cache
@@ -67,12 +67,17 @@ class Yard:
     """A crane, a boss, and a clock; `tidy` is how long a cancelled portal may take, in seconds."""
 
     def __init__(self, body: str, after: str = "", tidy: float = 5.0) -> None:
-        self.clock, self.place = ManualClock(), Place()
-        team = [Member(0, "crane", "Crane", "resource", 0), Member(1, "boss", "Boss", "coordinator", 0)]
-        self.machine = Machine(program(body, after), team, 0, 1, self.place, self.clock, random.Random(1))
+        self.clock, self.place = ManualClock(), HostWorldStub()
+        team = [
+            TeamMember(0, "crane", "Crane", "resource", 0),
+            TeamMember(1, "boss", "Boss", "coordinator", 0),
+        ]
+        self.machine = Machine(
+            program(body, after), MachineTeam(team, 0, 1), self.place, self.clock, random.Random(1)
+        )
         self.place.machine = self.machine
         for member in team:
-            self.machine.start(member, Limits(tidy=tidy), 1)
+            self.machine.start(member, AgentLimits(tidy=tidy), 1)
 
     @property
     def crane(self) -> Agent:
@@ -103,7 +108,7 @@ class Yard:
     def refuse(self, message: str) -> None:
         """It was cancelled."""
         agent, thread = self.place.waiting.pop(0)
-        self.machine.refuse(agent, thread, "CancelledException", message, "motor")
+        self.machine.throw_builtin(agent, thread, "CancelledException", message, "motor")
 
 
 def test_a_device_that_can_is_cancelled_and_the_portal_tidies_up_with_it() -> None:
@@ -179,7 +184,7 @@ def test_a_call_in_the_queue_never_begins() -> None:
     yard.pass_time(2.0)
     assert yard.serving == 1
     yard.pass_time(5.0)
-    late = "the block ends 5.0 s late since it waited for its calls and their hosts"
+    late = "the block ends 5.0 s late: it waited for its calls and their hosts"
     assert yard.place.output == [f"{OVER.format('holds')}; crane.next() was cancelled; {late}"]
 
 

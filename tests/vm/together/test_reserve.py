@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from reserving_hosts import Reserving, program, ran
+from reserving_hosts import ReservingHosts, program, ran
 
-from lfield.vm.agent import Agent, Member
+from lfield.vm.agent import Agent, TeamMember
 
 ALL = ["take r0", "take r1", "take r2"]
 BACK = ["drop r0 7", "drop r1 8", "drop r2 9"]
@@ -93,7 +93,7 @@ def test_what_is_not_reserved_is_asked_for_only_while_somebody_has_it() -> None:
 
 
 def test_a_call_behind_the_block_carries_nothing() -> None:
-    joined = Reserving(program("reserve (r[0]) { } print(r[0].count());"))
+    joined = ReservingHosts(program("reserve (r[0]) { } print(r[0].count());"))
     joined.run()
     # The host of this test never says that a resource is free again, so it is asked.
     assert (joined.served, joined.printed) == (["r0 0"], ["0"])
@@ -103,7 +103,7 @@ def test_a_call_behind_the_block_carries_nothing() -> None:
 
 
 def test_refused_in_the_middle_what_was_taken_is_given_back() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program(
             "try { reserve (r) { print(1); } }"
             " catch (ReservedException e) { print(e.source() + ': ' + e.message()); }".replace("'", '"')
@@ -117,7 +117,7 @@ def test_refused_in_the_middle_what_was_taken_is_given_back() -> None:
 
 
 def test_a_host_that_cannot_be_reached_gives_back_what_was_taken() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program("try { reserve (r) { } } catch (UnreachableResourceException e) { print(e.message()); }")
     )
     joined.cut.add(2)
@@ -127,34 +127,34 @@ def test_a_host_that_cannot_be_reached_gives_back_what_was_taken() -> None:
 
 
 def test_a_resource_that_is_gone_cannot_be_taken() -> None:
-    joined = Reserving(program("try { reserve (r) { } } catch (Exception e) { print(e.message()); }"))
+    joined = ReservingHosts(program("try { reserve (r) { } } catch (Exception e) { print(e.message()); }"))
     joined.still()
     del joined.machines[1].agents["r1"]
     joined.run()
-    assert joined.printed == ["r1 is gone: its host does not run it"]
+    assert joined.printed == ["r1 is not available: its host does not run it"]
     assert joined.kept == ["take r0", "drop r0 7"]
 
 
 def test_who_waits_is_asked_again_and_has_what_it_had() -> None:
-    joined = Reserving(program("reserve (r) { print(1); }"))
+    joined = ReservingHosts(program("reserve (r) { print(1); }"))
     joined.book.busy.add("r1")
     joined.run()
     host, boss = joined.boss
     assert (host, boss.frozen, joined.printed) == (1, True, [])
-    assert joined.machines[1].held(boss) == [(joined.team[0], 7)]
-    assert joined.machines[1].calling(boss) == (joined.team[1], "")
-    joined.machines[1].go(boss)
+    assert joined.machines[1].held_reservations.of_coordinator(boss) == [(joined.team[0], 7)]
+    assert joined.machines[1].itinerary.current_target(boss) == (joined.team[1], "")
+    joined.machines[1].unfreeze(boss)
     joined.run()
     assert joined.boss[1].frozen
     joined.book.busy.clear()
-    joined.machines[1].go(boss)
+    joined.machines[1].unfreeze(boss)
     joined.run()
     assert joined.printed == ["1"]
     assert joined.kept == ["take r0", *["take r1"] * 3, "take r2", *BACK]
 
 
 def test_who_waits_may_be_told_why_not() -> None:
-    joined = Reserving(program("reserve (r) { print(1); }"))
+    joined = ReservingHosts(program("reserve (r) { print(1); }"))
     joined.book.busy.add("r1")
     joined.run()
     joined.machines[1].resume(joined.boss[1], "ReservedException", "r1 is reserved by pilot for 5 s", "r1")
@@ -164,7 +164,7 @@ def test_who_waits_may_be_told_why_not() -> None:
 
 
 def test_a_stale_number_throws_before_the_portal_begins() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program(
             "reserve (r[1]) { sleep(1.0); try { r[1].work(1.0); } catch (ReservationLostException e)"
             " { print(e.source() + e.message()); } } print(r[2].count());"
@@ -179,7 +179,7 @@ def test_a_stale_number_throws_before_the_portal_begins() -> None:
 
 
 def test_a_number_is_compared_where_nobody_has_the_resource_any_more() -> None:
-    joined = Reserving(program("reserve (r[1]) { sleep(1.0); r[1].work(1.0); }"))
+    joined = ReservingHosts(program("reserve (r[1]) { sleep(1.0); r[1].work(1.0); }"))
     joined.run(until=0.5)
     joined.book.held.clear()
     joined.machines[1].agents["r1"].reserved = False
@@ -189,7 +189,7 @@ def test_a_number_is_compared_where_nobody_has_the_resource_any_more() -> None:
 
 
 def test_in_a_together_it_is_the_outcome_of_that_call() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program(
             "reserve (r) { sleep(1.0); try { together { for (Post one : r) one.work(2.0); } }"
             " catch (ReservationLostException e) { print(e.source()); } }"
@@ -211,7 +211,7 @@ print(i2s(r[0].count()) + i2s(r[1].count()) + i2s(r[2].count()));
 
 @pytest.mark.parametrize("calls", ["r[1].work(1.0);", "together { for (Post one : r) one.work(1.0); }"])
 def test_the_call_of_somebody_else_waits_until_it_is_told_why_not(calls: str) -> None:
-    joined = Reserving(program(RESERVED % calls))
+    joined = ReservingHosts(program(RESERVED % calls))
     joined.machines[1].agents["r1"].reserved = True
     joined.book.busy.add("r1")
     joined.run(until=3.0)
@@ -228,12 +228,12 @@ def test_the_call_of_somebody_else_waits_until_it_is_told_why_not(calls: str) ->
 
 @pytest.mark.parametrize("calls", ["r[1].work(1.0);", "together { for (Post one : r) one.work(1.0); }"])
 def test_or_until_it_is_served(calls: str) -> None:
-    joined = Reserving(program(RESERVED % calls))
+    joined = ReservingHosts(program(RESERVED % calls))
     joined.machines[1].agents["r1"].reserved = True
     joined.book.busy.add("r1")
     joined.run(until=3.0)
     joined.book.busy.clear()
-    joined.machines[1].go(joined.boss[1])
+    joined.machines[1].unfreeze(joined.boss[1])
     joined.run()
     assert joined.printed == ["111" if "together" in calls else "010"]
 
@@ -244,43 +244,43 @@ def test_or_until_it_is_served(calls: str) -> None:
 )
 def test_a_host_may_let_it_ask_again_at_once(calls: str) -> None:
     """Who has no disk has nothing to wait for, and says so while it is asked."""
-    joined = Reserving(program(RESERVED % calls))
+    joined = ReservingHosts(program(RESERVED % calls))
     machine = joined.machines[1]
     machine.agents["r1"].reserved = True
     joined.book.busy.add("r1")
     joined.run(until=1.0)
     boss = machine.agents["boss"]
     book, place = joined.book, joined.places[1]
-    take, serves = place.take, place.serves
+    take, serves = place.acquire_reservation, place.may_serve
 
     def let() -> None:
         book.busy.clear()
-        machine.go(boss)
+        machine.unfreeze(boss)
 
-    def taken(agent: Agent, resource: Member, *, nested: bool) -> int:
+    def taken(agent: Agent, resource: TeamMember, *, nested: bool) -> int:
         number = take(agent, resource, nested=nested)
         if book.busy:
             let()
         return number
 
-    def served(agent: Agent, resource: Member, number: int) -> bool:
+    def served(agent: Agent, resource: TeamMember, number: int) -> bool:
         answer = serves(agent, resource, number)
         if book.busy:
             let()
         return answer
 
-    place.take, place.serves = taken, served  # type: ignore[method-assign]
-    machine.go(boss)
+    place.acquire_reservation, place.may_serve = taken, served  # type: ignore[method-assign]
+    machine.unfreeze(boss)
     joined.run()
     assert joined.printed == ["111" if "together" in calls else "010"]
 
 
 def test_in_a_together_the_others_of_that_host_go_on() -> None:
     """Two calls of one host, of which one is reserved by somebody else: only that one throws."""
-    joined = Reserving(
+    joined = ReservingHosts(
         program("try { together { r[1].work(1.0); r[2].work(1.0); } } catch (Exception e) { }")
     )
-    joined.team[2:3] = [Member(2, "r2", "Post", "resource", 1)]
+    joined.team[2:3] = [TeamMember(2, "r2", "Post", "resource", 1)]
     machine = joined.restart(1)
     machine.start(joined.team[2], joined.limits, 0)
     joined.still()
@@ -289,7 +289,7 @@ def test_in_a_together_the_others_of_that_host_go_on() -> None:
     joined.run(until=1.0)
     machine.resume(machine.agents["boss"], "ReservedException", "r1 is reserved by pilot", "r1")
     joined.run(until=0.5)
-    assert [begun.resource for begun in machine.begun_calls()] == ["r2"]
+    assert [begun.resource for begun in machine.pending_calls.calls()] == ["r2"]
 
 
 # --- nested ---------------------------------------------------------------------------------------------
@@ -310,7 +310,7 @@ def test_one_around_that_keeps_nothing_makes_none_nested() -> None:
 
 
 def test_a_nested_one_that_is_refused_leaves_what_is_around_it() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program(
             "reserve (r[0]) { try { reserve (r) { } } catch (ReservedException e) { print(r[0].count()); } }"
         )
@@ -358,13 +358,13 @@ def test_everything_is_given_back_once_on_every_way_out(body: str, death: str) -
 
 
 def test_a_coordinator_that_waits_for_what_is_reserved_hears_that_its_time_is_over() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program(
             "try { within (2.0) { reserve (r) { } } } catch (TimeLimitException e) { print(e.message()); }"
         )
     )
     joined.book.busy.add("r1")
-    joined.places[1].give_up = lambda agent: True  # type: ignore[method-assign]  # its host waits no more
+    joined.places[1].abandon_wait = lambda agent: True  # type: ignore[method-assign]  # its host waits no more
     joined.run(until=5.0)
     assert joined.printed == ["the time is over before r1 could be reserved"]
     assert joined.kept == ["take r0", "take r1", "drop r0 7"]
@@ -383,15 +383,15 @@ def test_giving_back_is_not_cut_short_by_a_limit_that_is_over() -> None:
 def test_who_may_call_nothing_of_a_resource_does_not_keep_it_from_others(allowed: str) -> None:
     told = 'catch (AccessException e) { print(e.source() + ": " + e.message()); }'
     body = 'try { reserve (r) { print("in"); } }' + told
-    joined = Reserving(program(body))
+    joined = ReservingHosts(program(body))
 
     def rules(coordinator: str, resource: str, method: int) -> str:
         name = joined.program.core.methods[method].name
         return f"no {name}()" if resource == "r1" and name != allowed else ""
 
     for machine in joined.machines:
-        machine.attached.rules = rules
+        machine.hooks.rules = rules
     joined.run()
-    refused = "r1: r1 is not reserved for whom it does not serve: no work()"
+    refused = "r1: r1 cannot be reserved by a coordinator that may not call it: no work()"
     assert joined.printed == ["in" if allowed else refused]
     assert joined.kept == ([*ALL, *BACK] if allowed else ["take r0", "drop r0 7"])

@@ -7,13 +7,13 @@ from functools import cache
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joined_hosts import Collecting
-from reserving_hosts import Reserving, program
+from joined_hosts import CollectingHosts
+from reserving_hosts import ReservingHosts, program
 
 from lfield.errors import BlockError
 from lfield.vm import machine as machine_module
-from lfield.vm.contract import Limits
-from lfield.vm.inspect.decode import view
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.inspection.block_view import view
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
@@ -27,9 +27,9 @@ print("behind");
 """
 
 
-def waiting() -> Reserving:
+def waiting() -> ReservingHosts:
     """The boss stands at its second `take`, and has r0."""
-    joined = Reserving(program("reserve (r) { print(r[2].count()); }"))
+    joined = ReservingHosts(program("reserve (r) { print(r[2].count()); }"))
     joined.book.busy.add("r1")
     joined.run()
     joined.book.busy.clear()
@@ -46,7 +46,7 @@ def array_of(block: Block) -> int:
 
 
 def test_what_it_has_is_told_wherever_it_stands() -> None:
-    joined = Reserving(program(BODY))
+    joined = ReservingHosts(program(BODY))
     seen = []
     for _ in range(40):
         joined.still()
@@ -55,7 +55,12 @@ def test_what_it_has_is_told_wherever_it_stands() -> None:
         )
         if boss is None:
             break
-        seen.append(tuple((member.id, number) for member, number in joined.machines[host].held(boss)))
+        seen.append(
+            tuple(
+                (member.id, number)
+                for member, number in joined.machines[host].held_reservations.of_coordinator(boss)
+            )
+        )
         if not joined.carry():
             joined.clock.advance(0.5)
     whole = (("r0", 7), ("r1", 8), ("r2", 9))
@@ -70,12 +75,12 @@ def test_what_is_inspected_says_what_is_reserved() -> None:
 
 
 def test_what_it_had_is_not_shown_behind_the_block() -> None:
-    joined = Reserving(program("reserve (r) { } sleep(5.0);"))
+    joined = ReservingHosts(program("reserve (r) { } sleep(5.0);"))
     joined.run(until=1.0)
     host, boss = joined.boss
     shown = view(boss.block, joined.program, [member.id for member in joined.team])
     assert shown.threads[0].frames[0].reserved == ()
-    assert joined.machines[host].held(boss) == []
+    assert joined.machines[host].held_reservations.of_coordinator(boss) == []
 
 
 @pytest.mark.parametrize(("word", "value"), [(1, 3), (1, 4), (1, -1), (2, -7), (2, layout.COUNT_LIMIT)])
@@ -83,8 +88,8 @@ def test_what_a_program_of_somebody_else_has_put_there_is_no_reservation(word: i
     joined = waiting()
     host, boss = joined.boss
     boss.block.w[array_of(boss.block) + word] = value
-    assert joined.machines[host].held(boss) == []
-    joined.machines[host].go(boss)
+    assert joined.machines[host].held_reservations.of_coordinator(boss) == []
+    joined.machines[host].unfreeze(boss)
     joined.still()
     # It goes on with what is left; the next host would refuse its block.
     assert (joined.death, boss.frozen) == ("", True)
@@ -96,17 +101,17 @@ def test_a_restored_one_goes_on_taking_by_itself() -> None:
     image = bytes(joined.machines[host].pack(boss))
     machine = joined.restart(host)
     restored = machine.restore(boss.member, image, boss.limits)
-    assert machine.goes_on(restored)
-    assert machine.calling(restored) == (joined.team[1], "")
-    assert machine.held(restored) == [(joined.team[0], 7)]
-    machine.go(restored)
+    assert machine.itinerary.may_continue(restored)
+    assert machine.itinerary.current_target(restored) == (joined.team[1], "")
+    assert machine.held_reservations.of_coordinator(restored) == [(joined.team[0], 7)]
+    machine.unfreeze(restored)
     joined.run()
     assert joined.printed == ["0"]
     assert joined.kept == ["take r0", "take r1", "take r1", "take r2", "drop r0 7", "drop r1 8", "drop r2 9"]
 
 
 def test_at_a_portal_call_inside_it_does_not() -> None:
-    joined = Reserving(
+    joined = ReservingHosts(
         program("try { reserve (r) { r[1].work(9.0); } } catch (RestartException e) { print(1); }")
     )
     joined.run(until=1.0)
@@ -114,7 +119,7 @@ def test_at_a_portal_call_inside_it_does_not() -> None:
     image = bytes(joined.machines[host].pack(boss))
     machine = joined.restart(host)
     restored = machine.restore(boss.member, image, boss.limits)
-    assert not machine.goes_on(restored)
+    assert not machine.itinerary.may_continue(restored)
     machine.resume(restored, "RestartException", "it may have been done", "r1")
     joined.run()
     assert joined.printed == ["1"]
@@ -136,49 +141,52 @@ def test_a_recovered_one_is_told_and_gives_back_by_the_numbers_that_it_had() -> 
 
 def test_what_a_page_has_of_it_stands_before_what_it_does_behind_take() -> None:
     """It came to r1 by a hop, so its page is of `take`; a portal that acts needs one of its own."""
-    joined = Reserving(program("reserve (r[1]) { r[1].work(1.0); }"))
+    joined = ReservingHosts(program("reserve (r[1]) { r[1].work(1.0); }"))
     asked = []
-    joined.places[1].may_begin = lambda agent, acts: asked.append(agent.kept) or True  # type: ignore[method-assign]
+    joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]
     joined.run()
     assert asked == [False]
 
 
 def test_so_it_is_behind_a_fetch() -> None:
-    joined = Reserving(program("together { r[1].work(5.0); r[2].work(1.0); } r[1].work(1.0);"))
+    joined = ReservingHosts(program("together { r[1].work(5.0); r[2].work(1.0); } r[1].work(1.0);"))
     asked = []
-    joined.places[1].may_begin = lambda agent, acts: asked.append(agent.kept) or True  # type: ignore[method-assign]
+    joined.places[1].may_start_call = lambda agent, acts: asked.append(agent.is_persisted) or True  # type: ignore[method-assign]
     joined.run()
     assert joined.route == [0, 1, 2, 1]
     assert asked == [False]
 
 
 def test_calls_of_others_are_those_that_are_not_of_the_coordinator() -> None:
-    joined = Reserving(program("together { r[0].work(5.0); r[1].work(5.0); } r[1].work(5.0);"))
+    joined = ReservingHosts(program("together { r[0].work(5.0); r[1].work(5.0); } r[1].work(5.0);"))
     joined.still()
     machine, resource = joined.machines[1], joined.machines[1].agents["r1"]
-    assert not machine.calls_of_others(resource, "pilot")
+    assert not machine.has_calls_of_others(resource, "pilot")
     joined.run(until=1.0)
-    assert machine.calls_of_others(resource, "pilot")
-    assert not machine.calls_of_others(resource, "boss")
+    assert machine.has_calls_of_others(resource, "pilot")
+    assert not machine.has_calls_of_others(resource, "boss")
     joined.run(until=6.0)
     boss = machine.agents["boss"]
-    assert (machine.calls_of_others(resource, "pilot"), machine.calls_of_others(resource, "boss")) == (
+    assert (
+        machine.has_calls_of_others(resource, "pilot"),
+        machine.has_calls_of_others(resource, "boss"),
+    ) == (
         True,
         False,
     )
     # Nobody knows any more whose it is.
-    assert machine.abandon(boss, "RestartException", "it was fenced")
-    assert machine.calls_of_others(resource, "boss")
+    assert machine.detach_caller(boss, "RestartException", "it was fenced")
+    assert machine.has_calls_of_others(resource, "boss")
     joined.run()
-    assert not machine.calls_of_others(resource, "pilot")
+    assert not machine.has_calls_of_others(resource, "pilot")
 
 
 def test_a_resource_that_has_died_has_no_calls() -> None:
-    joined = Reserving(program("r[1].work(5.0);"))
+    joined = ReservingHosts(program("r[1].work(5.0);"))
     joined.run(until=1.0)
     resource = joined.machines[1].agents["r1"]
     resource.ended = "died"
-    assert not joined.machines[1].calls_of_others(resource, "pilot")
+    assert not joined.machines[1].has_calls_of_others(resource, "pilot")
 
 
 @pytest.mark.parametrize(
@@ -206,7 +214,7 @@ def test_what_no_coordinator_can_have_reserved_is_refused(word: int, value: int 
         w[array] -= 1 << 32
     else:
         w[array + word] = value
-    with pytest.raises(BlockError, match="reserved is not sound"):
+    with pytest.raises(BlockError, match="reservations are not valid"):
         machine.restore(boss.member, bytes(boss.block.image()), boss.limits)
 
 
@@ -226,25 +234,25 @@ reserve (new Post[] {r[2]}) {
 """
 
 
-class CollectingReserving(Collecting, Reserving):
+class CollectingReserving(CollectingHosts, ReservingHosts):
     """Both."""
 
 
-def whole(joined: Reserving) -> tuple[list[str], list[str], dict[str, int]]:
+def whole(joined: ReservingHosts) -> tuple[list[str], list[str], dict[str, int]]:
     joined.run()
     return joined.printed, joined.book.log, joined.book.held
 
 
-@pytest.mark.parametrize("kind", [Reserving, CollectingReserving])
+@pytest.mark.parametrize("kind", [ReservingHosts, CollectingReserving])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17])
 def test_wherever_it_is_interrupted_the_same_is_asked(
-    kind: type[Reserving], slice_length: int, monkeypatch: pytest.MonkeyPatch
+    kind: type[ReservingHosts], slice_length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    expected = whole(Reserving(program(LONG)))
+    expected = whole(ReservingHosts(program(LONG)))
     assert len(expected[0]) == 7
     assert not expected[2]
     monkeypatch.setattr(machine_module, "SLICE", slice_length)
-    for name in ("ROUND", "TURNS"):
+    for name in ("SLICES_PER_RUN", "TURNS_PER_RUN"):
         monkeypatch.setattr(machine_module, name, 1 if kind is CollectingReserving else 200)
     assert whole(kind(program(LONG))) == expected
 
@@ -254,7 +262,7 @@ def images() -> tuple[tuple[int, bytes], ...]:
     """Every block that has travelled, and where to."""
     found: list[tuple[int, bytes]] = []
 
-    class Noting(Reserving):
+    class Noting(ReservingHosts):
         def leave(self, source, agent, target):  # type: ignore[no-untyped-def]
             found.append((target, bytes(self.machines[source].pack(agent))))
             super().leave(source, agent, target)
@@ -276,16 +284,16 @@ def test_hostile_reservations_are_refused_or_harmless(data: st.DataObject) -> No
         near = st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3))
         new = data.draw(st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(0, len(image) // 8), near))
         image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
-    joined = Reserving(program(LONG))
+    joined = ReservingHosts(program(LONG))
     joined.machines[0].agents.pop("boss").ended = "dropped"
     machine = joined.machines[target]
     try:
-        agent = machine.admit(joined.team[3], bytes(image), Limits())
+        agent = machine.inject(joined.team[3], bytes(image), AgentLimits())
     except BlockError:
         return
-    machine.calling(agent)
-    machine.goes_on(agent)
-    machine.held(agent)
-    machine.go(agent)
+    machine.itinerary.current_target(agent)
+    machine.itinerary.may_continue(agent)
+    machine.held_reservations.of_coordinator(agent)
+    machine.unfreeze(agent)
     joined.run()
     assert "bug in lfield" not in agent.report

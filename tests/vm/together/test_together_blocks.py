@@ -7,14 +7,14 @@ from functools import cache
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from joined_hosts import Collecting, Joined
+from joined_hosts import CollectingHosts, JoinedHosts
 
 from lfield.bytecode.program import Program
 from lfield.errors import BlockError
 from lfield.testing.golden import compile_text
 from lfield.vm import machine as machine_module
-from lfield.vm.contract import Limits
-from lfield.vm.inspect.decode import view
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.inspection.block_view import view
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
@@ -54,11 +54,11 @@ SAID = [
     "cr0true0",
     "cr1true1",
     "cr2true2",
-    "r0.fail() has thrown too: IndexException: two",
+    "r0.fail() also failed: IndexException: two",
     "onetwo0",
-    "the time is over; r2.stamp() was cancelled; r0.count() came to its end",
+    "the time is over; r2.stamp() was cancelled; r0.count() has completed",
     "0cr0",
-    "r2.own() has thrown too: Own {7}",
+    "r2.own() also failed: Own {7}",
     "8Own",
 ]
 
@@ -68,14 +68,14 @@ def program() -> Program:
     return compile_text(BUSY)
 
 
-@pytest.mark.parametrize("kind", [Joined, Collecting])
+@pytest.mark.parametrize("kind", [JoinedHosts, CollectingHosts])
 @pytest.mark.parametrize("slice_length", [1, 2, 3, 17, 100_000])
 def test_what_is_said_is_the_same(
-    kind: type[Joined], slice_length: int, monkeypatch: pytest.MonkeyPatch
+    kind: type[JoinedHosts], slice_length: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(machine_module, "SLICE", slice_length)
-    for name in ("ROUND", "TURNS"):
-        monkeypatch.setattr(machine_module, name, 1 if kind is Collecting else 200)
+    for name in ("SLICES_PER_RUN", "TURNS_PER_RUN"):
+        monkeypatch.setattr(machine_module, name, 1 if kind is CollectingHosts else 200)
     joined = kind(program(), 3)
     joined.run()
     # The coordinator has spoken on several hosts; each line is said once.
@@ -92,7 +92,7 @@ def test_a_heap_that_is_too_small_for_what_comes_back_is_an_exception() -> None:
       together { a = r[1].much(); }
       print(a.length());
     } }"""
-    joined = Joined(compile_text(text), 2, limits=Limits(heap=8 * 2000))
+    joined = JoinedHosts(compile_text(text), 2, limits=AgentLimits(heap=8 * 2000))
     joined.run()
     assert joined.printed[-2:] == ["too much", "900"]
 
@@ -102,7 +102,7 @@ def images() -> tuple[tuple[int, bytes], ...]:
     """Every block that has travelled, and where to."""
     found: list[tuple[int, bytes]] = []
 
-    class Noting(Joined):
+    class Noting(JoinedHosts):
         def leave(self, source, agent, target):  # type: ignore[no-untyped-def]
             found.append((target, bytes(self.machines[source].pack(agent))))
             super().leave(source, agent, target)
@@ -136,7 +136,7 @@ def test_tickets_are_gone_when_their_together_is_over() -> None:
 
 
 def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
-    joined = Joined(program(), 3)
+    joined = JoinedHosts(program(), 3)
     joined.cut.add(2)
     seen: set[str] = set()
     for _ in range(40):
@@ -149,8 +149,8 @@ def test_what_is_inspected_says_what_has_become_of_the_calls() -> None:
                 )
                 assert any(name == "call of a together" for name, _, _ in shown.heap) or not seen
     assert {
-        "r0.stamp() has begun",
-        "r2.count() is back with UnreachableResourceException",
+        "r0.stamp() started",
+        "r2.count() returned with UnreachableResourceException",
     } <= seen
 
 
@@ -167,15 +167,15 @@ def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
         near = st.integers(max(-(2**63), old - 3), min(2**63 - 1, old + 3))
         new = data.draw(st.one_of(st.integers(-(2**63), 2**63 - 1), st.integers(0, len(image) // 8), near))
         image[8 * word : 8 * word + 8] = new.to_bytes(8, "little", signed=True)
-    joined = Joined(program(), 3)
+    joined = JoinedHosts(program(), 3)
     joined.machines[0].agents.pop("boss").ended = "dropped"
     try:
-        agent = joined.machines[target].admit(joined.team[3], bytes(image), Limits())
+        agent = joined.machines[target].inject(joined.team[3], bytes(image), AgentLimits())
     except BlockError:
         return
-    joined.machines[target].calling(agent)
-    joined.machines[target].goes_on(agent)
-    joined.machines[target].go(agent)
+    joined.machines[target].itinerary.current_target(agent)
+    joined.machines[target].itinerary.may_continue(agent)
+    joined.machines[target].unfreeze(agent)
     joined.run()
     assert "bug in lfield" not in agent.report
 
@@ -185,9 +185,9 @@ def test_a_block_of_the_version_before_goes_on() -> None:
     target, image = images()[0]
     assert layout.TICKET not in kinds(image)
     earlier = in_version_2(image)
-    joined = Joined(program(), 3)
+    joined = JoinedHosts(program(), 3)
     joined.machines[0].agents.pop("boss").ended = "dropped"
-    joined.machines[target].go(joined.machines[target].admit(joined.team[3], earlier, Limits()))
+    joined.machines[target].unfreeze(joined.machines[target].inject(joined.team[3], earlier, AgentLimits()))
     joined.run()
     assert sorted(joined.printed) == sorted(SAID)
 
@@ -195,9 +195,9 @@ def test_a_block_of_the_version_before_goes_on() -> None:
 def test_a_block_of_the_version_before_has_no_tickets() -> None:
     target, image = images()[2]
     assert layout.TICKET in kinds(image)
-    joined = Joined(program(), 3)
-    with pytest.raises(BlockError, match="knows no tickets"):
-        joined.machines[target].admit(joined.team[3], in_version_2(image), Limits())
+    joined = JoinedHosts(program(), 3)
+    with pytest.raises(BlockError, match="has no tickets"):
+        joined.machines[target].inject(joined.team[3], in_version_2(image), AgentLimits())
 
 
 def in_version_2(image: bytes) -> bytes:
@@ -205,7 +205,7 @@ def in_version_2(image: bytes) -> bytes:
     old = Block(bytearray(image), len(image) // 8, len(image) // 8)
     w = old.w
     less = layout.HEADER_WORDS - layout.HEADERS[layout.EARLIER_VERSION]
-    layouts = Joined(program(), 1).machines[0].layouts
+    layouts = JoinedHosts(program(), 1).machines[0].layouts
     place = old.heap
     while place < old.top:
         for offset in layouts.references(w[place]):

@@ -5,13 +5,13 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from joined_hosts import Joined
+from joined_hosts import JoinedHosts
 
 from lfield.bytecode.program import Program
 from lfield.errors import BlockError
 from lfield.testing.golden import compile_text
-from lfield.vm.begun import Begun
 from lfield.vm.memory import layout
+from lfield.vm.pending_call import PendingCall
 
 POSTS = """
 class Card { public string text; public Card(string t) { text = t; } }
@@ -43,8 +43,8 @@ def program(body: str) -> Program:
     return compile_text(POSTS % body)
 
 
-def run(body: str, hosts: int) -> Joined:
-    joined = Joined(program(body), hosts)
+def run(body: str, hosts: int) -> JoinedHosts:
+    joined = JoinedHosts(program(body), hosts)
     joined.run()
     return joined
 
@@ -73,7 +73,7 @@ def test_what_is_only_here_needs_no_hop() -> None:
 
 
 def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_others_go_on() -> None:
-    joined = Joined(
+    joined = JoinedHosts(
         program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.message()); }} print(r[2].count());"), 3
     )
     joined.cut.add(1)
@@ -83,7 +83,7 @@ def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_othe
 
 
 def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
-    joined = Joined(program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }}"), 3)
+    joined = JoinedHosts(program(f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }}"), 3)
     joined.run(until=1.0)
     joined.cut.add(1)
     joined.run()
@@ -92,157 +92,160 @@ def test_a_host_that_is_lost_between_begin_and_fetch_is_one_too() -> None:
 
 def test_a_call_that_its_block_has_ended_without_is_cancelled_when_the_coordinator_comes_by() -> None:
     body = f"try {{ {ALL} }} catch (Exception e) {{ print(e.source()); }} sleep(1.0); print(r[1].count());"
-    joined = Joined(program(body.replace("2.0", "i % 2 * 45.0 + 5.0")), 3)
+    joined = JoinedHosts(program(body.replace("2.0", "i % 2 * 45.0 + 5.0")), 3)
     joined.run(until=1.0)
     joined.cut.add(1)
     joined.run(until=4.5)
     assert joined.printed == ["r1"]
-    assert joined.machines[1].begun_calls()
+    assert joined.machines[1].pending_calls.calls()
     joined.cut.clear()
     joined.run()
     # It is told before anything else happens there, and tidies up meanwhile.
     assert joined.places[1].output == ["0", "r1 cancelled"]
-    assert joined.machines[1].begun_calls() == []
+    assert joined.machines[1].pending_calls.calls() == []
 
 
 def test_calls_wait_for_their_host_to_let_them_begin() -> None:
-    joined = Joined(program(ALL + TOLD), 2)
+    joined = JoinedHosts(program(ALL + TOLD), 2)
     joined.places[1].lets = False
     joined.run()
     host, boss = joined.boss
-    assert (host, boss.frozen, joined.machines[1].begun_calls()) == (1, True, [])
-    assert joined.machines[1].calling(boss) == (joined.team[1], "work")
-    assert not joined.machines[1].goes_on(boss)
+    assert (host, boss.frozen, joined.machines[1].pending_calls.calls()) == (1, True, [])
+    assert joined.machines[1].itinerary.current_target(boss) == (joined.team[1], "work")
+    assert not joined.machines[1].itinerary.may_continue(boss)
     joined.places[1].lets = True
-    joined.machines[1].go(boss)
+    joined.machines[1].unfreeze(boss)
     joined.run()
     assert joined.printed == ["cr0", "cr1", "after 4.0"]
 
 
 def test_calls_that_their_host_refuses_have_not_begun() -> None:
-    joined = Joined(program(f"try {{ {ALL} }} catch (LimitException e) {{ print(e.message()); }}"), 2)
+    joined = JoinedHosts(program(f"try {{ {ALL} }} catch (LimitException e) {{ print(e.message()); }}"), 2)
     joined.places[1].lets = False
     joined.run()
     joined.machines[1].resume(joined.boss[1], "LimitException", "the disk is full")
     joined.run()
     assert joined.printed == ["the disk is full (r1.work() has not begun)"]
-    assert not joined.machines[1].begun_calls()
+    assert not joined.machines[1].pending_calls.calls()
 
 
 def test_what_came_back_is_fetched_only_when_it_is_kept_and_then_told_to_the_host() -> None:
-    joined = Joined(program(ALL + TOLD), 2)
+    joined = JoinedHosts(program(ALL + TOLD), 2)
     joined.places[1].keeps = False
     joined.run()
     assert joined.boss[0] == 1
     [begun] = joined.places[1].unkept
     assert (begun.key, begun.state, begun.portal) == (("boss", 1, 2), "done", "work")
-    joined.machines[1].kept_result(begun.key)
+    joined.machines[1].pending_calls.on_persisted(begun.key)
     agent = joined.boss[1]
     joined.still()
-    assert joined.machines[1].fetched(agent) == [begun.key]
-    assert joined.machines[1].fetched(agent) == []
+    assert joined.machines[1].pending_calls.drain_fetched(agent) == [begun.key]
+    assert joined.machines[1].pending_calls.drain_fetched(agent) == []
     joined.run()
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
 
 
 def test_a_resource_that_dies_is_an_exception_of_its_calls_kept_until_they_are_fetched() -> None:
     body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.source() + e.message()); }}"
-    joined = Joined(program(body), 3)
+    joined = JoinedHosts(program(body), 3)
     joined.run(until=1.0)
     machine = joined.machines[1]
     machine._scheduler.die(machine.agents["r1"], "a test")
-    [begun] = machine.begun_calls()
-    assert (begun.state, begun.kept) == ("thrown", True)
+    [begun] = machine.pending_calls.calls()
+    assert (begun.state, begun.is_persisted) == ("thrown", True)
     joined.run()
     assert joined.printed == ["r1r1 has died: a test"]
 
 
 def test_calls_of_a_resource_that_is_gone_do_not_begin() -> None:
     body = f"try {{ {ALL} }} catch (UnreachableResourceException e) {{ print(e.message()); }}"
-    joined = Joined(program(body), 2)
+    joined = JoinedHosts(program(body), 2)
     joined.machines[1]._scheduler.die(joined.machines[1].agents["r1"], "a test")
     joined.run()
-    assert joined.printed == ["r1 is gone: it died of a test"]
+    assert joined.printed == ["r1 is not available: it died of a test"]
 
 
 def test_a_restarted_host_has_lost_what_ran() -> None:
-    joined = Joined(
+    joined = JoinedHosts(
         program(f"try {{ {ALL} {TOLD} }} catch (RestartException e) {{ print(e.message()); }}"), 3
     )
     joined.run(until=1.0)
-    [begun] = joined.machines[1].begun_calls()
-    joined.restart(1, [Begun(*begun.key, begun.resource, begun.portal)])
+    [begun] = joined.machines[1].pending_calls.calls()
+    joined.restart(1, [PendingCall(*begun.key, begun.resource, begun.portal)])
     joined.run()
-    assert joined.printed == ["its host was started again while r1.work() ran; it may have been done"]
-    assert joined.machines[1].begun_calls() == []
+    assert joined.printed == ["its host restarted while r1.work() ran; it may have been executed"]
+    assert joined.machines[1].pending_calls.calls() == []
 
 
 def test_a_restarted_host_gives_what_it_has_kept() -> None:
-    joined = Joined(program(ALL.replace("2.0", "2.0 - i") + TOLD), 3)
+    joined = JoinedHosts(program(ALL.replace("2.0", "2.0 - i") + TOLD), 3)
     joined.run(until=1.5)
-    [begun] = joined.machines[1].begun_calls()
-    page = Begun(*begun.key, begun.resource, begun.portal, state="done", parcel=begun.parcel)
+    [begun] = joined.machines[1].pending_calls.calls()
+    page = PendingCall(*begun.key, begun.resource, begun.portal, state="done", result=begun.result)
     joined.restart(1, [page])
     joined.run()
     assert joined.printed == ["cr0", "cr1", "cr2", "after 2.0"]
 
 
 def test_a_result_that_is_no_sound_block_is_lost() -> None:
-    joined = Joined(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.source()); }}"), 2)
+    joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.source()); }}"), 2)
     joined.run(until=1.0)
-    [begun] = joined.machines[1].begun_calls()
+    [begun] = joined.machines[1].pending_calls.calls()
     machine = joined.machines[0]
-    machine.restore_begun([Begun(*begun.key, "r0", "work", state="done", parcel=b"12345678" * 50)])
-    assert machine.begun_calls()[-1].state == "lost"
+    machine.pending_calls.restore(
+        [PendingCall(*begun.key, "r0", "work", state="done", result=b"12345678" * 50)]
+    )
+    assert machine.pending_calls.calls()[-1].state == "lost"
 
 
 def test_another_start_of_the_coordinator_fetches_nothing_of_the_earlier_one() -> None:
-    joined = Joined(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 3)
+    joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 3)
     joined.run(until=1.0)
     host, boss = joined.boss
     assert (host, boss.frozen) == (2, False)
     boss.block.w[layout.W_GENERATION] = 7
     joined.run()
-    said = "boss was recovered since it called r%d.work(); it may have been done"
+    said = "boss was recovered since it called r%d.work(); the call may have been executed"
     assert joined.printed == [
-        *(f"r{i}.work() has thrown too: RestartException: {said % i}" for i in (1, 2)),
+        *(f"r{i}.work() also failed: RestartException: {said % i}" for i in (1, 2)),
         said % 0,
     ]
-    assert joined.machines[1].cancel_begun("boss", 1, "fenced") == []
-    assert joined.machines[1].cancel_begun("boss", 7, "fenced") == [("boss", 1, 2)]
+    assert joined.machines[1].pending_calls.cancel("boss", 1, "fenced") == []
+    assert joined.machines[1].pending_calls.cancel("boss", 7, "fenced") == [("boss", 1, 2)]
 
 
 def test_cancelled_calls_of_an_earlier_start_are_told_and_forgotten() -> None:
-    joined = Joined(program(ALL), 2)
+    joined = JoinedHosts(program(ALL), 2)
     joined.run(until=1.0)
-    assert joined.machines[0].cancel_begun("boss", None, "boss is forgotten") == [("boss", 1, 1)]
-    assert joined.machines[0].begun_calls() == []
+    assert joined.machines[0].pending_calls.cancel("boss", None, "boss is forgotten") == [("boss", 1, 1)]
+    assert joined.machines[0].pending_calls.calls() == []
     joined.still()
     assert joined.places[0].output == ["r0 cancelled"]
-    assert joined.machines[0].cancel_begun("boss", None, "again") == []
+    assert joined.machines[0].pending_calls.cancel("boss", None, "again") == []
 
 
 def test_a_pause_ends_what_runs_and_its_portal_goes_on_alone() -> None:
-    joined = Joined(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 2)
+    joined = JoinedHosts(program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message()); }}"), 2)
     joined.run(until=1.0)
-    joined.machines[0].end_begun("boss", "RestartException", "the mission was paused")
-    [begun] = joined.machines[0].begun_calls()
-    assert (begun.state, begun.kept) == ("thrown", True)
+    joined.machines[0].pending_calls.fail_running("boss", "RestartException", "the mission was paused")
+    [begun] = joined.machines[0].pending_calls.calls()
+    assert (begun.state, begun.is_persisted) == ("thrown", True)
     joined.run()
     assert joined.printed == ["the mission was paused (r0.work)"]
 
 
 def test_who_calls_is_known_though_it_has_moved_on() -> None:
-    joined = Joined(program(ALL), 2)
+    joined = JoinedHosts(program(ALL), 2)
     joined.run(until=1.0)
     resource = joined.machines[0].agents["r0"]
     thread = resource.block.w[resource.block.w[layout.W_THREADS] + layout.THREAD_ID]
     caller = joined.machines[0].caller(resource, thread)
     assert caller is not None
     assert (caller.id, caller.generation, caller.ended, caller.fenced) == ("boss", 1, "", False)
-    assert not joined.machines[0].is_left(resource, thread)
-    joined.machines[0].end_begun("boss", "RestartException", "paused")
-    assert joined.machines[0].is_left(resource, thread)
+    number, _ = joined.machines[0].served_call(resource, thread)
+    assert number
+    joined.machines[0].pending_calls.fail_running("boss", "RestartException", "paused")
+    assert joined.machines[0].served_call(resource, thread) == (number, None)
 
 
 LIMIT = "catch (TimeLimitException e) { print(e.message()); }"
@@ -259,11 +262,11 @@ def test_whoever_leaves_tells_all_hosts_first_and_then_waits_for_them() -> None:
     assert joined.route == [0, 1, 2, 0, 1, 0, 2]
     assert joined.places[2].output == ["r2 cancelled", "left after 1.5"]
     assert [place.output[0] for place in joined.places] == ["r0 cancelled", "r1 cancelled", "r2 cancelled"]
-    assert [machine.begun_calls() for machine in joined.machines] == [[], [], []]
+    assert [machine.pending_calls.calls() for machine in joined.machines] == [[], [], []]
 
 
 def test_whoever_leaves_while_a_host_is_cut_off_leaves_all_the_same() -> None:
-    joined = Joined(program(LEAVES + 'catch (ArithmeticException e) { print("left"); }'), 3)
+    joined = JoinedHosts(program(LEAVES + 'catch (ArithmeticException e) { print("left"); }'), 3)
     joined.run(until=0.5)
     joined.cut.add(0)
     joined.run()
@@ -272,13 +275,13 @@ def test_whoever_leaves_while_a_host_is_cut_off_leaves_all_the_same() -> None:
 
 
 def test_a_restored_coordinator_that_only_fetches_goes_on() -> None:
-    joined = Joined(program(ALL + TOLD), 2)
+    joined = JoinedHosts(program(ALL + TOLD), 2)
     joined.run(until=1.0)
     host, boss = joined.boss
     image = bytes(joined.machines[host].pack(boss))
     restored = joined.machines[host].restore(boss.member, image, boss.limits)
-    assert joined.machines[host].goes_on(restored)
-    joined.machines[host].go(restored)
+    assert joined.machines[host].itinerary.may_continue(restored)
+    joined.machines[host].unfreeze(restored)
     joined.run()
     assert joined.printed == ["cr0", "cr1", "after 2.0"]
 
@@ -288,7 +291,7 @@ def test_whoever_is_recovered_is_told_first_also_where_it_leaves_or_its_time_is_
     caught = "catch (RestartException e) { print(e.message()); } catch (TimeLimitException e) { print(0); }"
     limited = "try { within (1.0) { " + ALL + " } } " + caught
     for body, until in ((LEAVES + caught, 1.2), (limited, 0.9)):
-        joined = Joined(program(body), 3)
+        joined = JoinedHosts(program(body), 3)
         joined.run(until=until)
         host, boss = joined.boss
         machine = joined.machines[host]
@@ -300,14 +303,14 @@ def test_whoever_is_recovered_is_told_first_also_where_it_leaves_or_its_time_is_
 
 
 def test_a_fence_of_the_lease_throws_where_a_coordinator_fetches() -> None:
-    joined = Joined(
+    joined = JoinedHosts(
         program(f"try {{ {ALL} }} catch (RestartException e) {{ print(e.message() + f2s(now() - begun)); }}"),
         2,
     )
     joined.run(until=1.0)
     host, boss = joined.boss
-    assert joined.machines[host].abandon(boss, "RestartException", "the lease is over, after ")
-    assert not joined.machines[host].abandon(boss, "RestartException", "twice")
+    assert joined.machines[host].detach_caller(boss, "RestartException", "the lease is over, after ")
+    assert not joined.machines[host].detach_caller(boss, "RestartException", "twice")
     joined.run()
     assert joined.printed == ["r0 cancelled", "r1 cancelled", "the lease is over, after 1.5"]
 
@@ -316,13 +319,13 @@ def test_a_time_limit_is_held_where_the_calls_run() -> None:
     body = "try { within (1.0) { " + ALL + " } } catch (TimeLimitException e) { print(e.message()); }"
     joined = run(body + " print(now() - begun);", 3)
     said = "the time is over; r0.work() was cancelled; r1.work() was cancelled; r2.work() was cancelled"
-    said += "; the block ends 0.5 s late since it waited for its calls and their hosts"
+    said += "; the block ends 0.5 s late: it waited for its calls and their hosts"
     # Each host has cancelled its own by itself, at the same time.
     assert joined.printed == ["r0 cancelled", "r1 cancelled", "r2 cancelled", said, "1.5"]
 
 
 def test_a_time_limit_counts_the_flight_and_the_sleep_of_hosts() -> None:
-    joined = Joined(
+    joined = JoinedHosts(
         program(f"try {{ within (5.0) {{ r[1].work(9.0, mine); }} }} {LIMIT}"),
         2,
     )
@@ -330,20 +333,22 @@ def test_a_time_limit_counts_the_flight_and_the_sleep_of_hosts() -> None:
     agent, _ = joined.places[0].departures.pop()
     image = bytes(joined.machines[0].pack(agent))
     joined.machines[0].release(agent)
-    arrived = joined.machines[1].admit(agent.member, image, agent.limits, asleep=4.5)
-    joined.machines[1].go(arrived)
+    arrived = joined.machines[1].inject(agent.member, image, agent.limits, downtime=4.5)
+    joined.machines[1].unfreeze(arrived)
     joined.run(until=0.6)
     assert joined.places[1].output == ["r1 cancelled"]
     joined.run()
     assert (
         joined.printed[-1]
-        == "the time is over; r1.work() was cancelled, 0.5 s late since it took so long to end"
+        == "the time is over; r1.work() was cancelled, 0.5 s late: it took that long to end"
     )
 
 
 def test_a_time_limit_gives_up_a_departure_that_has_not_begun() -> None:
     body = "within (5.0) { r[1].count(); } "
-    joined = Joined(program(f"try {{ {body} }} catch (TimeLimitException e) {{ print(e.message()); }}"), 2)
+    joined = JoinedHosts(
+        program(f"try {{ {body} }} catch (TimeLimitException e) {{ print(e.message()); }}"), 2
+    )
     assert joined.still() == 5.0
     joined.clock.advance(5.0)
     joined.still()
@@ -352,7 +357,7 @@ def test_a_time_limit_gives_up_a_departure_that_has_not_begun() -> None:
 
 
 def test_a_time_limit_that_cannot_give_up_is_told_when_the_coordinator_hears() -> None:
-    joined = Joined(
+    joined = JoinedHosts(
         program(
             "try { within (5.0) { r[1].count(); } } catch (TimeLimitException e) { print(e.message()); }"
         ),
@@ -369,7 +374,7 @@ def test_a_time_limit_that_cannot_give_up_is_told_when_the_coordinator_hears() -
 
 
 def test_hostile_tickets_are_refused() -> None:
-    joined = Joined(program(ALL), 2)
+    joined = JoinedHosts(program(ALL), 2)
     joined.still()
     agent, _ = joined.places[0].departures.pop()
     image = bytes(joined.machines[0].pack(agent))
@@ -385,7 +390,7 @@ def test_hostile_tickets_are_refused() -> None:
         (layout.TICKET_NUMBER, 0),
         (layout.TICKET_STATE, 0),
         (layout.TICKET_STATE, 9),
-        (layout.TICKET_STATE, layout.BACK),
+        (layout.TICKET_STATE, layout.TICKET_RETURNED),
         (layout.TICKET_METHOD, 0),
         (layout.TICKET_METHOD, 10_000),
         (layout.TICKET_INDEX, 2),
@@ -402,7 +407,7 @@ def test_hostile_tickets_are_refused() -> None:
         hostile = memoryview(bytearray(image)).cast("q")
         hostile[newest + field] = word
         with pytest.raises(BlockError):
-            joined.machines[1].admit(agent.member, hostile.tobytes(), agent.limits)
+            joined.machines[1].inject(agent.member, hostile.tobytes(), agent.limits)
 
 
 def test_a_call_that_is_not_allowed_is_one_of_its_outcomes_and_the_others_begin() -> None:
@@ -412,7 +417,7 @@ def test_a_call_that_is_not_allowed_is_one_of_its_outcomes_and_the_others_begin(
     def rules(coordinator: str, resource: str, method: int) -> str:
         return "not this one" if (coordinator, resource, method) == ("boss", "r1", work) else ""
 
-    joined = Joined(
+    joined = JoinedHosts(
         program(caught + "for (int i = 0; i < 3; i = i + 1) print(r[i].count());"), 3, rules=rules
     )
     joined.run()

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from joined_hosts import Joined
+from joined_hosts import JoinedHosts
 
 from lfield.testing.golden import compile_text
-from lfield.vm.inspect.decode import view
+from lfield.vm.inspection.block_view import view
 
 THROWING = """
 resource Post {
@@ -44,17 +44,17 @@ coordinator Boss {
 
 
 def test_what_is_beside_an_object_is_no_field_of_its_class() -> None:
-    joined = Joined(compile_text(OWN), 1)
+    joined = JoinedHosts(compile_text(OWN), 1)
     joined.run(until=5.0)
     shown = dict(view(joined.boss[1].block, joined.program).threads[0].frames[0].locals)
     assert shown["b"].startswith("Boom @")
     assert shown["b"].endswith(" {1}")
     joined.run()
-    assert joined.printed == ["r0.boom() has thrown too: Boom {2}", "2"]
+    assert joined.printed == ["r0.boom() also failed: Boom {2}", "2"]
 
 
 def test_a_report_has_every_line_once() -> None:
-    joined = Joined(compile_text(THROWING), 1)
+    joined = JoinedHosts(compile_text(THROWING), 1)
     joined.run()
     assert joined.places[0].endings[0].report.splitlines() == [
         "IndexException: gone",

@@ -5,15 +5,15 @@ from __future__ import annotations
 from functools import cache
 
 import pytest
-from joined_hosts import Joined
+from joined_hosts import JoinedHosts
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import ARRAY, STRING, Program, Quad, TypeRecord, encode_quads
-from lfield.bytecode.verify import verify
+from lfield.bytecode.verifier import verify
 from lfield.errors import BlockError
 from lfield.testing.golden import compile_text
-from lfield.vm.contract import Limits
-from lfield.vm.inspect.decode import view
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.inspection.block_view import view
 from lfield.vm.memory import layout
 from lfield.vm.memory.block import Block
 
@@ -58,11 +58,11 @@ def placed() -> Program:
 
 
 def test_what_is_settled_is_assigned_when_all_are_back() -> None:
-    joined = Joined(placed(), 2)
+    joined = JoinedHosts(placed(), 2)
     joined.run(until=0.5)
     shown = view(joined.boss[1].block, joined.program, [member.id for member in joined.team])
     calls = [call for frame in shown.threads[0].frames for call in frame.calls]
-    assert calls == ["an offer that was gone through in place is back", "r1.work() has begun"]
+    assert calls == ["an offer that was executed synchronously returned", "r1.work() started"]
     joined.run()
     assert joined.printed[-3:] == ["settled", "stuck", "before"]
 
@@ -72,7 +72,7 @@ def travelled() -> bytes:
     """The block on its way to the second host, with one result and one call."""
     found: list[bytes] = []
 
-    class Noting(Joined):
+    class Noting(JoinedHosts):
         def leave(self, source, agent, target):  # type: ignore[no-untyped-def]
             found.append(bytes(self.machines[source].pack(agent)))
             super().leave(source, agent, target)
@@ -84,13 +84,13 @@ def travelled() -> bytes:
 @pytest.mark.parametrize(
     ("word", "changed", "reason"),
     [
-        (layout.TICKET_STATE, layout.COLLECTED, "no resource"),
-        (layout.TICKET_STATE, layout.BEGUN, "no resource"),
-        (layout.TICKET_STATE, layout.TOLD, "no resource"),
-        (layout.TICKET_METHOD, 1, "no resource"),
-        (layout.TICKET_GENERATION, 1, "no resource"),
-        (layout.TICKET_INDEX, 2, "no element"),
-        (layout.TICKET_ARRAY, 0, "no element"),
+        (layout.TICKET_STATE, layout.TICKET_COLLECTED, "not refer to a resource"),
+        (layout.TICKET_STATE, layout.TICKET_STARTED, "not refer to a resource"),
+        (layout.TICKET_STATE, layout.TICKET_CANCELLING, "not refer to a resource"),
+        (layout.TICKET_METHOD, 1, "not refer to a resource"),
+        (layout.TICKET_GENERATION, 1, "not refer to a resource"),
+        (layout.TICKET_INDEX, 2, "not an element"),
+        (layout.TICKET_ARRAY, 0, "not an element"),
         (layout.TICKET_VALUE, None, "of its type"),
         (layout.TICKET_THROWN, None, "of its type"),
     ],
@@ -103,7 +103,7 @@ def test_a_result_without_a_call_is_nothing_else(word: int, changed: int | None,
         place += block.w[place] >> 32
     assert not block.w[place + layout.TICKET_PROXY]
     block.w[place + word] = block.w[place + layout.TICKET_ARRAY] if changed is None else changed
-    joined = Joined(placed(), 2)
+    joined = JoinedHosts(placed(), 2)
     joined.machines[0].agents.pop("boss").ended = "dropped"
     with pytest.raises(BlockError, match=reason):
-        joined.machines[1].admit(joined.team[2], bytes(image), Limits())
+        joined.machines[1].inject(joined.team[2], bytes(image), AgentLimits())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from joined_hosts import Joined
+from joined_hosts import JoinedHosts
 
 from lfield.testing.golden import compile_text
 from lfield.vm.agent import Agent
@@ -63,7 +63,7 @@ def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
     """What a wanderer prints, its hops, those of them uncollected and the largest block, with this bound for
     what is not collected.
     """
-    joined = Joined(compile_text(WANDERER.replace("SEED", str(seed))), 3)
+    joined = JoinedHosts(compile_text(WANDERER.replace("SEED", str(seed))), 3)
     largest, left, same = 0, 0, 0
     pack = Machine.pack
 
@@ -75,12 +75,13 @@ def travelled(seed: int, packet: int) -> tuple[list[str], int, int, int]:
         return image
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(collector, "PACKET", packet)
+        patch.setattr(collector, "SMALL_BLOCK_WORDS", packet)
         patch.setattr(Machine, "pack", noted)
         joined.run()
     return joined.printed, left, same, largest
 
 
+@pytest.mark.few(3)
 @pytest.mark.parametrize("first", range(0, 20, 5))
 def test_it_arrives_wherever_it_stood_and_whatever_it_has_left_behind(first: int) -> None:
     hops = uncollected = 0
@@ -97,5 +98,5 @@ def test_a_small_one_that_has_nothing_new_is_as_large_as_it_came() -> None:
     """So what it drags along is less than a packet."""
     for seed in range(5):
         *_, least = travelled(seed, 0)
-        *_, most = travelled(seed, collector.PACKET)
-        assert most <= max(least, 8 * collector.PACKET)
+        *_, most = travelled(seed, collector.SMALL_BLOCK_WORDS)
+        assert most <= max(least, 8 * collector.SMALL_BLOCK_WORDS)

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm.agent import Member
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
+from lfield.vm.agent import MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import collect
@@ -32,13 +32,13 @@ coordinator Walker {
 """
 
 
-def crowd(size: int, desk: Desk, clock: ManualClock) -> Machine:
+def crowd(size: int, desk: GoldenWorld, clock: ManualClock) -> Machine:
     """So many coordinators, who have not begun, before one gate."""
-    team = [Member(0, "gate", "Gate", "resource", 0)]
-    team += [Member(n, f"w{n}", "Walker", "coordinator", 0, (str(n),)) for n in range(1, size + 1)]
-    made = Machine(compile_text(PROGRAM), team, 0, 1, desk, clock, random.Random(1))
+    team = [TeamMember(0, "gate", "Gate", "resource", 0)]
+    team += [TeamMember(n, f"w{n}", "Walker", "coordinator", 0, (str(n),)) for n in range(1, size + 1)]
+    made = Machine(compile_text(PROGRAM), MachineTeam(team, 0, 1), desk, clock, random.Random(1))
     for member in team:
-        made.start(member, Limits(threads=size), generation=1)
+        made.start(member, AgentLimits(threads=size), generation=1)
     return made
 
 
@@ -47,9 +47,9 @@ def test_ten_times_as_many_threads_cost_ten_times_as_much(
 ) -> None:
     taken = []
     for size in (30, 300):
-        desk, clock = Desk(), ManualClock()
+        desk, clock = GoldenWorld(), ManualClock()
         made = crowd(size, desk, clock)
-        taken.append(steps(lambda made=made, clock=clock: settle(made, clock)))  # type: ignore[misc]
+        taken.append(steps(lambda made=made, clock=clock: run_until_idle(made, clock)))  # type: ignore[misc]
         assert made.agents["gate"].served == size
         assert count(made.agents["gate"].block) == 0
     assert taken[1] < 12 * taken[0]

@@ -5,17 +5,18 @@ from __future__ import annotations
 import random
 
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle, team_for
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
 
 
-def started(text: str) -> tuple[Machine, Desk, ManualClock]:
+def started(text: str) -> tuple[Machine, GoldenWorld, ManualClock]:
     program = compile_text(text)
-    desk, clock = Desk(), ManualClock()
-    machine = Machine(program, team_for(program, []), 0, 1, desk, clock, random.Random(1))
+    desk, clock = GoldenWorld(), ManualClock()
+    machine = Machine(program, MachineTeam(team_for(program, []), 0, 1), desk, clock, random.Random(1))
     for member in machine.team:
-        machine.start(member, Limits(), 1)
+        machine.start(member, AgentLimits(), 1)
     return machine, desk, clock
 
 
@@ -46,7 +47,7 @@ coordinator C { init(string[] a) { sleep(5.0); findR("r").finish(); } }
 
 def test_a_thread_that_waits_for_a_field_is_parked_until_another_thread_has_run() -> None:
     machine, desk, clock = started(WAITS)
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert desk.output == ["done"]
     assert turns_until_quiet(machine, clock) == 0
 
@@ -84,7 +85,7 @@ resource R { int n; init(string[] a) { while (n < 200) { n = n + 1; yield(); } p
 """
     )
     start = clock.now
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert desk.output == ["200"]
     assert clock.now == start, "a loop that works is not slowed down by its yields"
 
@@ -97,7 +98,7 @@ coordinator C {
 }
 """
     )
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert desk.output == ["later"]
 
 
@@ -110,8 +111,8 @@ coordinator C {
 }
 """
     )
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert desk.output == ["done"]
     agent = machine.agents["r"]
-    assert not agent.polls
-    assert not agent.asked
+    assert not agent.poll_counts
+    assert not agent.outward_pollers

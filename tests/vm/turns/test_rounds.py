@@ -7,14 +7,14 @@ import random
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text, settle
-from lfield.vm.agent import Member
-from lfield.vm.contract import Limits
-from lfield.vm.machine import LONGEST, ROUND, SLICE, TURNS, Machine
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
+from lfield.vm.agent import MachineTeam, TeamMember
+from lfield.vm.engine_interface import AgentLimits
+from lfield.vm.machine import SECONDS_PER_RUN, SLICE, SLICES_PER_RUN, TURNS_PER_RUN, Machine
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import W_SELF
 
-TEAM = [Member(0, "store", "Store", "resource", 0), Member(1, "clerk", "Clerk", "coordinator", 0)]
+TEAM = [TeamMember(0, "store", "Store", "resource", 0), TeamMember(1, "clerk", "Clerk", "coordinator", 0)]
 PROGRAM = """
 class Box { public int[] kept; public Box next; }
 resource Store {
@@ -36,30 +36,32 @@ coordinator Clerk {
 """
 
 
-def machine(body: str, desk: Desk | None = None, clock: ManualClock | None = None) -> Machine:
+def machine(body: str, desk: GoldenWorld | None = None, clock: ManualClock | None = None) -> Machine:
     """A store and its clerk, who has not begun."""
     program = compile_text(PROGRAM % body)
-    made = Machine(program, TEAM, 0, 1, desk or Desk(), clock or ManualClock(), random.Random(1))
+    made = Machine(
+        program, MachineTeam(TEAM, 0, 1), desk or GoldenWorld(), clock or ManualClock(), random.Random(1)
+    )
     for member in TEAM:
-        made.start(member, Limits(), generation=1)
+        made.start(member, AgentLimits(), generation=1)
     return made
 
 
 @pytest.mark.parametrize(
     ("body", "least", "most"),
     [
-        ("while (true) store.ask();", 0, ROUND * SLICE // 10),
-        ("int i = 0; while (true) i = i + 1;", (ROUND - 1) * SLICE, ROUND * SLICE),
+        ("while (true) store.ask();", 0, SLICES_PER_RUN * SLICE // 10),
+        ("int i = 0; while (true) i = i + 1;", (SLICES_PER_RUN - 1) * SLICE, SLICES_PER_RUN * SLICE),
     ],
     ids=["turns", "instructions"],
 )
 def test_a_round_is_over_after_so_many_turns_or_instructions(body: str, least: int, most: int) -> None:
     made, used = machine(body), []
-    made.attached.meter = used.append
+    made.hooks.meter = used.append
     made.run()
     used.clear()
     assert made.run() == 0.0
-    assert len(used) <= TURNS
+    assert len(used) <= TURNS_PER_RUN
     assert least <= sum(used) <= most
 
 
@@ -75,24 +77,24 @@ class Slow(ManualClock):
 def test_a_round_is_over_when_it_has_taken_long(body: str) -> None:
     made, turns = machine(body, clock=Slow()), []
     made.run()
-    made.attached.meter = turns.append
+    made.hooks.meter = turns.append
     made.run()
-    assert 1 <= len(turns) <= 1000 * LONGEST + 1
+    assert 1 <= len(turns) <= 1000 * SECONDS_PER_RUN + 1
 
 
 def test_whoever_is_ready_has_a_turn_in_a_round_of_calls() -> None:
     made, turns = machine("while (true) store.ask();"), []
     made.run()
-    made.attached.meter = turns.append
+    made.hooks.meter = turns.append
     made.run()
-    assert len(turns) == TURNS
+    assert len(turns) == TURNS_PER_RUN
 
 
 def test_portals_that_keep_nothing_cost_no_garbage() -> None:
     tops = []
     for calls in (1, 1000):
         made = machine(f"for (int i = 0; i < {calls}; i = i + 1) store.ask();")
-        settle(made, ManualClock())
+        run_until_idle(made, ManualClock())
         assert made.agents["store"].served == calls
         tops.append(made.agents["store"].block.top)
     assert tops[0] == tops[1]
@@ -107,13 +109,13 @@ def test_what_portals_keep_stays_and_what_they_spend_is_collected() -> None:
       }
       print(i2s(sum));
     """
-    desk = Desk()
+    desk = GoldenWorld()
     made = machine(body, desk)
     expected = count = 0
     for i in range(1, 60):
         expected += (count + 1) + (count + 1 + i) + 1
         count += 1 + i
-    settle(made, ManualClock())
+    run_until_idle(made, ManualClock())
     store = made.agents["store"]
     assert (store.served, desk.output) == (3 * 59, [str(expected)])
     collect(store.block, made.layouts)

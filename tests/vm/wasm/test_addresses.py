@@ -7,29 +7,31 @@ import sys
 
 import pytest
 
-from lfield.testing.engines import NEEDED
+from switching_engine import NEEDED
 
 pytest.importorskip("wasmtime", reason=NEEDED)
 
-from lfield.vm.wasm.arena import WHOLE, Arena
+from lfield.vm.wasm.arena import ADDRESS_SPACE, Arena
 
 _MANY = """
 import random, resource, sys
 resource.setrlimit(resource.RLIMIT_AS, (int(sys.argv[1]) << 20,) * 2)
 from lfield.clock import ManualClock
-from lfield.testing.golden import Desk, compile_text
-from lfield.vm.agent import Member
-from lfield.vm.contract import Limits
+from lfield.testing.golden import GoldenWorld, compile_text
+from lfield.vm.agent import TeamMember, MachineTeam
+from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import Machine
-from lfield.vm.wasm.engine import Engine
+from lfield.vm.wasm.wasm_engine import WasmEngine
 program = compile_text(
     "resource R { init(string[] arg) { for (int i = 0; i < 9; i = i + 1) sleep(1.0); print(arg[0]); } }"
 )
-desk, clock = Desk(), ManualClock()
-team = [Member(i, f"r{i}", "R", "resource", 0) for i in range(1000)]
-machine = desk.machine = Machine(program, team, 0, 1, desk, clock, random.Random(1), engines=Engine)
+desk, clock = GoldenWorld(), ManualClock()
+team = [TeamMember(i, f"r{i}", "R", "resource", 0) for i in range(1000)]
+machine = desk.machine = Machine(
+    program, MachineTeam(team, 0, 1), desk, clock, random.Random(1), engines=WasmEngine
+)
 for member in team:
-    machine.start(member, Limits(), 1)
+    machine.start(member, AgentLimits(), 1)
 while (pause := machine.run()) is not None:
     clock.advance(pause)
 outside = sum(machine.engine.space.base(agent.block.data) < 0 for agent in machine.agents.values())
@@ -46,17 +48,17 @@ def test_a_thousand_agents_live_in_few_addresses(most: int) -> None:
     assert done.returncode == 0, done.stderr
     printed, different, outside, reservation = map(int, done.stdout.split())
     assert (printed, different, outside) == (1000, 1000, 0)
-    assert reservation < WHOLE
+    assert reservation < ADDRESS_SPACE
 
 
 def test_a_large_region_that_nobody_needs_has_no_memory() -> None:
     arena = Arena()
-    room = arena.room(32 << 20)
+    room = arena.allocate(32 << 20)
     room[:] = b"x" * len(room)
     base, full = arena.base(room), _resident()
     del room
     assert _resident() < full - (24 << 20)
-    again = arena.room(32 << 20)
+    again = arena.allocate(32 << 20)
     assert arena.base(again) == base
     assert not any(again[:: 1 << 12])
 

@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import UsageError
-from lfield.host import engines as engines_module
-from lfield.host.engines import KEPT, UserCache, code_folder, engines_for
-from lfield.operator.doctor import engine
-from lfield.testing.engines import NEEDED
+from lfield.host import engine_provider as engines_module
+from lfield.host.engine_provider import MAX_PROGRAMS, UserCodeCache, code_folder, select_engine
+from lfield.operator.diagnostics import engine
 from lfield.testing.golden import compile_text
-from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference import ReferenceEngine as Reference
+from switching_engine import NEEDED
 
 _NOBODY = 65534
 PROGRAM = compile_text("resource R { init(string[] arg) { print(arg.length() + 1); } }")
@@ -30,21 +30,21 @@ PROGRAM = compile_text("resource R { init(string[] arg) { print(arg.length() + 1
 def cached(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache folder, and no code in this process."""
     pytest.importorskip("wasmtime", reason=NEEDED)
-    from lfield.vm.wasm import code
+    from lfield.vm.wasm import machine_code
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    code._recent.clear()
+    machine_code._recent.clear()
     return code_folder()
 
 
 def made(notes: list[str]) -> dict[int, int]:
     """The points of the program on a new engine, as a process that has just begun finds them."""
-    from lfield.vm.wasm import code
-    from lfield.vm.wasm.engine import Engine
+    from lfield.vm.wasm import machine_code
+    from lfield.vm.wasm.wasm_engine import WasmEngine
 
-    code._recent.clear()
-    engine = engines_for("wasm", notes.append)(PROGRAM, float)
-    assert isinstance(engine, Engine)
+    machine_code._recent.clear()
+    engine = select_engine("wasm", notes.append)(PROGRAM, float)
+    assert isinstance(engine, WasmEngine)
     return engine.points
 
 
@@ -66,7 +66,7 @@ def no_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise AssertionError("it was compiled again")
 
-    monkeypatch.setattr("lfield.vm.wasm.code.module", refuse)
+    monkeypatch.setattr("lfield.vm.wasm.machine_code.lower_program", refuse)
 
 
 def test_code_is_found_again(cached: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -97,7 +97,7 @@ def test_damaged_code_is_made_again_with_one_line(cached: Path, damage: str) -> 
     assert len(list(cached.iterdir())) == 2
     assert made(notes) == first
     assert len(notes) == 1
-    assert notes[0].startswith("machine code is made again: ")
+    assert notes[0].startswith("machine code compiled again: ")
     assert made(notes) == first
     assert len(notes) == 1
 
@@ -135,6 +135,7 @@ def test_without_a_home_everything_is_compiled(
     monkeypatch.chdir(working)
     monkeypatch.delenv("XDG_CACHE_HOME")
     monkeypatch.setenv("HOME", home)
+    monkeypatch.setattr(os, "getuid", lambda: 54321)  # no user of this computer
     assert code_folder() is None
     assert made([])
     assert list(working.iterdir()) == []
@@ -143,7 +144,7 @@ def test_without_a_home_everything_is_compiled(
 def test_where_this_user_may_not_look_nothing_is_kept(tmp_path: Path) -> None:
     (tmp_path / "others").mkdir(mode=0)
     notes: list[str] = []
-    cache = UserCache(tmp_path / "others" / "lfield" / "code", notes.append)
+    cache = UserCodeCache(tmp_path / "others" / "lfield" / "code", notes.append)
     with nobody():
         cache.put("name", b"x")
         assert cache.get("name") is None
@@ -153,53 +154,53 @@ def test_where_this_user_may_not_look_nothing_is_kept(tmp_path: Path) -> None:
 def test_the_name_tells_programs_reservations_and_versions_apart(
     cached: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from lfield.vm.wasm import code
+    from lfield.vm.wasm import machine_code
 
-    names = {code.name_of(digest, reservation) for digest in (b"a", b"b") for reservation in (1, 2)}
-    monkeypatch.setattr(code, "version", lambda _: "0.1")
-    names.add(code.name_of(b"a", 1))
-    monkeypatch.setattr(code, "_makers", lambda: b"another lfield")
-    names.add(code.name_of(b"a", 1))
+    names = {machine_code.name_of(digest, reservation) for digest in (b"a", b"b") for reservation in (1, 2)}
+    monkeypatch.setattr(machine_code, "version", lambda _: "0.1")
+    names.add(machine_code.name_of(b"a", 1))
+    monkeypatch.setattr(machine_code, "_makers", lambda: b"another lfield")
+    names.add(machine_code.name_of(b"a", 1))
     assert len(names) == 6
 
 
 def test_the_oldest_code_is_forgotten(tmp_path: Path) -> None:
-    cache = UserCache(tmp_path, print)
-    for number in range(KEPT + 3):
+    cache = UserCodeCache(tmp_path, print)
+    for number in range(MAX_PROGRAMS + 3):
         cache.put(f"{number:03}", b"x")
         os.utime(tmp_path / f"{number:03}", (number, number))
     cache.put("last", b"x")
-    assert len(list(tmp_path.iterdir())) == KEPT
+    assert len(list(tmp_path.iterdir())) == MAX_PROGRAMS
     assert cache.get("last") == b"x"
     assert cache.get("000") is None
 
 
 def test_where_there_is_no_wasmtime_the_reference_engine_serves(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines_module, "has_wasm", lambda: False)
-    assert engines_for("auto", print) is Reference
-    assert engines_for("reference", print) is Reference
+    assert select_engine("auto", print) is Reference
+    assert select_engine("reference", print) is Reference
     with pytest.raises(UsageError, match="pip install"):
-        engines_for("wasm", print)
+        select_engine("wasm", print)
 
 
 def test_where_wasmtime_cannot_be_used_the_log_says_why(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(engines_module, "has_wasm", lambda: True)
-    monkeypatch.setitem(sys.modules, "lfield.vm.wasm.engine", None)
+    monkeypatch.setitem(sys.modules, "lfield.vm.wasm.wasm_engine", None)
     notes: list[str] = []
-    assert isinstance(engines_for("auto", notes.append)(PROGRAM, float), Reference)
+    assert isinstance(select_engine("auto", notes.append)(PROGRAM, float), Reference)
     assert notes[0].startswith("the reference engine runs the program: wasmtime cannot be used: ")
     with pytest.raises(UsageError, match="cannot be used"):
-        engines_for("wasm", notes.append)(PROGRAM, float)
+        select_engine("wasm", notes.append)(PROGRAM, float)
 
 
 #: A host's engine for a program, made where a computer says first what it is.
 _ELSEWHERE = """
 import platform, sys
 platform.machine = lambda: sys.argv[1]
-from lfield.host.engines import engines_for
+from lfield.host.engine_provider import select_engine
 from lfield.testing.golden import compile_text
 program = compile_text("resource R { init(string[] arg) { } }")
-print(engines_for("auto", print)(program, float).__class__.__module__)
+print(select_engine("auto", print)(program, float).__class__.__module__)
 """
 
 
@@ -211,7 +212,7 @@ def test_a_processor_that_wasmtime_does_not_know(tmp_path: Path) -> None:
     assert done.stdout.splitlines() == [
         "the reference engine runs the program: wasmtime cannot be used: "
         "unsupported architecture for wasmtime: riscv64",
-        "lfield.vm.reference.run",
+        "lfield.vm.reference.reference_engine",
     ]
 
 
@@ -234,7 +235,7 @@ def test_where_addresses_are_few_the_second_start_finds_the_code_too(tmp_path: P
     pytest.importorskip("wasmtime", reason=NEEDED)
     for _ in range(2):
         done = _elsewhere(tmp_path, platform.machine(), 300 << 20)
-        assert done.stdout.splitlines() == ["lfield.vm.wasm.engine"]
+        assert done.stdout.splitlines() == ["lfield.vm.wasm.wasm_engine"]
 
 
 def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
@@ -246,15 +247,17 @@ def test_code_under_the_name_of_other_code_is_made_again(cached: Path) -> None:
     one.write_bytes(other.read_bytes())
     other.write_bytes(one_data)
     assert made(notes) == first
-    assert [note.rpartition(": ")[2] for note in notes] == ["it is not what was written there"]
+    assert [note.rpartition(": ")[2] for note in notes] == ["its header does not match its name or content"]
 
 
 def test_the_name_of_code_covers_whatever_it_is_made_by() -> None:
     pytest.importorskip("wasmtime", reason=NEEDED)
-    from lfield.vm.wasm.code import _MAKERS, _NO_MAKERS
+    from lfield.vm.wasm.machine_code import _MAKERS, _NO_MAKERS
 
-    makers = _imported("lfield.vm.wasm.lower.module") | _imported("lfield.vm.wasm.runtime.functions")
-    assert {"lfield.vm.wasm.lower.table", "lfield.vm.reference.prepare"} < makers
+    makers = _imported("lfield.vm.wasm.lowering.module_lowering") | _imported(
+        "lfield.vm.wasm.runtime.runtime_functions"
+    )
+    assert {"lfield.vm.wasm.lowering.instruction_table", "lfield.vm.reference.step_compiler"} < makers
     covered = tuple(f"{name}." for name in (*_MAKERS, *_NO_MAKERS))
     assert [name for name in sorted(makers) if not f"{name}.".startswith(covered)] == []
 
@@ -289,11 +292,11 @@ def _file_of(name: str) -> Path | None:
 def old_wasmtime(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[[str], None]]:
     """From the call on, wasmtime is one whose configuration lacks a setting, which Python lets be set."""
     wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
-    from lfield.vm.wasm import code, compiling
+    from lfield.vm.wasm import machine_code, wasm_compiler
 
     def forget() -> None:
-        compiling.compiler.cache_clear()
-        code._recent.clear()
+        wasm_compiler.compiler.cache_clear()
+        machine_code._recent.clear()
 
     def without(name: str) -> None:
         left_out = ("__dict__", "__weakref__", name)
@@ -323,19 +326,19 @@ def test_a_wasmtime_without_a_setting_runs_nothing(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     old_wasmtime(setting)
     notes: list[str] = []
-    assert isinstance(engines_for("auto", notes.append)(PROGRAM, float), Reference)
+    assert isinstance(select_engine("auto", notes.append)(PROGRAM, float), Reference)
     assert notes == [
         "the reference engine runs the program: wasmtime cannot be used: "
         f"it has no setting {setting}; lfield needs version 50"
     ]
     assert engine().state == "warning"
     with pytest.raises(UsageError, match="needs version 50"):
-        engines_for("wasm", notes.append)(PROGRAM, float)
+        select_engine("wasm", notes.append)(PROGRAM, float)
 
 
 def test_the_version_that_is_told_is_that_of_the_project() -> None:
     pytest.importorskip("wasmtime", reason=NEEDED)
-    from lfield.vm.wasm.compiling import VERSION
+    from lfield.vm.wasm.wasm_compiler import VERSION
 
     project = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8"))
     (wanted,) = project["project"]["optional-dependencies"]["wasm"]

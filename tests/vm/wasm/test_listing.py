@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from lfield.bytecode.disassemble import disassemble
-from lfield.mission.load import load_program
-from lfield.testing.engines import NEEDED
+from lfield.bytecode.disassembler import disassemble
+from lfield.mission.loader import load_program
 from lfield.testing.golden import compile_text
-from lfield.vm.reference.prepare import prepare
-from lfield.vm.wasm.listing import listing
-from lfield.vm.wasm.lower import module as lowering
+from lfield.vm.reference.step_compiler import prepare
+from lfield.vm.wasm.lowering import module_lowering as lowering
+from lfield.vm.wasm.wasm_listing import listing
+from switching_engine import NEEDED
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
@@ -37,7 +37,9 @@ PROGRAM = compile_text(
 def test_what_is_listed_is_what_is_run(name: str) -> None:
     (path,) = (EXAMPLES / name).glob("*.dL")
     program = load_program(path)
-    assert wasmtime.wat2wasm(listing(program)) == wasmtime.wat2wasm(lowering.module(prepare(program)).text)
+    assert wasmtime.wat2wasm(listing(program)) == wasmtime.wat2wasm(
+        lowering.lower_program(prepare(program)).text
+    )
 
 
 def test_every_instruction_that_is_done_stands_above_its_text() -> None:
@@ -49,7 +51,9 @@ def test_every_instruction_that_is_done_stands_above_its_text() -> None:
     assert wasm[at].startswith(";; golden.L:6  ")
     assert "push" in wasm[at + 1]
     assert ";; R.init" in wasm
-    assert wasmtime.wat2wasm(listing(PROGRAM)) == wasmtime.wat2wasm(lowering.module(prepare(PROGRAM)).text)
+    assert wasmtime.wat2wasm(listing(PROGRAM)) == wasmtime.wat2wasm(
+        lowering.lower_program(prepare(PROGRAM)).text
+    )
 
 
 def test_what_a_terminal_would_obey_is_no_part_of_it() -> None:
@@ -67,13 +71,13 @@ def test_nested_lines_are_set_in() -> None:
 
 
 def test_methods_that_are_left_out_are_told_with_why(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(lowering, "LONGEST", 2500)
+    monkeypatch.setattr(lowering, "MAX_FUNCTION_TEXT", 2500)
     shown = listing(PROGRAM)
     why = "its code is too long for WebAssembly"
-    assert f"  ;; R.init is left to the reference engine: {why}\n" in shown
+    assert f"  ;; R.init is executed by the reference engine: {why}\n" in shown
     assert ";; R.twice is left" not in shown
     wasmtime.wat2wasm(shown)
 
 
 def test_a_host_pays_for_no_comments() -> None:
-    assert ";; golden.L" not in lowering.module(prepare(PROGRAM)).text
+    assert ";; golden.L" not in lowering.lower_program(prepare(PROGRAM)).text

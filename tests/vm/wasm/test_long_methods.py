@@ -8,19 +8,20 @@ from collections.abc import Callable
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.testing.engines import NEEDED
-from lfield.testing.golden import Desk, compile_text, settle, team_for
-from lfield.vm.contract import Engines, Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits, Engines
 from lfield.vm.machine import Machine
-from lfield.vm.reference import Engine as Reference
-from lfield.vm.reference.prepare import Prepared
+from lfield.vm.reference import ReferenceEngine as Reference
+from lfield.vm.reference.step_compiler import PreparedProgram
+from switching_engine import NEEDED
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
-from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
-from lfield.vm.wasm.lower import graph  # noqa: E402
-from lfield.vm.wasm.lower import module as lowering  # noqa: E402
-from lfield.vm.wasm.lower.slots import PARAMETERS  # noqa: E402
+from lfield.vm.wasm.lowering import control_flow_graph  # noqa: E402
+from lfield.vm.wasm.lowering import module_lowering as lowering  # noqa: E402
+from lfield.vm.wasm.lowering.slot_storage import PARAMETERS  # noqa: E402
+from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Engine  # noqa: E402
 
 #: Bodies of a method that are so many times as long.
 SHAPES: dict[str, Callable[[int], str]] = {
@@ -58,18 +59,20 @@ def _program(body: str, more: str = "") -> str:
     """
 
 
-def _prepared(text: str) -> Prepared:
+def _prepared(text: str) -> PreparedProgram:
     return Reference(compile_text(text), float).prepared
 
 
 def _run(text: str, engines: Engines) -> tuple[list[str], list[bytes]]:
     """What is printed, and the blocks at the end."""
-    program, desk, clock = compile_text(text), Desk(), ManualClock()
+    program, desk, clock = compile_text(text), GoldenWorld(), ManualClock()
     members = team_for(program, [])
-    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=engines)
+    machine = desk.machine = Machine(
+        program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=engines
+    )
     for member in members:
-        machine.start(member, Limits(), 1)
-    settle(machine, clock)
+        machine.start(member, AgentLimits(), 1)
+    run_until_idle(machine, clock)
     assert [agent.report for agent in desk.endings if agent.ended == "died"] == []
     return desk.output, [bytes(agent.block.image()) for agent in machine.agents.values()]
 
@@ -93,7 +96,7 @@ def _ways_out(text: str) -> int:
 def test_code_that_is_ten_times_as_long_takes_ten_times_as_long(shape, steps):
     short, long = (_prepared(_program(SHAPES[shape](n))) for n in (60, 600))
     texts = []
-    few, many = (steps(lambda p=p: texts.append(lowering.module(p).text)) for p in (short, long))
+    few, many = (steps(lambda p=p: texts.append(lowering.lower_program(p).text)) for p in (short, long))
     assert many < 12 * few
     assert len(texts[1]) < 15 * len(texts[0])
     assert _joined(texts[1]) < 20_000
@@ -105,21 +108,21 @@ def test_a_long_method_does_the_same(shape, monkeypatch):
     text = _program(SHAPES[shape](40))
     expected = _run(text, Reference)
     assert _run(text, Engine) == expected
-    monkeypatch.setattr(graph, "LONG", 0)
-    monkeypatch.setattr(graph, "STRETCH", 5)
-    from lfield.vm.wasm import code
+    monkeypatch.setattr(control_flow_graph, "LONG_METHOD", 0)
+    monkeypatch.setattr(control_flow_graph, "STRETCH", 5)
+    from lfield.vm.wasm import machine_code
 
-    code._recent.clear()
+    machine_code._recent.clear()
     assert _run(text, Engine) == expected
-    code._recent.clear()
+    machine_code._recent.clear()
 
 
 def test_no_way_through_a_long_method_has_few_points() -> None:
     """An `else if` after another is a single way through all tests, and each body a way out of it."""
     prepared = _prepared(_program(SHAPES["else if"](600)))
     method = next(m for m in prepared.program.core.methods if m.name == "f")
-    points = graph.Graph(prepared, method, lambda i: True).points
-    assert len(points) > 2 * 600 // graph.STRETCH
+    points = control_flow_graph.ControlFlowGraph(prepared, method, lambda i: True).points
+    assert len(points) > 2 * 600 // control_flow_graph.STRETCH
 
 
 @pytest.mark.parametrize("count", [PARAMETERS - 1, PARAMETERS, PARAMETERS + 200])
@@ -131,28 +134,30 @@ def test_parameters_beyond_those_of_webassembly_are_in_the_frame(count: int) -> 
 
 
 def test_a_method_too_long_for_webassembly_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    from lfield.vm.wasm import code
+    from lfield.vm.wasm import machine_code
 
     text = _program("k = g(k);", f"private int g(int k) {{ {SHAPES['sums'](400)} return k; }}")
     expected = _run(text, Reference)
-    code._recent.clear()
-    monkeypatch.setattr(lowering, "LONGEST", 200_000)
+    machine_code._recent.clear()
+    monkeypatch.setattr(lowering, "MAX_FUNCTION_TEXT", 200_000)
     notes: list[str] = []
     assert _run(text, lambda program, now: Engine(program, now, note=notes.append)) == expected
-    assert notes == ["the reference engine runs R.g: its code is too long for WebAssembly"]
-    code._recent.clear()
+    assert notes == [
+        "method R.g not compiled: its code is too long for WebAssembly; the reference engine runs it"
+    ]
+    machine_code._recent.clear()
 
 
 def test_many_slots_are_no_locals() -> None:
     text = _program("".join(f"int a{i} = k;" for i in range(3000)) + "k = a2999;")
-    assert "(local $s2000 " not in lowering.module(_prepared(text)).text
+    assert "(local $s2000 " not in lowering.lower_program(_prepared(text)).text
     assert _run(text, Engine) == _run(text, Reference)
 
 
 def test_an_agent_outside_the_arena_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfield.vm.wasm.heaps.Heaps.base", lambda self, data: -1)
+    monkeypatch.setattr("lfield.vm.wasm.heap_arena.HeapArena.base", lambda self, data: -1)
     notes: list[str] = []
     text = _program("for (int i = 0; i < 50000; i = i + 1) k = h(i);")
     assert _run(text, lambda program, now: Engine(program, now, note=notes.append)) == _run(text, Reference)
     assert len(notes) == 1
-    assert notes[0].startswith("r is run by the reference engine, slowly: its block of 0.0 MiB does not fit")
+    assert notes[0].startswith("r running slowly: its block of 0.0 MiB does not fit")

@@ -16,28 +16,28 @@ from lfield.vm.memory.layout import Layouts
 
 pytest.importorskip("wasmtime", reason="the engine in WebAssembly needs wasmtime: pip install lfield[wasm]")
 
-from lfield.vm.wasm.arena import PAGE, WHOLE, Arena, size_class
-from lfield.vm.wasm.heaps import Heaps
+from lfield.vm.wasm.arena import ADDRESS_SPACE, PAGE, Arena, size_class
+from lfield.vm.wasm.heap_arena import HeapArena
 
 PROGRAM = compile_text("resource R { init(string[] arg) { } }")
 
 
 def test_a_region_is_given_again_only_when_nobody_sees_it() -> None:
     arena = Arena()
-    first = arena.room(4000)
+    first = arena.allocate(4000)
     base = arena.base(first)
     view = memoryview(first)[8:16]
     del first
     gc.collect()
-    assert arena.base(arena.room(4000)) != base
+    assert arena.base(arena.allocate(4000)) != base
     view[0] = 1
     del view
-    assert arena.base(arena.room(4000)) == base
+    assert arena.base(arena.allocate(4000)) == base
 
 
 def test_regions_do_not_overlap_and_keep_their_bytes() -> None:
     arena = Arena()
-    rooms = [arena.room(size) for size in (8, 512, 520, 4096, 5000, 1 << 20, 70_000)]
+    rooms = [arena.allocate(size) for size in (8, 512, 520, 4096, 5000, 1 << 20, 70_000)]
     for number, room in enumerate(rooms, 1):
         room[:] = bytes([number]) * len(room)
     assert [bytes(room) == bytes([n]) * len(room) for n, room in enumerate(rooms, 1)] == [True] * len(rooms)
@@ -52,8 +52,8 @@ def test_a_region_wastes_at_most_a_quarter(size: int) -> None:
 
 
 def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
-    arena = Heaps()
-    blocks = [Block.empty(PROGRAM.digest, 1 << 17, space) for space in (arena, Heaps())]
+    arena = HeapArena()
+    blocks = [Block.empty(PROGRAM.digest, 1 << 17, space) for space in (arena, HeapArena())]
     blocks.append(Block.empty(PROGRAM.digest, 1 << 17))
     for block in blocks:
         block.w[layout.W_ID] = block.new_string("who")
@@ -74,9 +74,9 @@ def test_a_block_grows_shrinks_and_is_collected_in_the_arena() -> None:
 
 def test_where_the_arena_is_full_blocks_lie_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
-    arena = Heaps()
-    rooms = [arena.room(1 << 20) for _ in range(20)]
-    assert arena.reservation == 1 << 24 < WHOLE
+    arena = HeapArena()
+    rooms = [arena.allocate(1 << 20) for _ in range(20)]
+    assert arena.reservation == 1 << 24 < ADDRESS_SPACE
     inside = [arena.base(room) >= 0 for room in rooms]
     assert inside == sorted(inside, reverse=True)
     assert 10 < sum(inside) < 20
@@ -87,50 +87,50 @@ def test_no_region_reaches_the_end_of_all_addresses() -> None:
     arena = Arena()
     last = 0
     for size in (64 << 20, 1 << 16, 512):
-        while (base := arena.take(size)) >= 0:
+        while (base := arena.allocate_region(size)) >= 0:
             last = base + size
-    assert WHOLE - PAGE - 512 < last <= WHOLE - PAGE
+    assert ADDRESS_SPACE - PAGE - 512 < last <= ADDRESS_SPACE - PAGE
 
 
 def test_where_nothing_new_is_left_a_larger_region_is_divided(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
-    arena = Heaps()
-    rooms = [arena.room(1 << 20) for _ in range(20)]
-    while arena.take(512) >= 0:
+    arena = HeapArena()
+    rooms = [arena.allocate(1 << 20) for _ in range(20)]
+    while arena.allocate_region(512) >= 0:
         pass
     base = arena.base(rooms[0])
     del rooms[0]
     gc.collect()
-    small = [arena.room(100) for _ in range(3)]
+    small = [arena.allocate(100) for _ in range(3)]
     assert [arena.base(room) - base for room in small] == [0, 512, 1024]
-    assert arena.base(arena.room(1 << 20)) == -1
+    assert arena.base(arena.allocate(1 << 20)) == -1
     del small
     gc.collect()
-    assert arena.base(arena.room(1 << 20)) == base
+    assert arena.base(arena.allocate(1 << 20)) == base
 
 
 def test_freed_regions_side_by_side_are_joined(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Arena()
-    rooms = [arena.room(1 << 20) for _ in range(15)]
+    rooms = [arena.allocate(1 << 20) for _ in range(15)]
     assert all(arena.base(room) >= 0 for room in rooms)
     places = [arena.base(room) for room in rooms]
     del rooms[3:6], rooms[-1]
     gc.collect()
-    assert arena.base(arena.room(4 << 20)) == -1
-    three = arena.room(3 << 20)
+    assert arena.base(arena.allocate(4 << 20)) == -1
+    three = arena.allocate(3 << 20)
     assert arena.base(three) == places[3]
-    assert arena.base(arena.room(1 << 20)) == places[14]
+    assert arena.base(arena.allocate(1 << 20)) == places[14]
 
 
 def test_regions_that_the_collector_frees_meanwhile_are_not_lost(monkeypatch: pytest.MonkeyPatch) -> None:
     """Python may collect at any allocation, so in the middle of joining what is free."""
     monkeypatch.setattr("lfield.vm.wasm.arena.RESERVATIONS", (1 << 24,))
     arena = Arena()
-    kept = [arena.room(1 << size) for size in range(9, 16) for _ in range(20)]
-    while arena.base(room := arena.room(1 << 20)) >= 0:
+    kept = [arena.allocate(1 << size) for size in range(9, 16) for _ in range(20)]
+    while arena.base(room := arena.allocate(1 << 20)) >= 0:
         kept.append(room)
-    waiting = [arena.room(700 + 97 * i) for i in range(30)]
+    waiting = [arena.allocate(700 + 97 * i) for i in range(30)]
 
     def sorted_meanwhile(regions: Iterable[tuple[int, int]]) -> list[tuple[int, int]]:
         found = []
@@ -141,23 +141,23 @@ def test_regions_that_the_collector_frees_meanwhile_are_not_lost(monkeypatch: py
 
     monkeypatch.setattr("lfield.vm.wasm.arena.sorted", sorted_meanwhile, raising=False)
     kept.clear()
-    assert arena.base(arena.room(3_000_000)) >= 0
+    assert arena.base(arena.allocate(3_000_000)) >= 0
     assert waiting == []
     monkeypatch.undo()
-    assert arena.take((1 << 24) - 2 * PAGE) == PAGE
+    assert arena.allocate_region((1 << 24) - 2 * PAGE) == PAGE
 
 
 def test_a_block_grows_to_a_gibibyte_in_the_arena() -> None:
     """Doubled again and again, each time with the one that it was copied to beside it."""
     arena = Arena()
-    block = arena.room(1 << 20)
+    block = arena.allocate(1 << 20)
     for size in [1 << n for n in range(21, 31)]:
-        copied = arena.room(len(block))
-        block = arena.room(size)
+        copied = arena.allocate(len(block))
+        block = arena.allocate(size)
         del copied
         gc.collect()
         assert arena.base(block) >= 0
     for _ in range(3):
-        block = arena.room(1 << 30)
+        block = arena.allocate(1 << 30)
         gc.collect()
         assert arena.base(block) >= 0

@@ -1,6 +1,6 @@
 """WebAssembly's own stack holds every chain of calls that a program may have, whatever its methods compute.
 
-What a function takes there nobody says beforehand: `lfield.vm.wasm.stack` has to know what is the most.
+What a function takes there nobody says beforehand: `lfield.vm.wasm.stack_depth` has to know what is the most.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from lfield.clock import ManualClock
-from lfield.testing.engines import NEEDED
-from lfield.testing.golden import Desk, compile_text, settle, team_for
-from lfield.vm.contract import Engines, Limits
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits, Engines
 from lfield.vm.machine import Machine
-from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference import ReferenceEngine as Reference
+from switching_engine import NEEDED
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
-from lfield.vm.wasm import code, compiling  # noqa: E402
-from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
-from lfield.vm.wasm.stack import OTHERS, STACK, deepest  # noqa: E402
+from lfield.vm.wasm import machine_code, wasm_compiler  # noqa: E402
+from lfield.vm.wasm.stack_depth import OTHERS, STACK, deepest  # noqa: E402
+from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Engine  # noqa: E402
 
 
 def _each(line: str, count: int, times: int = 2) -> str:
@@ -91,14 +92,16 @@ def _program(body: str, depth: int, again: str) -> str:
 AGAIN = {"once": "if (n > 0)", "loop": "for (int k = n; k == n; k = k + 1)"}
 
 
-def _run(text: str, engines: Engines, limits: Limits) -> tuple[list[str], list[str]]:
+def _run(text: str, engines: Engines, limits: AgentLimits) -> tuple[list[str], list[str]]:
     """What is printed, and what is told of agents that died."""
-    program, desk, clock = compile_text(text), Desk(), ManualClock()
+    program, desk, clock = compile_text(text), GoldenWorld(), ManualClock()
     members = team_for(program, [])
-    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=engines)
+    machine = desk.machine = Machine(
+        program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=engines
+    )
     for member in members:
         machine.start(member, limits, 1)
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     return desk.output, [agent.report for agent in desk.endings if agent.ended == "died"]
 
 
@@ -108,7 +111,7 @@ def with_half() -> Iterator[Callable[[], None]]:
     with pytest.MonkeyPatch.context() as patch:
 
         def halve() -> None:
-            patch.setattr(compiling, "STACK", STACK // 2)
+            patch.setattr(wasm_compiler, "STACK", STACK // 2)
             _forget()
 
         yield halve
@@ -116,17 +119,17 @@ def with_half() -> Iterator[Callable[[], None]]:
 
 
 def _forget() -> None:
-    compiling.compiler.cache_clear()
-    code._recent.clear()
+    wasm_compiler.compiler.cache_clear()
+    machine_code._recent.clear()
 
 
-@pytest.mark.few(8)
+@pytest.mark.few(2)
 @pytest.mark.parametrize("body", SHAPES.values(), ids=SHAPES)
 def test_the_deepest_recursion_does_the_same(body: str) -> None:
-    text = _program(body, Limits().call_depth - 2, AGAIN["loop"])
-    expected = _run(text, Reference, Limits())
+    text = _program(body, AgentLimits().call_depth - 2, AGAIN["loop"])
+    expected = _run(text, Reference, AgentLimits())
     assert (len(expected[0]), expected[1]) == (2, [])
-    assert _run(text, Engine, Limits()) == expected
+    assert _run(text, Engine, AgentLimits()) == expected
 
 
 def test_a_method_of_few_slots_and_many_products_does_the_same() -> None:
@@ -141,7 +144,7 @@ def test_a_method_of_few_slots_and_many_products_does_the_same() -> None:
           }}
         }}
     """
-    assert _run(text, Engine, Limits()) == _run(text, Reference, Limits())
+    assert _run(text, Engine, AgentLimits()) == _run(text, Reference, AgentLimits())
 
 
 @pytest.mark.few(12)
@@ -150,13 +153,13 @@ def test_a_method_of_few_slots_and_many_products_does_the_same() -> None:
 def test_half_the_stack_is_in_reserve(body: str, again: str, with_half: Callable[[], None]) -> None:
     """Other processors and versions of the compiler need other places."""
     with_half()
-    output, reports = _run(_program(body, 2500, again), Engine, Limits(heap=64 << 20, call_depth=3000))
+    output, reports = _run(_program(body, 2500, again), Engine, AgentLimits(heap=64 << 20, call_depth=3000))
     assert (len(output), reports) == (2, [])
 
 
 def test_small_methods_call_themselves_as_deep_as_they_may_by_default() -> None:
     """A stack that ends costs a way through Python, and writing all its frames."""
-    assert deepest({0: 700}, {0: [0]}) > Limits().call_depth
+    assert deepest({0: 700}, {0: [0]}) > AgentLimits().call_depth
 
 
 ROOM = STACK - OTHERS

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 
 from lfield.bytecode.opcodes import BY_NAME
-from lfield.vm.wasm.lower import graph
-from lfield.vm.wasm.lower.table import CONTROL, GROUPED, ROWS
+from lfield.vm.wasm.lowering import control_flow_graph
+from lfield.vm.wasm.lowering.instruction_table import CONTROL, GROUPED, ROWS
 
 #: What the reference engine does: the world can see it, or it is rare, or long.
 _LEAVES = """
@@ -23,9 +23,9 @@ def test_every_instruction_is_in_one_place() -> None:
 
 
 def test_what_the_world_can_see_leaves() -> None:
-    assert {name for name, opcode in BY_NAME.items() if opcode.exits} <= set(_LEAVES.split())
+    assert {name for name, opcode in BY_NAME.items() if opcode.leaves_engine} <= set(_LEAVES.split())
 
 
 def test_every_end_of_a_run_is_one_that_the_graph_knows() -> None:
-    ends = {name: getattr(graph, end) for name, end in CONTROL.items()}
-    assert all(end in graph.End.__args__ for end in ends.values())
+    ends = {name: getattr(control_flow_graph, end) for name, end in CONTROL.items()}
+    assert all(end in control_flow_graph.BlockExit.__args__ for end in ends.values())

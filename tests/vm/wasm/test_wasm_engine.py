@@ -14,22 +14,29 @@ from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import ARRAY as TYPE_OF_ARRAYS
 from lfield.bytecode.program import INT, Debug, Program, Quad, encode_quads
 from lfield.clock import ManualClock
-from lfield.testing.engines import NEEDED, Switching, switching
-from lfield.testing.golden import Desk, compile_text, settle, team_for
-from lfield.vm.agent import Member
-from lfield.vm.contract import SPENT, Done, Engines, Limits, NoRoom, Thrown
+from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle, team_for
+from lfield.vm.agent import MachineTeam, TeamMember
+from lfield.vm.engine_interface import (
+    BUDGET_EXHAUSTED,
+    AgentLimits,
+    Engines,
+    HeapExhausted,
+    ThreadDone,
+    UncaughtThrow,
+)
 from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import ARRAY, FRAME_SLOTS, OBJECT, THREAD_FRAME, THREAD_ID
 from lfield.vm.memory.threads import new_thread, place_of, thread_template
-from lfield.vm.reference import Engine as Reference
+from lfield.vm.reference import ReferenceEngine as Reference
+from switching_engine import NEEDED, SwitchingEngine, switching
 
 wasmtime = pytest.importorskip("wasmtime", reason=NEEDED)
 
-from lfield.vm.wasm.engine import LONGEST  # noqa: E402
-from lfield.vm.wasm.engine import Eager as Engine  # noqa: E402
-from lfield.vm.wasm.engine import Engine as Patient  # noqa: E402
+from lfield.vm.wasm.wasm_engine import MAX_STRETCH_SECONDS  # noqa: E402
+from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Engine  # noqa: E402
+from lfield.vm.wasm.wasm_engine import WasmEngine as Patient  # noqa: E402
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -47,14 +54,18 @@ COUNTING = compile_text(
 )
 
 
-def machine_of(program: Program, engines: Engines, team: list[Member] | None = None) -> tuple[Desk, Machine]:
+def machine_of(
+    program: Program, engines: Engines, team: list[TeamMember] | None = None
+) -> tuple[GoldenWorld, Machine]:
     """A machine with all agents of a program started."""
-    desk, clock = Desk(), ManualClock()
+    desk, clock = GoldenWorld(), ManualClock()
     members = team or team_for(program, [])
-    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=engines)
+    machine = desk.machine = Machine(
+        program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=engines
+    )
     for member in members:
-        machine.start(member, Limits(), 1)
-    settle(machine, clock)
+        machine.start(member, AgentLimits(), 1)
+    run_until_idle(machine, clock)
     return desk, machine
 
 
@@ -78,9 +89,9 @@ def test_a_budget_ends_at_the_very_same_instruction(budget: int) -> None:
         block, thread = thread_of(COUNTING, engine, method)
         seen = []
         for _ in range(20):
-            leave = engine.run(block, thread, budget, Limits())
-            seen.append((leave, engine.unused, bytes(block.image())))
-            if leave != SPENT:
+            leave = engine.run(block, thread, budget, AgentLimits())
+            seen.append((leave, engine.unused_budget, bytes(block.image())))
+            if leave != BUDGET_EXHAUSTED:
                 break
         images.append(seen)
     assert images[0] == images[1] == images[2]
@@ -123,13 +134,13 @@ def test_what_takes_long_is_not_done_so_often(body: str) -> None:
     block, thread = thread_of(program, engine, method, 1 << 17)
     identity = block.w[thread + THREAD_ID]
     for _ in range(40):
-        engine.run(block, place_of(block, identity), 100, Limits())
+        engine.run(block, place_of(block, identity), 100, AgentLimits())
         collect(block, engine.layouts, 1 << 16)
     thread = place_of(block, identity)
     before = next(looks)
-    assert engine.run(block, thread, 100_000, Limits()) is SPENT
-    assert engine.unused > 90_000
-    assert next(looks) - before <= 1000 * LONGEST + 3
+    assert engine.run(block, thread, 100_000, AgentLimits()) is BUDGET_EXHAUSTED
+    assert engine.unused_budget > 90_000
+    assert next(looks) - before <= 1000 * MAX_STRETCH_SECONDS + 3
 
 
 @pytest.mark.parametrize(
@@ -145,7 +156,9 @@ def test_what_takes_long_is_not_done_so_often(body: str) -> None:
 )
 @pytest.mark.parametrize("above", [0, 1, 40])
 def test_nothing_is_made_where_the_heap_ends_below_its_top(body: str, above: int) -> None:
-    """The exception that says so may lie above the limit (`Block.reserve`), and who catches it goes on."""
+    """The exception that says so may lie above the limit (`Block.use_reserve`), and who catches it goes
+    on.
+    """
     program = compile_text(
         f"""
         class Node {{ private int n; private Node next; }}
@@ -166,9 +179,9 @@ def test_nothing_is_made_where_the_heap_ends_below_its_top(body: str, above: int
         own = block.w[block.w[thread + THREAD_FRAME] + FRAME_SLOTS]
         block.w[own + 1] = block.allocate(ARRAY, whole, 2)
         block.end = block.top - above
-        seen.append((engine.run(block, thread, 100, Limits()), bytes(block.image())))
+        seen.append((engine.run(block, thread, 100, AgentLimits()), bytes(block.image())))
     assert seen[0] == seen[1]
-    assert isinstance(seen[0][0], Thrown if "n +" in body or "n -" in body else NoRoom)
+    assert isinstance(seen[0][0], UncaughtThrow if "n +" in body or "n -" in body else HeapExhausted)
 
 
 def test_what_is_over_in_a_few_instructions_does_not_enter_webassembly(
@@ -188,8 +201,8 @@ def test_what_is_over_in_a_few_instructions_does_not_enter_webassembly(
         """
     )
     entered = []
-    of_engine = Patient._go_on
-    monkeypatch.setattr(Patient, "_go_on", lambda *given: entered.append(given) or of_engine(*given))
+    of_engine = Patient._continue
+    monkeypatch.setattr(Patient, "_continue", lambda *given: entered.append(given) or of_engine(*given))
     desk, _ = machine_of(program, Patient)
     assert (desk.output, entered) == (["4950"], [])
 
@@ -200,7 +213,7 @@ def test_most_of_the_work_is_done_in_webassembly(monkeypatch: pytest.MonkeyPatch
 
     def counted(self: Reference, *args: object, **options: object) -> object:
         leave = of_reference(self, *args, **options)  # type: ignore[arg-type]  # as it was called
-        given.append(args[2] - self.unused)  # type: ignore[operator]  # the budget
+        given.append(args[2] - self.unused_budget)  # type: ignore[operator]  # the budget
         return leave
 
     monkeypatch.setattr(Reference, "run", counted)
@@ -216,7 +229,7 @@ def test_a_block_elsewhere_is_run_by_the_reference_engine() -> None:
     inside, thread = thread_of(COUNTING, engine, method)
     outside = Block(bytearray(inside.data), inside.top, inside.limit)
     for block in (inside, outside):
-        assert engine.run(block, thread, 700, Limits()) == SPENT
+        assert engine.run(block, thread, 700, AgentLimits()) == BUDGET_EXHAUSTED
     assert bytes(inside.image()) == bytes(outside.image())
 
 
@@ -233,10 +246,12 @@ resource R {
 
 def test_calls_go_deeper_than_the_stack_of_webassembly() -> None:
     program = compile_text(DEEP % (40_000, 60_000))
-    desk, clock = Desk(), ManualClock()
+    desk, clock = GoldenWorld(), ManualClock()
     member = team_for(program, [])[0]
-    machine = desk.machine = Machine(program, [member], 0, 1, desk, clock, random.Random(1), engines=Engine)
-    machine.start(member, Limits(heap=16 << 20, call_depth=50_000), 1)
+    machine = desk.machine = Machine(
+        program, MachineTeam([member], 0, 1), desk, clock, random.Random(1), engines=Engine
+    )
+    machine.start(member, AgentLimits(heap=16 << 20, call_depth=50_000), 1)
     for _ in range(50):
         machine.run()
     assert desk.output == ["40000", "calls are nested deeper than 50000"]
@@ -249,11 +264,13 @@ def test_a_trap_of_webassembly_is_a_bug_that_ends_the_agent_only(monkeypatch: py
         resource Good { init(string[] arg) { sleep(1.0); print("still here"); } }
         """
     )
-    desk, clock = Desk(), ManualClock()
+    desk, clock = GoldenWorld(), ManualClock()
     members = team_for(program, [])
-    machine = desk.machine = Machine(program, members, 0, 1, desk, clock, random.Random(1), engines=Engine)
+    machine = desk.machine = Machine(
+        program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=Engine
+    )
     for member in members:
-        machine.start(member, Limits(), 1)
+        machine.start(member, AgentLimits(), 1)
     assert isinstance(machine.engine, Engine)
     enter = machine.engine._enter
     calls = iter([True])
@@ -264,7 +281,7 @@ def test_a_trap_of_webassembly_is_a_bug_that_ends_the_agent_only(monkeypatch: py
         return enter()
 
     monkeypatch.setattr(machine.engine, "_enter", broken)
-    settle(machine, clock)
+    run_until_idle(machine, clock)
     assert desk.output == ["still here"]
     assert [agent.id for agent in desk.endings if agent.ended == "died"] == ["bad"]
     assert desk.endings[0].report.startswith("bug in lfield: Trap: out of bounds memory access")
@@ -298,7 +315,7 @@ def test_control_that_enters_a_loop_twice_is_left_to_the_reference_engine() -> N
     images = []
     for one in (Reference(program, float), engine):
         block, thread = thread_of(program, one, index)
-        images.append((one.run(block, thread, 50, Limits()), one.unused, bytes(block.image())))
+        images.append((one.run(block, thread, 50, AgentLimits()), one.unused_budget, bytes(block.image())))
     assert images[0] == images[1]
 
 
@@ -316,11 +333,11 @@ def test_the_programs_of_the_thesis_change_engines_anywhere(name: str, seed: int
         team.append((kind, identity, more.partition("?")[2]))
     members = team_for(program, team)
     outputs = []
-    engines: list[Switching] = []
+    engines: list[SwitchingEngine] = []
     for make in (Reference, switching(Engine, seed)):
         desk, machine = machine_of(program, make, members)
         outputs.append(desk.output)
-        if isinstance(machine.engine, Switching):
+        if isinstance(machine.engine, SwitchingEngine):
             engines.append(machine.engine)
     assert outputs[0] == outputs[1]
     assert outputs[0]
@@ -335,7 +352,7 @@ def test_a_result_of_a_thread_is_its_word() -> None:
     words = []
     for engine in (Reference(program, float), Engine(program, float)):
         block, thread = thread_of(program, engine, method)
-        leave = engine.run(block, thread, 100, Limits())
-        assert isinstance(leave, Done)
+        leave = engine.run(block, thread, 100, AgentLimits())
+        assert isinstance(leave, ThreadDone)
         words.append((leave.word, bytes(block.image())))
     assert words[0] == words[1]

@@ -1,4 +1,4 @@
-"""The device: what its manifest promises. Nothing that the planner answers is believed unchecked."""
+"""The device: its instructions and telemetry. Answers of the planner are always checked."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from typing import Any
 
 from lfield.driver import Device
 
-#: Sites that it is asked about at most, seconds between two signs of life, and metres that are nothing.
-MOST, SIGN, NOTHING = 12, 1.0, 0.01
+#: Maximum number of sites, seconds between two heartbeats, and a tolerance in metres.
+MAX_SITES, HEARTBEAT, TOLERANCE = 12, 1.0, 0.01
 
 Place = Sequence[float]
 
 
 class PlannerDevice(Device):
-    """A planner. It moves nothing: a pure sensor, of what had best be done."""
+    """A planner. A pure sensor: it computes and moves nothing."""
 
     def __init__(
         self, binding: Any, manifest: Any, clock: Any, reports: Any, ask: Callable[[str], Awaitable[str]]
@@ -27,13 +27,13 @@ class PlannerDevice(Device):
         self._ask = ask
         self._plans = self._failures = 0
 
-    async def tell(self, alive: Callable[[], bool]) -> None:
-        """Its signs of life."""
+    async def publish_contact(self, alive: Callable[[], bool]) -> None:
+        """Reports contact while the planner runs."""
         while True:
             if alive():
                 self.heard()
             self.publish(plans=self._plans, failures=self._failures)
-            await asyncio.sleep(SIGN)
+            await asyncio.sleep(HEARTBEAT)
 
     async def _open(self) -> str:
         self.heard()
@@ -43,20 +43,20 @@ class PlannerDevice(Device):
     async def do_tour(
         self, sites: list[float], worth: list[float], start: list[float], reach: float
     ) -> list[int]:
-        """Asked by a line and answered by one, in `patience` seconds or not at all."""
+        """Sends a request line; waits at most `patience` seconds for the answer line."""
         places = list(zip(sites[::2], sites[1::2], strict=False))
-        if len(sites) != 2 * len(worth) or len(start) != 2 or len(places) > MOST:
+        if len(sites) != 2 * len(worth) or len(start) != 2 or len(places) > MAX_SITES:
             raise self.error(
-                f"a tour is of up to {MOST} sites, {{north, east}} each, a worth for each, and a start"
+                f"a tour is of up to {MAX_SITES} sites, {{north, east}} each, a worth for each, and a start"
             )
         if not all(map(math.isfinite, (*sites, *worth, *start, reach))) or min(worth, default=1.0) <= 0.0:
-            raise self.error("sites, start and reach are numbers, and what a site is worth is above 0")
+            raise self.error("sites, start and reach must be finite, and the worth of a site above 0")
         request = {"sites": places, "worth": worth, "start": start, "reach": reach}
         self._failures += 1  # until it has succeeded
         try:
             tour = self._read(await self._patiently(json.dumps(request)))
             if wrong := mistake(tour, places, start, reach):
-                raise self.error(f"its plan makes no sense: {wrong}")
+                raise self.error(f"its plan is invalid: {wrong}")
             self._plans, self._failures = self._plans + 1, self._failures - 1
             self.heard()
             return tour
@@ -69,7 +69,9 @@ class PlannerDevice(Device):
             async with asyncio.timeout(patience):
                 return await self._ask(request)
         except TimeoutError:
-            raise self.error(f"no plan within {patience:g} s; it was given up", timeout=True) from None
+            raise self.error(
+                f"no plan within {patience:g} s; the request was cancelled", timeout=True
+            ) from None
 
     def _read(self, answer: str) -> list[int]:
         try:
@@ -81,11 +83,11 @@ class PlannerDevice(Device):
                 return tour
             case {"error": str(reason)}:
                 raise self.error(f"it failed: {reason[:200]}")
-        raise self.error(f"its answer makes no sense: {answer[:80]!r}")
+        raise self.error(f"its answer is invalid: {answer[:80]!r}")
 
 
 def mistake(tour: Sequence[int], sites: Sequence[Place], start: Place, reach: float) -> str:
-    """What is wrong with a tour that ends at home, (0, 0); '' when nothing is."""
+    """What is wrong with a tour that ends at home, (0, 0); '' for nothing."""
     unknown = next((site for site in tour if not 0 <= site < len(sites)), None)
     if unknown is not None:
         return f"there is no site {unknown}"
@@ -93,4 +95,4 @@ def mistake(tour: Sequence[int], sites: Sequence[Place], start: Place, reach: fl
         return f"it visits a site twice: {list(tour)}"
     way = [start, *(sites[site] for site in tour), (0.0, 0.0)]
     length = sum(math.dist(a, b) for a, b in pairwise(way))
-    return "" if length <= reach + NOTHING else f"it is {length:.0f} m long, of {reach:.0f} m"
+    return "" if length <= reach + TOLERANCE else f"it is {length:.0f} m long, more than {reach:.0f} m"

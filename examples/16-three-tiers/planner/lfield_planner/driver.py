@@ -1,7 +1,7 @@
 """The planner as a bus: a process that answers each line by a line, here or on another computer.
 
-The guard's event loop never waits for it. What is given up on its way is ended with its process, or its link,
-and the next request begins with a new one.
+The guard's event loop never waits for it. Cancelling a request ends the process, or closes the link; the next
+request starts a new one.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_planner.device import PlannerDevice
 
-#: Seconds for a link to come about, and bytes of the longest line.
+#: Seconds to connect, and bytes of the longest line.
 CONNECT, LONGEST = 10.0, 1 << 16
-#: The planner in a process of its own. In any other language it would be another command.
+#: The planner in its own process. Another language would need another command.
 WORKER = (sys.executable, "-m", "lfield_planner.worker")
 
 Link = tuple[asyncio.StreamReader, asyncio.StreamWriter]
 
 
 class PlannerDriver(Driver):
-    """`process:` starts a planner and ends it; `tcp:HOST:PORT` is one that runs elsewhere."""
+    """`process:` starts a planner and ends it; `tcp:HOST:PORT` connects to one that runs elsewhere."""
 
     def __init__(self, *given: Any, command: Sequence[str] = WORKER) -> None:
         self._command = command
@@ -40,7 +40,7 @@ class PlannerDriver(Driver):
         await self._connect()
         for device in self.devices.values():
             assert isinstance(device, PlannerDevice)
-            self.spawn(device.tell(lambda: self._link is not None and not self._link[0].at_eof()))
+            self.spawn(device.publish_contact(lambda: self._link is not None and not self._link[0].at_eof()))
 
     async def _close(self) -> None:
         self._disconnect()
@@ -48,7 +48,7 @@ class PlannerDriver(Driver):
             await process.wait()
 
     async def ask(self, line: str) -> str:
-        """One request and its answer; whoever waits no longer ends the planner. Raises DeviceError."""
+        """Sends a request and returns its answer; cancelling it ends the planner. Raises DeviceError."""
         async with self._lock:
             try:
                 reader, writer = self._link or await self._connect()
@@ -58,7 +58,7 @@ class PlannerDriver(Driver):
                 self._disconnect()
                 raise self._lost(str(error) or "it is gone") from None
             except asyncio.CancelledError:
-                # Its answer is still to come, if ever, and would be taken for that of the next request.
+                # Its late answer would be taken for that to the next request.
                 self._disconnect()
                 raise
             if not answer:
@@ -76,7 +76,7 @@ class PlannerDriver(Driver):
                 async with asyncio.timeout(CONNECT):
                     self._link = await asyncio.open_connection(host, int(port), limit=LONGEST)
             else:
-                raise self._lost("this is no endpoint; write process: or tcp:HOST:PORT")
+                raise self._lost("not an endpoint; write process: or tcp:HOST:PORT")
         except OSError as error:
             raise self._lost(error.strerror or str(error) or "nobody answers") from None
         return self._link

@@ -1,4 +1,4 @@
-"""The other end of the wire under `--sim`: the same planner, with what can be wrong with one."""
+"""The fake for `--sim`: the same planner, with fault injection."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from collections.abc import Sequence
 from lfield.driver import DeviceBinding
 from lfield_planner.planning import answer
 from lfield_planner.worker import own_output
+from lfield_sim.fake_server import serve_until_stopped
 from lfield_sim.faults import Fault, Faults, add_fault_option
-from lfield_sim.serving import serve_until_told
 
 FAULTS = (
-    Fault("slow", 0.0, "seconds before it answers; 1e6 is for ever", 0.0, 1e6),
-    Fault("fails", "", "the error that it ends with instead of a plan"),
-    Fault("nonsense", "", "what it answers: unknown, repeated, long, or any words"),
-    Fault("silent", False, "hangs up instead of an answer"),
+    Fault("slow", 0.0, "seconds before it answers; 1e6 means never", 0.0, 1e6),
+    Fault("fails", "", "the error that it returns instead of a plan"),
+    Fault("nonsense", "", "its answer: unknown, repeated, long, or any text"),
+    Fault("silent", False, "closes the connection instead of answering"),
 )
 
 
 def nonsense(kind: str, asked: str) -> str:
-    """An answer that makes no sense to what was asked."""
+    """An invalid answer to a request."""
     request = json.loads(asked)
     count = len(request["sites"])
     if kind == "unknown":
@@ -40,10 +40,10 @@ class PlannerSim:
     """The fake for `lfield sim planner` and `lfield up --sim`."""
 
     name = "planner"
-    help = "A planner that plans, fails, answers nonsense, or takes for ever."
+    help = "A planner that plans, fails, answers nonsense, or never answers."
 
     def add_arguments(self, parser: argparse.ArgumentParser) -> None:
-        """Where it listens, and what is wrong with it."""
+        """Adds the endpoint and the faults."""
         parser.add_argument("--listen", default="tcp:127.0.0.1:0", metavar="tcp:HOST:PORT")
         parser.add_argument("--called", default="", metavar="NAME", help="the name of its binding")
         parser.add_argument("--until-stdin-closes", action="store_true", help="end with who started it")
@@ -54,13 +54,13 @@ class PlannerSim:
         return ["--listen", "tcp:127.0.0.1:0", "--called", devices[0].name]
 
     def run(self, args: argparse.Namespace) -> int:
-        """Serve until told to end."""
+        """Serves until it is stopped."""
         sys.stdout = own_output()
         asyncio.run(self.serve(args))
         return 0
 
     async def serve(self, args: argparse.Namespace) -> None:
-        """The same on the running loop, which may be that of a mission's test."""
+        """As `run`, on the running loop, which may be that of a mission's test."""
         faults = Faults(FAULTS, {"1": args.called})
         faults.apply(args.fault)
         _, host, port = args.listen.split(":")
@@ -68,7 +68,7 @@ class PlannerSim:
         host, port = server.sockets[0].getsockname()[:2]
         endpoint = f"tcp:{host}:{port}"
         try:
-            await serve_until_told(
+            await serve_until_stopped(
                 "planner", endpoint, "", faults,
                 devices={"1": args.called}, until_stdin_closes=args.until_stdin_closes,
             )  # fmt: skip
@@ -77,16 +77,16 @@ class PlannerSim:
 
 
 class Talk:
-    """What it says to those who are linked with it."""
+    """Serves its connections."""
 
     def __init__(self, faults: Faults) -> None:
         self._get = faults.get
 
     async def serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        """Answer each line, until there is none."""
+        """Answers each line until the connection ends."""
         try:
             while line := await reader.readline():
-                answer = await self._told(line.decode("utf-8", "replace"))
+                answer = await self._answer(line.decode("utf-8", "replace"))
                 if self._get("silent", 1):
                     break
                 writer.write(f"{answer}\n".encode())
@@ -95,16 +95,16 @@ class Talk:
         finally:
             writer.close()
 
-    async def _told(self, asked: str) -> str:
+    async def _answer(self, asked: str) -> str:
         if not json.loads(asked)["sites"]:
-            return json.dumps({"tour": []})  # nothing is wrong with what costs it no thought
+            return json.dumps({"tour": []})  # trivial requests never fail
         if seconds := self._get("slow", 1):
             await asyncio.sleep(seconds)
         if error := self._get("fails", 1):
             return json.dumps({"error": error})
         if kind := self._get("nonsense", 1):
             return nonsense(kind, asked)
-        # In a thread: the door for faults is to answer meanwhile.
+        # In a thread: the fault-injection socket must respond meanwhile.
         return await asyncio.get_running_loop().run_in_executor(None, answer, asked)
 
 

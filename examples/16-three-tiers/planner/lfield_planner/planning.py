@@ -1,6 +1,6 @@
-"""The planner itself: which sites to visit in which order, by the optimiser HiGHS.
+"""The planner: selects and orders sites by the optimiser HiGHS.
 
-It knows nothing of lfield, and lfield nothing of it: any program that answers a line by a line would do.
+Independent of lfield: any program that answers a line by a line can replace it.
 """
 
 from __future__ import annotations
@@ -13,16 +13,16 @@ import highspy
 
 Place = Sequence[float]
 
-#: Seconds after which the optimiser gives up by itself, and metres that are nothing.
-PATIENCE, NOTHING = 60.0, 1e-6
+#: Time limit of the optimiser in seconds, and a tolerance in metres.
+TIME_LIMIT, TOLERANCE = 60.0, 1e-6
 
 
 def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: float) -> list[int]:
-    """The sites to visit on a way of at most `reach` metres from `start` that ends at home, (0, 0).
+    """The sites to visit on a path of at most `reach` metres from `start` that ends at home, (0, 0).
 
-    They are worth as much as can be, and the way is the shortest for that. It is a mixed-integer program: a
-    variable for each leg that could be gone, and one for the turn of each site, so that no legs make a circle
-    of their own (Miller, Tucker and Zemlin). Raises ValueError when there is no such way.
+    It maximises their total worth, then minimises the length. A mixed-integer program with a variable per
+    leg, and one for the position of each site in the tour, which excludes subtours (Miller, Tucker and
+    Zemlin). Raises ValueError when there is no such path.
     """
     first, home = len(sites), len(sites) + 1
     places = [*sites, start, (0.0, 0.0)]
@@ -40,7 +40,7 @@ def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: fl
     for (a, b), taken in legs.items():
         solver.addConstr(turn[b] >= turn[a] + 1 - (home + 1) * (1 - taken))
     gained = sum(worth[b] * taken for (_, b), taken in legs.items() if b < first)
-    # All metres together count less than the least site does.
+    # The total length weighs less than the least worth of a site.
     solver.maximize(gained - 0.5 * min(worth, default=1.0) / max(reach, 1.0) * length)
     if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
         raise ValueError(f"there is no way home of {reach:.1f} m")
@@ -49,8 +49,8 @@ def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: fl
     while tour[-1] != home:
         tour.append(found[tour[-1]])
     tour.pop()
-    # From home and back both directions are as good: always the same one, whatever the optimiser's version.
-    return min(tour, tour[::-1]) if math.dist(start, places[home]) < NOTHING else tour
+    # From home, both directions are equivalent: choose one independently of the optimiser's version.
+    return min(tour, tour[::-1]) if math.dist(start, places[home]) < TOLERANCE else tour
 
 
 def _silent() -> highspy.Highs:
@@ -58,7 +58,7 @@ def _silent() -> highspy.Highs:
     for option, value in (
         ("output_flag", False),
         ("threads", 1),
-        ("time_limit", PATIENCE),
+        ("time_limit", TIME_LIMIT),
         ("mip_rel_gap", 0.0),
     ):
         solver.setOptionValue(option, value)
@@ -66,9 +66,9 @@ def _silent() -> highspy.Highs:
 
 
 def answer(line: str) -> str:
-    """What a request is answered with, a line of JSON each: {"tour": [2, 0]} or {"error": "..."}."""
+    """The answer to a request, a line of JSON each: {"tour": [2, 0]} or {"error": "..."}."""
     try:
         asked = json.loads(line)
         return json.dumps({"tour": plan(asked["sites"], asked["worth"], asked["start"], asked["reach"])})
-    except Exception as error:  # it is told to whoever asked, and the next one is answered
+    except Exception as error:  # report it to the client and continue
         return json.dumps({"error": f"{type(error).__name__}: {error}"})

@@ -1,6 +1,6 @@
-"""The planner as a process of its own: `python -m lfield_planner.worker` answers each line by a line.
+"""The planner in its own process: `python -m lfield_planner.worker` answers each line by a line.
 
-It computes for seconds, and a guard must never wait. A process can be killed, too; a thread cannot.
+It computes for seconds, which a guard must never wait for. A process can be killed; a thread cannot.
 """
 
 from __future__ import annotations
@@ -11,16 +11,16 @@ from typing import TextIO
 
 
 def own_output() -> TextIO:
-    """Standard output for our lines alone: what a library prints, HiGHS its name, goes to stderr."""
+    """Standard output for our lines only: output of libraries, such as HiGHS's name, goes to stderr."""
     ours = os.fdopen(os.dup(1), "w", encoding="utf-8", buffering=1)
     os.dup2(2, 1)
     return ours
 
 
 def main() -> None:
-    """Serve until the end of stdin."""
+    """Serves until the end of stdin."""
     output = own_output()
-    # Only now: it takes a moment.
+    # Imported here: it takes a moment.
     from lfield_planner.planning import answer
 
     for line in sys.stdin:

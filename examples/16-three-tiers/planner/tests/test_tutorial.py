@@ -1,4 +1,4 @@
-"""The lines and pieces of the example's README: they run, and stand in the files that they are of."""
+"""The commands and code excerpts of the example's README: they run, and match the files."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import pytest
 
 HOME = Path(__file__).parents[1]
 PAGE = (HOME.parent / "README.md").read_text(encoding="utf-8")
-#: Lines that other tests run: the mission (in real time it takes minutes), and what pip would install.
+#: Commands run by other tests: the mission (minutes in real time), and pip.
 ELSEWHERE = ("lfield up --deploy examples/16-three-tiers/mission.dL", "pip install -e ")
 
 
 def pieces(language):
-    """The fenced blocks of the page in a language."""
+    """The code blocks of the page in a language."""
     return re.findall(rf"^```{language}\n(.*?)^```", PAGE, re.MULTILINE | re.DOTALL)
 
 
 def stripped(text):
-    """Its lines, wherever they stand."""
+    """Its lines without indentation."""
     return [line.strip() for line in text.splitlines() if line.strip()]
 
 
@@ -44,7 +44,7 @@ def test_every_line_of_the_page_runs(tmp_path):
     script = "\n".join(
         line.replace("python -m", f"{here}-m").replace("lfield ", f"{here}-m lfield ", 1)
         if not line.startswith("lfield sim planner")
-        # A free port, and no line before it is ready.
+        # A free port, and no further command before it is ready.
         else f"{here}-m lfield {line[7:-2].replace(':5598', ':0')} > ready & until test -s ready; do :; done"
         for line in lines
     )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from lfield.lang.chains import inside, statements, values
 from lfield.lang.tree import (
     Assign,
     Declare,
@@ -21,6 +20,7 @@ from lfield.lang.tree import (
     LocalGet,
     Stmt,
 )
+from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 from lfield.lang.types import ArrayType
 
 #: What has a name.
@@ -45,7 +45,7 @@ def base(expr: Expr) -> Expr:
 
 
 def depth(expr: Expr) -> int:
-    """How many indexes stand in `array[i][j]`."""
+    """The number of indexes of `array[i][j]`."""
     found = 0
     while isinstance(expr, Element):
         expr, found = expr.array, found + 1
@@ -58,10 +58,10 @@ class Aliases:
     def __init__(self, body: Sequence[Stmt]) -> None:
         self._same: dict[Named, Named] = {}
         self._inside: list[tuple[Named, Named]] = []
-        for one in statements(body):
+        for one in all_statements(body):
             if isinstance(one, Declare) and one.value is not None:
                 self._join(one.local, 0, one.value)
-            for part in (part for value in values(one) for part in inside(value)):
+            for part in (part for value in statement_expressions(one) for part in descendants(value)):
                 if isinstance(part, Assign) and (name := named(base(part.target))) is not None:
                     self._join(name, depth(part.target), part.value)
         self._around: dict[Named, set[Named]] = {}
@@ -71,13 +71,13 @@ class Aliases:
             self._within.setdefault(self.of(outer), set()).add(self.of(inner))
 
     def of(self, name: Named) -> Named:
-        """The one that stands for all names of an array."""
+        """The representative of all aliases of an array."""
         while name in self._same:
             name = self._same[name]
         return name
 
     def related(self, name: Named) -> set[Named]:
-        """What stands for its array, for those inside it and for those around it."""
+        """The representatives of its array, of the arrays inside it and of those around it."""
         one = self.of(name)
         return _reached(one, self._around) | _reached(one, self._within)
 

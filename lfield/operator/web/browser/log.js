@@ -1,8 +1,9 @@
-// The log: what programs and hosts say, on one time line, the newest last.
+// The log of programs and hosts in the order of their timestamps, the newest last.
 import * as words from "./words.js";
 
-// By the time, and of one time as they came.
-const inOrder = (a, b) => a.at - b.at || a.serial - b.serial;
+// By timestamp, host and number.
+const byHost = (a, b) => (a.host === b.host ? 0 : a.host < b.host ? -1 : 1);
+const inOrder = (a, b) => a.at - b.at || a.tick - b.tick || byHost(a, b) || a.serial - b.serial;
 
 export default {
   props: { fresh: Array, most: Number },

@@ -25,7 +25,7 @@ function post(path, says) {
 }
 
 // Whoever presses a button hears what came of it; nothing is kept and sent later. `pressed` is when that was, by
-// the server's clock (buttons.py): what is too old by then is refused, but for what makes a team safer.
+// the server's clock (button_orders.py): what is too old by then is refused, but for what makes a team safer.
 export const act = (action, pressed) => post("act", { action, pressed });
 
 export const ask = (text) => post("query", { text });

@@ -10,7 +10,7 @@ const QUESTIONS = {
   resume: "Resume the mission? Agents go on, and vehicles may move.",
 };
 
-// What lets vehicles move again: late, it is refused (buttons.py).
+// What lets vehicles move again: late, it is refused (button_orders.py).
 const RELEASES = ["lift", "resume"];
 
 // What undoes one another.
@@ -101,7 +101,7 @@ export default {
           <pre v-if="answer.mistakes" class="bad">{{ answer.mistakes }}</pre>
           <p v-for="(why, host) in answer.unheard" :key="host" class="bad">{{ host }}: {{ why }}</p>
           <template v-for="found in answer.found" :key="found.primitive">
-            <h3>{{ found.primitive }}<small>{{ found.offers.length ? found.count + " can" : "nobody can" }}</small></h3>
+            <h3>{{ found.primitive }}<small>{{ found.offers.length ? found.count + " can" : "no agent can" }}</small></h3>
             <ol v-if="found.offers.length"><li v-for="offer in found.offers" :class="{old: silentOf(offer).length}" :data-testid="'offer-' + offer.agent"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small><template v-if="silentOf(offer).length"> {{ silentOf(offer).join(", ") }} not heard any more</template></li></ol>
             <p v-for="note in found.notes">{{ note }}</p>
             <pre v-if="found.refusals" class="why">{{ found.refusals }}</pre>

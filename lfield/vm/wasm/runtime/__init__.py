@@ -1,1 +1,1 @@
-"""The machine's own work on blocks, written in WebAssembly text: collector, copy, soundness, strings."""
+"""Runtime in WebAssembly text: garbage collector, deep copy, verifier, strings."""

@@ -1,10 +1,10 @@
-;; The collector: Cheney's algorithm, as lfield/vm/memory/collector.py tells it in Python. The same bytes.
+;; The collector: Cheney's algorithm; same bytes as lfield/vm/memory/collector.py.
 ;;
-;; $tables  address of the records of the program (tables.py); the record 0 of kind 0 is the block's header
-;; $from    address of the old space, of $used words; the headers of what is alive there are spoilt
+;; $tables  address of the records of the program (runtime_tables.py); record 0 of kind 0 is the block's header
+;; $from    address of the old space, of $used words; headers of live objects there are overwritten
 ;; $to      address of the new space, of $room words, with the header of the block already in it
-;; $header  how many words that header has
-;; Gives the first unused word of the new space.
+;; $header  number of words of that header
+;; Returns the first unused word of the new space.
 
 (func $collect (export "collect")
     (param $tables i32) (param $from i32) (param $used i64) (param $to i32) (param $room i64)
@@ -20,7 +20,7 @@
     (local.set $top (i32.add (local.get $to) (local.get $size)))
     (local.set $record (i32.add (local.get $tables) (i32.load (local.get $tables))))
     (loop $things
-        ;; The references of one thing: all its words behind the header, or those at the offsets listed.
+        ;; The references of one object: all words after the header, or those at the listed offsets.
         (local.set $offset (i32.const 0))
         (local.set $list (i32.const 0))
         (local.set $left (i32.load offset=4 (local.get $record)))
@@ -84,14 +84,14 @@
                 (local.set $top (i32.add (local.get $top) (local.get $bytes)))
                 (i64.store (local.get $old) (i64.sub (i64.const 0) (local.get $place)))
                 (br $references)))
-        ;; The next thing of the new space, which is its own work list.
+        ;; The next object of the new space, which is its own work list.
         (local.set $scan (i32.add (local.get $scan) (local.get $size)))
         (if (i32.lt_u (local.get $scan) (local.get $top))
             (then
                 (local.set $head (i64.load (local.get $scan)))
                 (local.set $size
                     (i32.shl (i32.wrap_i64 (i64.shr_u (local.get $head) (i64.const 32))) (i32.const 3)))
-                ;; Things of one kind often follow one another.
+                ;; Objects of one kind often follow one another.
                 (if (i32.ne (i32.wrap_i64 (local.get $head)) (local.get $half))
                     (then
                         (local.set $half (i32.wrap_i64 (local.get $head)))

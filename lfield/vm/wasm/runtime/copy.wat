@@ -1,14 +1,14 @@
-;; Deep copy, as lfield/vm/memory/copier.py tells it in Python: the same order, the same bytes.
+;; Deep copy; same order and bytes as lfield/vm/memory/copier.py.
 ;;
 ;; $tables   address of the records of the program; their first word is the offset (in bytes) of the reference
-;;           that stays behind, 0 for none
-;; $source   address of the block that is copied from, of $used words; while this works, the header of what was
-;;           found there is the negated place of its copy
-;; $target   address of the block that is copied to, maybe the same; $top and $end in words
-;; $roots    address of $count references; they become those of the copies
-;; $scratch  address of 16 bytes for every word of the source and every root: from below the list of what was
-;;           found (place, header), from above ($last) the stack of references that are not yet followed
-;; Gives the new top, or, when there is no room, the negated number of words needed: then nothing is changed.
+;;           that is not copied, 0 for none
+;; $source   address of the source block, of $used words; during the copy the header of a found object is the
+;;           negated place of its copy
+;; $target   address of the target block, maybe the same; $top and $end in words
+;; $roots    address of $count references; they are replaced by those of the copies
+;; $scratch  address of 16 bytes for every word of the source and every root: from below the list of found
+;;           objects (place, header), from above ($last) the stack of references that are not yet followed
+;; Returns the new top, or, when the space is too small, the negated number of words needed, without changes.
 
 (func $deep_copy (export "deep_copy")
     (param $tables i32) (param $source i32) (param $used i64)
@@ -29,7 +29,7 @@
     (call $restore (local.get $source) (local.get $scratch))
     (i64.add (local.get $top) (local.get $words)))
 
-;; Finds everything reachable, last reference first; gives its size in words. The list ends with the place 0.
+;; Finds everything reachable, last reference first; returns its size in words. The list ends with the place 0.
 (func $closure
     (param $tables i32) (param $source i32) (param $used i64) (param $top i64)
     (param $roots i32) (param $count i32) (param $found i32) (param $last i32)
@@ -102,7 +102,7 @@
     (i64.store (local.get $found) (i64.const 0))
     (local.get $words))
 
-;; Writes the copies one behind the other, their references led to copies.
+;; Writes the copies in sequence, with translated references.
 (func $write
     (param $tables i32) (param $source i32) (param $target i32) (param $top i64) (param $found i32)
     (local $into i32) (local $place i64) (local $at i32) (local $head i64) (local $bytes i32)
@@ -147,7 +147,7 @@
             (local.set $found (i32.add (local.get $found) (i32.const 16)))
             (br $things))))
 
-;; Leads $count references in a row to the copies.
+;; Translates $count consecutive references to the copies.
 (func $translate (param $source i32) (param $slot i32) (param $count i32)
     (local $place i64)
     (block $done
@@ -165,7 +165,7 @@
             (local.set $count (i32.sub (local.get $count) (i32.const 1)))
             (br $next))))
 
-;; Gives the source its headers back.
+;; Restores the headers of the source.
 (func $restore (param $source i32) (param $found i32)
     (local $place i64)
     (block $done

@@ -1,14 +1,14 @@
-;; Whether the heap of a block is sound, as lfield/vm/memory/soundness.py tells it in Python: the same verdict,
-;; or none. -1: it is not sure, and Python says; else every size, text, proxy and reference is as it must be, and
-;; so many tickets are on the heap. What else a ticket must be, Python knows.
+;; Whether the heap of a block is valid, as lfield/vm/memory/block_verifier.py, or undecided. -1: undecided, Python
+;; decides; else every size, text, proxy and reference is valid, and the result is the number of tickets on the
+;; heap. Python checks the rest of a ticket.
 ;;
-;; $tables   address of the tables: the records of words.wat (first number: the size a thing must have, 0 any,
-;;           -1 no such thing; second: what all elements of an array of references lead to), then eight numbers
-;;           of records by kind, then two pairs: members and the address of their classes, classes and the
-;;           address of what they are kinds of
+;; $tables   address of the tables: the records of words.wat (first number: the size of the object, 0 any,
+;;           -1 no such object; second: target type of the elements of an array of references), then eight
+;;           numbers of records by kind, then two pairs: members and the address of their classes, classes and
+;;           the address of their superclass bits
 ;; $block    address of the block; $heap and $top in words
-;; $starts   address of one bit for every word of the block: becomes 1 where a thing begins
-;; $tickets  address of 64 bits for every ticket there may be: become their places
+;; $starts   address of one bit for every word of the block, set at the start of an object
+;; $tickets  address of 64 bits for every possible ticket, for their places
 
 (func $sound (export "sound")
     (param $tables i32) (param $block i32) (param $heap i64) (param $top i64) (param $starts i32)
@@ -27,8 +27,8 @@
                 (then (return (local.get $count))))))
     (i32.const -1))
 
-;; How many tickets are among the things on the heap, which follow one another up to the top, each what its
-;; header says; -1 if they do not.
+;; The number of tickets on the heap, whose objects must follow one another up to the top with valid headers;
+;; -1 if they do not.
 (func $things
     (param $tables i32) (param $block i32) (param $place i64) (param $top i64) (param $starts i32)
     (param $tickets i32)
@@ -86,7 +86,7 @@
             (br $next)))
     (i32.const -1))
 
-;; Whether every reference leads to the beginning of a thing of its type.
+;; Whether every reference leads to the start of an object of its type.
 (func $references
     (param $tables i32) (param $block i32) (param $place i64) (param $top i64) (param $starts i32)
     (result i32)
@@ -136,7 +136,7 @@
                                 (i32.and (i32.wrap_i64 (local.get $target)) (i32.const 7)))
                             (i32.const 1))))
                 (local.set $found (i32.load (call $at (local.get $block) (local.get $target))))
-                ;; What holds a `together` is a ticket without a number.
+                ;; The sentinel of a `together` is a ticket without a number.
                 (if (i32.eq (local.get $expected) (i32.const -6))
                     (then
                         (br_if $unsure (i32.ne (local.get $found) (i32.const 7)))
@@ -151,8 +151,8 @@
                 (br $unsure))))
     (i32.const 0))
 
-;; Whether what was found is of the kind expected (-1: any object, -2: proxy, -3: frame, -4: array, -5: ticket),
-;; or an object of a class that is a kind of the one expected.
+;; Whether a target is of the expected kind (-1: any object, -2: proxy, -3: frame, -4: array, -5: ticket),
+;; or an object of a subclass of the expected class.
 (func $is_kind (param $tables i32) (param $found i32) (param $expected i32) (result i32)
     (local $kind i32) (local $bit i32)
     (local.set $kind (i32.and (local.get $found) (i32.const 255)))
@@ -184,7 +184,7 @@
             (i32.and (local.get $bit) (i32.const 7)))
         (i32.const 1)))
 
-;; Whether a proxy leads to a resource of its type, and has seen a start of its host that there can be.
+;; Whether a proxy refers to a resource of its type, with a valid incarnation of its host.
 (func $is_proxy (param $tables i32) (param $at i32) (param $class i32) (result i32)
     (local $member i64)
     (local.set $member (i64.load offset=8 (local.get $at)))
@@ -199,8 +199,8 @@
             (local.get $class))
         (i64.lt_u (i64.load offset=16 (local.get $at)) (i64.const 0x4000000000000000))))
 
-;; Whether a string has the length it says and is UTF-8: no more bytes than needed, no surrogates, nothing
-;; beyond the last character.
+;; Whether a string has the length in its header and is UTF-8: shortest encodings, no surrogates, nothing beyond
+;; the last code point.
 (func $is_text (param $at i32) (param $words i64) (result i32)
     (local $length i64) (local $end i32) (local $lead i32) (local $second i32) (local $more i32)
     (if (i64.lt_s (local.get $words) (i64.const 2)) (then (return (i32.const 0))))

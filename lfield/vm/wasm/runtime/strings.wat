@@ -1,17 +1,17 @@
-;; The library's strings (table J.9), as lfield/vm/reference/library.py tells them in Python: the same bytes.
+;; Strings of the library (table J.9); same bytes as lfield/vm/reference/library_functions.py.
 ;;
-;; $base is the address of the block, a string a place in it. What makes a string puts it at $top when there is
-;; room before $end and it has at most $most characters, and gives its size in words. Where Python would raise
-;; (null, a bad index, no room, too long), and in a few rare cases more, 0 words are given and nothing that
-;; matters is written: the reference engine does that instruction.
+;; $base is the address of the block, a string a place in it. A function that creates a string writes it at $top
+;; if it ends before $end and has at most $most characters, and returns its size in words. Where Python would raise
+;; (null, a bad index, a full heap, too long), and in a few rare cases more, it returns 0 without effect: the
+;; reference engine executes that instruction.
 ;;
-;; So it does with strings of over 1024 bytes: in WebAssembly nobody looks at a clock, and no instruction may
-;; take much longer than others.
+;; The same holds for strings of over 1024 bytes: WebAssembly does not check the time, so no instruction may take
+;; much longer than others.
 
 (func $is_long (param $bytes i32) (result i32)
     (i32.gt_u (local.get $bytes) (i32.const 1024)))
 
-;; How many characters there are in some bytes: those that do not go on with another one.
+;; The number of characters in some bytes: those that are not UTF-8 continuation bytes.
 (func $characters (param $at i32) (param $count i32) (result i32)
     (local $found i32) (local $word i64)
     (local.set $found (local.get $count))
@@ -48,7 +48,7 @@
             (br $bytes)))
     (local.get $found))
 
-;; The address behind $wanted characters, which there are.
+;; The address after $wanted characters, which must exist.
 (func $skip (param $at i32) (param $wanted i32) (result i32)
     (block $done
         (loop $next
@@ -67,7 +67,7 @@
             (br $next)))
     (local.get $at))
 
-;; The header of a string of so many bytes at $top, with 0 in its last word; its size, 0 without room.
+;; Writes the header of a string of that many bytes at $top, with 0 in its last word; its size, 0 if it does not fit.
 (func $begin_string (param $base i32) (param $top i64) (param $end i64) (param $bytes i32) (result i64)
     (local $words i64) (local $at i32)
     (local.set $words
@@ -115,7 +115,7 @@
         (local.get $behind))
     (local.get $words))
 
-;; How many characters a string has; -1 for null, and one that is long.
+;; The number of characters of a string; -1 for null, and for a long one.
 (func $str_len (export "str_len") (param $base i32) (param $place i64) (result i64)
     (local $at i32)
     (if (i64.eqz (local.get $place)) (then (return (i64.const -1))))
@@ -126,7 +126,7 @@
             (i32.add (local.get $at) (i32.const 16))
             (i32.load offset=8 (local.get $at)))))
 
-;; Which of two strings is first: -1, 0 or 1. The order of UTF-8 is that of the characters. 2 where both are
+;; Compares two strings: -1, 0 or 1. The order of UTF-8 is that of the code points. 2 where both are
 ;; long.
 (func $compare_strings (param $base i32) (param $left i64) (param $right i64) (result i32)
     (local $first i32) (local $second i32) (local $before i32) (local $behind i32) (local $count i32)
@@ -187,7 +187,7 @@
         (i32.eqz (local.get $order))
         (i32.eq (local.get $order) (i32.const 2))))
 
-;; Which of two strings is first: -1, 0 or 1; 2 when one is null, which has no order, and when both are long.
+;; Compares two strings: -1, 0 or 1; 2 when one is null, which has no order, and when both are long.
 (func $str_order (export "str_order") (param $base i32) (param $left i64) (param $right i64) (result i32)
     (if (i32.or (i64.eqz (local.get $left)) (i64.eqz (local.get $right)))
         (then (return (i32.const 2))))
@@ -230,8 +230,8 @@
         (local.get $bytes))
     (local.get $words))
 
-;; Where the second string first occurs in the first, in characters; -1: nowhere. -2 for null, and where the
-;; way to look for it here, which is to try every place, might take long.
+;; The index of the second string in the first, in characters; -1: none. -2 for null, and where this search, which
+;; tries every position, could take long.
 (func $index_of (export "index_of") (param $base i32) (param $place i64) (param $wanted i64) (result i64)
     (local $at i32) (local $text i32) (local $sought i32) (local $bytes i32) (local $length i32)
     (local $last i32) (local $first i32) (local $same i32)

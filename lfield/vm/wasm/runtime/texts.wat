@@ -1,7 +1,7 @@
-;; Numbers and truth as text, and whole numbers from text (table J.9), as lfield/vm/reference/library.py tells
-;; them in Python. What makes a string does so as in strings.wat.
+;; Numbers and booleans as text, and integers from text (table J.9); same bytes as
+;; lfield/vm/reference/library_functions.py. Functions that create a string follow strings.wat.
 
-;; How many decimal digits a number has.
+;; The number of decimal digits.
 (func $digits (param $value i64) (result i32)
     (local $count i32)
     (loop $next
@@ -58,7 +58,7 @@
             (i64.ne (local.get $value) (i64.const 0))))
     (local.get $words))
 
-;; The number that a text is, and 1; or 0 and 0 where it is none, has blanks around it, or more than 18 digits.
+;; The number in a text, and 1; or 0 and 0 if it is not one, has blanks around it, or more than 18 digits.
 (func $s2i (export "s2i") (param $base i32) (param $place i64) (result i64 i32)
     (local $at i32) (local $end i32) (local $sign i32) (local $digit i32) (local $value i64)
     (if (i64.eqz (local.get $place)) (then (return (i64.const 0) (i32.const 0))))

@@ -1,8 +1,8 @@
-;; Whether a travelling coordinator's block is sound in all respects, as lfield/vm/memory/soundness.py tells it in
-;; Python. 1: it is; 0: it is not sure, and Python says. What it begins with, up to its top, has been compared.
+;; Whether a migrating coordinator's block is fully valid, as lfield/vm/memory/block_verifier.py. 1: valid; 0:
+;; undecided, Python decides. The caller has compared the words before its top.
 ;;
 ;; $tables, $block, $top, $starts, $tickets   as of $sound
-;; $stances   address of the tables that say where coordinators stand
+;; $stances   address of the tables of suspension points
 
 (func $travels (export "travels")
     (param $tables i32) (param $stances i32) (param $block i32) (param $top i64) (param $starts i32)
@@ -26,11 +26,11 @@
                     (i32.add
                         (i32.add (local.get $stances) (i32.load offset=4 (local.get $stances)))
                         (i32.wrap_i64 (local.get $class))))))
-        ;; What is on the heap; of tickets Python knows more.
+        ;; The heap; Python checks the rest of tickets.
         (br_if $unsure
             (call $sound (local.get $tables) (local.get $block) (i64.const 35) (local.get $top)
                 (local.get $starts) (local.get $tickets)))
-        ;; The roots: itself, its id, one thread that serves nobody, which has the monitor if anybody has.
+        ;; The roots: the object, its id, one thread that serves no call, and is the only possible monitor owner.
         (br_if $unsure
             (i32.ne
                 (call $thing (local.get $block) (local.get $top) (local.get $starts)
@@ -60,8 +60,8 @@
                 (i64.load offset=24 (local.get $at)) (i64.load offset=32 (local.get $at)))))
     (i32.const 0))
 
-;; Whether frames are one chain, each behind its call, of methods that reserve nothing, and the first of them at
-;; a place where coordinators travel.
+;; Whether frames are one chain, each after its call, of methods that reserve nothing, and the first of them at
+;; an instruction where coordinators migrate.
 (func $stand
     (param $stances i32) (param $block i32) (param $top i64) (param $starts i32) (param $frame i64)
     (param $pc i64)
@@ -112,7 +112,7 @@
             (return (i64.eq (local.get $depth) (i64.const 1)))))
     (i32.const 0))
 
-;; The low half of the header of what begins at a place of the heap; 255 where nothing does.
+;; The lower half of the header of the object at a place of the heap; 255 where none starts.
 (func $thing (param $block i32) (param $top i64) (param $starts i32) (param $place i64) (result i32)
     (if (i64.ge_u (local.get $place) (local.get $top)) (then (return (i32.const 255))))
     (if (i32.and
@@ -126,6 +126,6 @@
         (then (return (i32.load (call $at (local.get $block) (local.get $place))))))
     (i32.const 255))
 
-;; The address of one of many numbers of 32 bits.
+;; The address of one element of an array of 32-bit numbers.
 (func $number (param $first i32) (param $which i64) (result i32)
     (i32.add (local.get $first) (i32.shl (i32.wrap_i64 (local.get $which)) (i32.const 2))))

@@ -1,18 +1,18 @@
-;; What everything here uses: records of the tables, and moving words and bytes.
+;; Common functions: records of the tables, and moving words and bytes.
 ;;
-;; A block that is not what it must be traps, which is a bug of ours, and ends its agent: no reference leads to
-;; the block of another one, whatever it is.
+;; An invalid block traps, which is a bug of lfield, and ends its agent: no reference leads to the block of
+;; another one.
 ;;
-;; The tables of a program (tables.py): eight addresses, by kind, of records of 16 bytes, by index, then how many
-;; there are. Addresses in them count from the table's own beginning. A record: a number of its own use, how many references (-1:
-;; all words behind the header), the address of their list, another number. An entry of a list: the offset of
-;; a reference in bytes, and what it leads to.
+;; The tables of a program (runtime_tables.py): eight addresses, by kind, of records of 16 bytes, by index, then their
+;; numbers. Addresses in them count from the start of the tables. A record: a number, the number of references (-1:
+;; all words after the header), the address of their list, another number. An entry of a list: the offset of
+;; a reference in bytes, and its target type.
 
 (func $record (param $tables i32) (param $half i32) (result i32)
     (local $kind i32)
     (local.set $kind
         (i32.add (local.get $tables) (i32.shl (i32.and (local.get $half) (i32.const 7)) (i32.const 2))))
-    ;; No table has it: what was taken for a thing is none.
+    ;; No table has it: it is not an object.
     (if (i32.or
             (i32.gt_u (i32.and (local.get $half) (i32.const 255)) (i32.const 7))
             (i32.ge_u
@@ -27,7 +27,7 @@
 (func $at (param $base i32) (param $place i64) (result i32)
     (i32.add (local.get $base) (i32.shl (i32.wrap_i64 (local.get $place)) (i32.const 3))))
 
-;; Moves bytes; few of them are sooner moved here than by the host's own way.
+;; Moves bytes; a few of them are moved faster here than by memory.copy.
 (func $move (param $to i32) (param $from i32) (param $count i32)
     (if (i32.gt_u (local.get $count) (i32.const 256))
         (then

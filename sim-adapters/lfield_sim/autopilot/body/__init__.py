@@ -1,1 +1,1 @@
-"""What a vehicle is to do with its body."""
+"""Goals of a vehicle's motion, mission curves, and the position estimate."""

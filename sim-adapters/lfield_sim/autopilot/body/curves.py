@@ -1,7 +1,7 @@
-"""The curves of ArduPilot's missions as points: a spline through its places, and an arc to one.
+"""Curves of ArduPilot's missions as points: spline and arc.
 
 Spline: AC_WPNav::set_spline_destination_loc and SplineCurve of ArduPilot, a cubic Hermite curve whose
-tangents follow from the neighbours of its ends. Arc: MAV_CMD_NAV_ARC_WAYPOINT. Metres north, east and down;
+tangents depend on the neighbours of its ends. Arc: MAV_CMD_NAV_ARC_WAYPOINT. Metres north, east and down;
 pure geometry.
 """
 
@@ -14,16 +14,16 @@ from lfield_sim.autopilot.body.goals import Vector
 
 #: Points of a spline; radians between two points of an arc.
 POINTS, STEP = 40, math.radians(5.0)
-#: How many times the length of the straight way the two tangents of a spline have together, at most.
+#: Maximum sum of the two tangents of a spline, relative to the straight distance.
 LONGEST = 4.0
 
 
 def spline(
     before: Vector | None, start: Vector, goal: Vector, after: Vector | None, *, straight_on: bool = False
 ) -> Sequence[Vector]:
-    """The points from `start` to `goal`, without the first; `before` and `after` are the places about them.
+    """The points from `start` to `goal`, without the first; `before` and `after` are the neighbours.
 
-    A spline that begins or ends at rest has no place there. `straight_on`: the next leg is a straight one.
+    A spline that starts or ends at rest has no neighbour there. `straight_on`: the next leg is straight.
     """
     way = _minus(goal, start)
     begins = way if before is None else _minus(start, before)
@@ -34,7 +34,9 @@ def spline(
     return [_hermite(start, goal, begins, ends, share, number / POINTS) for number in range(1, POINTS + 1)]
 
 
-def _hermite(start: Vector, goal: Vector, begins: Vector, ends: Vector, share: float, at: float) -> Vector:
+def _hermite(
+    start: Vector, goal: Vector, start_tangent: Vector, end_tangent: Vector, share: float, at: float
+) -> Vector:
     square, cube = at * at, at * at * at
     weights = (
         2.0 * cube - 3.0 * square + 1.0,
@@ -42,13 +44,13 @@ def _hermite(start: Vector, goal: Vector, begins: Vector, ends: Vector, share: f
         share * (cube - 2.0 * square + at),
         share * (cube - square),
     )
-    parts = zip(start, goal, begins, ends, strict=True)
+    parts = zip(start, goal, start_tangent, end_tangent, strict=True)
     north, east, down = (sum(w * p for w, p in zip(weights, each, strict=True)) for each in parts)
     return (north, east, down)
 
 
 def arc(start: Vector, goal: Vector, degrees: float) -> Sequence[Vector]:
-    """The points of an arc to `goal`, without the first; above 0 degrees it leads clockwise."""
+    """The points of an arc to `goal`, without the first; clockwise for positive degrees."""
     north, east, down = _minus(goal, start)
     chord, half = math.hypot(north, east), math.radians(degrees) / 2.0
     if chord < 1e-3 or not 1e-4 < abs(half) < math.pi:

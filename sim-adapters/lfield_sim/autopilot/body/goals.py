@@ -1,4 +1,4 @@
-"""What a vehicle is to do, as data: the goals of its motion."""
+"""Goals of a vehicle's motion, as data."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ ZERO: Vector = (0.0, 0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """Goal: stay where you are; the last of the speed goes as `Limits.eases` says, with 0 it brakes on."""
+    """Goal: stay here; the rest of the speed decays as `Limits.eases` says, with 0 it brakes."""
 
     eases: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class Reach:
-    """Goal: go to a place and stay there."""
+    """Goal: move to a position and stay there."""
 
     place: Vector
 
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """Goal: follow the place of a setpoint by proportional control, which shapes no step of it (PX4).
+    """Goal: follow a position setpoint by proportional control without shaping (PX4).
 
-    `velocity` is added to what the distance asks for.
+    `velocity` is added to the proportional part.
     """
 
     place: Vector
@@ -41,8 +41,8 @@ class Keep:
 
 
 @dataclass(frozen=True, slots=True)
-class Circle:
-    """Goal: fly round a place at a distance in m with a speed in m/s, clockwise when it is positive."""
+class Orbit:
+    """Goal: orbit a position at a distance in m with a speed in m/s, clockwise when positive."""
 
     centre: Vector
     radius: float
@@ -73,7 +73,7 @@ class Rise:
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """Goal: come down as with the throttle down, to the ground and hard."""
+    """Goal: descend as with the throttle down, to a hard landing."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ class Fall:
 
 @dataclass(frozen=True, slots=True)
 class Roll:
-    """Goal of a rover that nothing drives: it rolls out."""
+    """Goal of an undriven rover: it rolls out."""
 
 
-Goal = Rest | Reach | Track | Keep | Circle | Lean | Rise | Descend | Sink | Fall | Roll
+Goal = Rest | Reach | Track | Keep | Orbit | Lean | Rise | Descend | Sink | Fall | Roll

@@ -1,1 +1,1 @@
-"""The autopilots there are, as data: `ardupilot`, `px4`."""
+"""The autopilots as data: `ardupilot`, `px4`."""

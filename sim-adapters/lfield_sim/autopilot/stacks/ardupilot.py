@@ -9,19 +9,19 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from lfield_sim.autopilot.body.estimate import BlindRule
+from lfield_sim.autopilot.body.estimator import BlindRule
 from lfield_sim.autopilot.flavours import (
     BatteryLevel,
     FenceRule,
     Flavour,
+    FlightMode,
     GcsRule,
-    Kind,
-    Mode,
-    Result,
+    MavResult,
     Role,
-    Warming,
+    StartupTiming,
+    VehicleKind,
 )
-from lfield_sim.autopilot.ground import Wheels
+from lfield_sim.autopilot.ground_vehicle import Wheels
 from lfield_sim.autopilot.pace import CopterPace, RoverPace
 from lfield_sim.autopilot.vehicle import Limits, Response
 
@@ -32,7 +32,7 @@ COPTER_FLAVOUR = Flavour(
     autopilot=3,
     version=4 << 24 | 7 << 16,
     capabilities=0xFBEF,
-    refusal=Result.FAILED,
+    refusal=MavResult.FAILED,
     denial="Arm: {reason}",
     warning="PreArm: {reason}",
     armed="Arming motors",
@@ -93,12 +93,12 @@ COPTER_FLAVOUR = Flavour(
         8.1, 0.05, 1.3, "EKF Failsafe Cleared", "Mode change to {mode} failed: requires position"
     ),
     capacity="BATT_CAPACITY",
-    # DO_ORBIT is PX4's; ArduCopter circles by its mode CIRCLE.
+    # DO_ORBIT is PX4's; ArduCopter circles in its mode CIRCLE.
     unsupported=frozenset({34, 187}),
     # PING, HIGHRES_IMU, ESTIMATOR_STATUS, WIND_COV, ODOMETRY, CURRENT_MODE
     lacks=frozenset({4, 105, 230, 231, 331, 436}),
-    tells_modes=True,
-    tells_home=True,
+    sends_modes=True,
+    sends_home=True,
     # TIMESYNC
     streams={111: 0.1},
     idle_text="Disarming motors",
@@ -148,7 +148,7 @@ ROVER_FLAVOUR = replace(
 
 
 def _both(what: str) -> tuple[str, ...]:
-    """What both estimators say."""
+    """The texts of both estimators."""
     return tuple(f"EKF3 IMU{number} {what}" for number in range(2))
 
 
@@ -158,7 +158,7 @@ _ALIGNED = (
     (0.469, (*_both("origin set"), "Field Elevation Set: 584m")),
 )
 _UNLEVEL = ("Need Alt Estimate", "Accels inconsistent", "EKF attitude is bad", "AHRS: waiting for home")
-COPTER_WARMING = Warming(
+COPTER_WARMING = StartupTiming(
     fix=0.237,
     home=0.47,
     origin=0.47,
@@ -182,8 +182,8 @@ COPTER_WARMING = Warming(
         (0.975, _both("is using GPS")),
     ),
 )
-#: A rover tells home and its position long before it may be armed.
-ROVER_WARMING = Warming(
+#: A rover reports home and position long before it may be armed.
+ROVER_WARMING = StartupTiming(
     fix=0.237,
     home=0.244,
     origin=0.5,
@@ -210,7 +210,7 @@ ROVER_WARMING = Warming(
 
 #: Hundredths of a degree in a radian.
 CENTIDEGREES = 100.0 * math.degrees(1.0)
-#: What both have. Times in s, charges in mAh.
+#: Parameters of both. Times in s, charges in mAh.
 COMMON: Mapping[str, float] = {
     "ARMING_CHECK": 1,
     "BATT_CAPACITY": 3300,
@@ -232,7 +232,7 @@ COMMON: Mapping[str, float] = {
     "MIS_TOTAL": 0,
     "RALLY_TOTAL": 0,
 }
-#: Speeds of a copter are in cm/s, angles in cdeg, heights in cm but for the fence, which is in m.
+#: Speeds of a copter in cm/s, angles in cdeg, heights in cm except the fence's in m.
 COPTER_PARAMETERS: Mapping[str, float] = {
     **COMMON,
     "ANGLE_MAX": 3000,
@@ -261,31 +261,31 @@ ROVER_PARAMETERS: Mapping[str, float] = {
     "WP_SPEED": 5,
 }
 
-#: MAV_MODE_FLAG: a custom mode; by sticks, levelled, by itself. A copter calls each mode one by sticks.
+#: MAV_MODE_FLAG: custom, manual, stabilised, guided. A copter marks every mode as manual.
 _CUSTOM, _MANUAL, _LEVELLED, _GUIDED = 1, 64, 16, 8
 _FLOWN = _CUSTOM | _MANUAL | _LEVELLED
 
-ACKERMANN = Kind(
+ACKERMANN = VehicleKind(
     "rover",
     10,
     ROVER_FLAVOUR,
     {
-        "MANUAL": Mode(0, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
-        "ACRO": Mode(1, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
-        "STEERING": Mode(3, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
-        "HOLD": Mode(4, Role.HOLD, _CUSTOM, by_hand=True),
-        "LOITER": Mode(5, Role.HOLD, _CUSTOM | _GUIDED),
-        "AUTO": Mode(10, Role.MISSION, _CUSTOM | _GUIDED),
-        "RTL": Mode(11, Role.RETURN, _CUSTOM | _GUIDED, armable=False),
-        "SMART_RTL": Mode(12, Role.RETURN, _CUSTOM | _GUIDED, armable=False),
-        "GUIDED": Mode(15, Role.GUIDED, _CUSTOM | _GUIDED),
+        "MANUAL": FlightMode(0, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
+        "ACRO": FlightMode(1, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
+        "STEERING": FlightMode(3, Role.MANUAL, _CUSTOM | _MANUAL, by_hand=True),
+        "HOLD": FlightMode(4, Role.HOLD, _CUSTOM, by_hand=True),
+        "LOITER": FlightMode(5, Role.HOLD, _CUSTOM | _GUIDED),
+        "AUTO": FlightMode(10, Role.MISSION, _CUSTOM | _GUIDED),
+        "RTL": FlightMode(11, Role.RETURN, _CUSTOM | _GUIDED, armable=False),
+        "SMART_RTL": FlightMode(12, Role.RETURN, _CUSTOM | _GUIDED, armable=False),
+        "GUIDED": FlightMode(15, Role.GUIDED, _CUSTOM | _GUIDED),
     },
     "MANUAL",
     ROVER_PARAMETERS,
     {"cruise": ("WP_SPEED", 1.0), "acceleration": ("ATC_ACCEL_MAX", 1.0)},
     RoverPace,
     ROVER_WARMING,
-    # It shoots over its speed: 2.20 of 2 and 3.44 of 3 m/s, for a second or two (ap-rover.deaths-34).
+    # It overshoots its speed: 2.20 of 2 and 3.44 of 3 m/s, for a second or two (ap-rover.deaths-34).
     Limits(braking=1.0, jerk=2.0, overshoot=0.43, overshoot_share=0.05, rolls_out=0.5),
     wheels=Wheels(1.4),
     home_altitude=0.19,
@@ -293,23 +293,23 @@ ACKERMANN = Kind(
 )
 
 KINDS = {
-    "copter": Kind(
+    "copter": VehicleKind(
         "copter",
         2,
         COPTER_FLAVOUR,
         {
-            "STABILIZE": Mode(0, Role.MANUAL, _FLOWN, by_hand=True),
-            "ACRO": Mode(1, Role.MANUAL, _FLOWN, by_hand=True),
-            "ALT_HOLD": Mode(2, Role.MANUAL, _FLOWN, by_hand=True),
-            "AUTO": Mode(3, Role.MISSION, _FLOWN | _GUIDED, armable=False),
-            "GUIDED": Mode(4, Role.GUIDED, _FLOWN | _GUIDED),
-            # Before LOITER: it is what ArduCopter falls back to when it is to hold.
-            "BRAKE": Mode(17, Role.HOLD, _FLOWN | _GUIDED, armable=False),
-            "LOITER": Mode(5, Role.HOLD, _FLOWN | _GUIDED, by_hand=True),
-            "RTL": Mode(6, Role.RETURN, _FLOWN | _GUIDED, armable=False),
-            "CIRCLE": Mode(7, Role.ORBIT, _FLOWN | _GUIDED, armable=False),
-            "LAND": Mode(9, Role.LAND, _FLOWN | _GUIDED, armable=False),
-            "POSHOLD": Mode(16, Role.HOLD, _FLOWN | _GUIDED, by_hand=True),
+            "STABILIZE": FlightMode(0, Role.MANUAL, _FLOWN, by_hand=True),
+            "ACRO": FlightMode(1, Role.MANUAL, _FLOWN, by_hand=True),
+            "ALT_HOLD": FlightMode(2, Role.MANUAL, _FLOWN, by_hand=True),
+            "AUTO": FlightMode(3, Role.MISSION, _FLOWN | _GUIDED, armable=False),
+            "GUIDED": FlightMode(4, Role.GUIDED, _FLOWN | _GUIDED),
+            # Before LOITER: ArduCopter's fallback for a hold.
+            "BRAKE": FlightMode(17, Role.HOLD, _FLOWN | _GUIDED, armable=False),
+            "LOITER": FlightMode(5, Role.HOLD, _FLOWN | _GUIDED, by_hand=True),
+            "RTL": FlightMode(6, Role.RETURN, _FLOWN | _GUIDED, armable=False),
+            "CIRCLE": FlightMode(7, Role.ORBIT, _FLOWN | _GUIDED, armable=False),
+            "LAND": FlightMode(9, Role.LAND, _FLOWN | _GUIDED, armable=False),
+            "POSHOLD": FlightMode(16, Role.HOLD, _FLOWN | _GUIDED, by_hand=True),
         },
         "STABILIZE",
         COPTER_PARAMETERS,
@@ -335,7 +335,7 @@ KINDS = {
             takeoff=2.5,
             goal_response=Response(1.02),
         ),
-        # Its missions are curves of little jerk, GUIDED goes straight at its goal.
+        # Its missions have low jerk, GUIDED goes straight to its goal.
         mission_limits={"braking": 1.25, "jerk": 1.5},
         return_height=("RTL_ALT", 100.0),
         return_pause=("RTL_LOIT_TIME", 1000.0),

@@ -9,19 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from lfield_sim.autopilot.body.estimate import BlindRule
+from lfield_sim.autopilot.body.estimator import BlindRule
 from lfield_sim.autopilot.flavours import (
     BatteryLevel,
     FenceRule,
     Flavour,
+    FlightMode,
     GcsRule,
-    Kind,
-    Mode,
-    Result,
+    MavResult,
     Role,
-    Warming,
+    StartupTiming,
+    VehicleKind,
 )
-from lfield_sim.autopilot.ground import Wheels
+from lfield_sim.autopilot.ground_vehicle import Wheels
 from lfield_sim.autopilot.pace import Px4Pace
 from lfield_sim.autopilot.vehicle import Limits, Response
 
@@ -35,7 +35,7 @@ FLAVOUR = Flavour(
     # Missions and commands in floats and integers, byte-wise parameters, FTP, attitude and local targets,
     # terminate, MAVLink 2, fence, rally.
     capabilities=0xE8FF,
-    refusal=Result.TEMPORARILY_REJECTED,
+    refusal=MavResult.TEMPORARILY_REJECTED,
     denial="Preflight Fail: {reason}\t",
     verdict="Arming denied: Resolve system health failures first\t",
     armed="Armed by external command\t",
@@ -104,7 +104,7 @@ FLAVOUR = Flavour(
     unasked_only=frozenset({0, 42}),
     streamed_only=frozenset({436}),
     # GPS_GLOBAL_ORIGIN
-    told_once=frozenset({49}),
+    sent_once=frozenset({49}),
     heeds_groups=False,
     return_cone=1.0,
     grace=0.14,
@@ -118,10 +118,10 @@ FLAVOUR = Flavour(
 )  # fmt: skip
 
 FAST, FAST_GOAL = Response(1.0, 0.45), Response(0.9, 0.5)
-#: The share of its own speed of landing that a copter comes down at (px4-copter.f-fence-landing).
+#: The share of its own landing speed at which a copter lands (px4-copter.f-fence-landing).
 SINKS = 0.87
-#: It tells everything at once, and may be armed some seconds later.
-WARMING = Warming(
+#: It reports everything at once, and may be armed some seconds later.
+WARMING = StartupTiming(
     fix=0.0,
     home=0.0,
     origin=0.0,
@@ -176,35 +176,35 @@ COPTER_PARAMETERS: Mapping[str, float] = {
 }
 ROVER_PARAMETERS: Mapping[str, float] = {**COMMON, "RO_ACCEL_LIM": 3.0, "RO_SPEED_LIM": 3.0}
 
-#: MAV_MODE_FLAG: a custom mode; levelled; by sticks; by itself.
+#: MAV_MODE_FLAG: custom; stabilised; manual; auto.
 _CUSTOM = 1
 _LEVELLED = _CUSTOM | 16
 _MANUAL = _LEVELLED | 64
 _AUTO = _LEVELLED | 8 | 4
 
 _MODES = {
-    "MANUAL": Mode(_custom(1), Role.MANUAL, _MANUAL),
-    "ALTCTL": Mode(_custom(2), Role.MANUAL, _MANUAL, standard=4),
-    "POSCTL": Mode(_custom(3), Role.MANUAL, _MANUAL, standard=1),
-    "ACRO": Mode(_custom(5), Role.MANUAL, _CUSTOM | 64),
-    "OFFBOARD": Mode(_custom(6), Role.GUIDED, _LEVELLED),
-    "STABILIZED": Mode(_custom(7), Role.MANUAL, _MANUAL),
-    "AUTO.READY": Mode(_custom(4, 1), Role.MANUAL, _AUTO),
-    "AUTO.LOITER": Mode(_custom(4, 3), Role.HOLD, _AUTO),
-    "AUTO.MISSION": Mode(_custom(4, 4), Role.MISSION, _AUTO, standard=6),
-    "AUTO.RTL": Mode(_custom(4, 5), Role.RETURN, _AUTO, standard=5),
-    "TERMINATION": Mode(_custom(10), Role.TERMINATE, _CUSTOM, armable=False),
+    "MANUAL": FlightMode(_custom(1), Role.MANUAL, _MANUAL),
+    "ALTCTL": FlightMode(_custom(2), Role.MANUAL, _MANUAL, standard=4),
+    "POSCTL": FlightMode(_custom(3), Role.MANUAL, _MANUAL, standard=1),
+    "ACRO": FlightMode(_custom(5), Role.MANUAL, _CUSTOM | 64),
+    "OFFBOARD": FlightMode(_custom(6), Role.GUIDED, _LEVELLED),
+    "STABILIZED": FlightMode(_custom(7), Role.MANUAL, _MANUAL),
+    "AUTO.READY": FlightMode(_custom(4, 1), Role.MANUAL, _AUTO),
+    "AUTO.LOITER": FlightMode(_custom(4, 3), Role.HOLD, _AUTO),
+    "AUTO.MISSION": FlightMode(_custom(4, 4), Role.MISSION, _AUTO, standard=6),
+    "AUTO.RTL": FlightMode(_custom(4, 5), Role.RETURN, _AUTO, standard=5),
+    "TERMINATION": FlightMode(_custom(10), Role.TERMINATE, _CUSTOM, armable=False),
 }
 KINDS = {
-    "copter": Kind(
+    "copter": VehicleKind(
         "copter",
         2,
         FLAVOUR,
         {
             **_MODES,
-            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF, _AUTO, standard=8),
-            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, _AUTO, armable=False, standard=7),
-            "POSCTL.ORBIT": Mode(_custom(3, 1), Role.ORBIT, _LEVELLED, armable=False, standard=2),
+            "AUTO.TAKEOFF": FlightMode(_custom(4, 2), Role.TAKEOFF, _AUTO, standard=8),
+            "AUTO.LAND": FlightMode(_custom(4, 6), Role.LAND, _AUTO, armable=False, standard=7),
+            "POSCTL.ORBIT": FlightMode(_custom(3, 1), Role.ORBIT, _LEVELLED, armable=False, standard=2),
         },
         "AUTO.LOITER",
         COPTER_PARAMETERS,
@@ -221,7 +221,7 @@ KINDS = {
         Px4Pace,
         WARMING,
         # Of 1 m/s it flies 0.77 after 2 s (px4-copter.d-velocity), of 3 m/s 2.1 after 3 s, 2.6 after 8, 2.86
-        # after 14 (px4-copter.deaths-6) and 2.95 on a way of 200 m (facts-3, 16).
+        # after 14 (px4-copter.deaths-6) and 2.95 over 200 m (facts-3, 16).
         Limits(
             braking=1.75,
             jerk=4.0,
@@ -234,22 +234,22 @@ KINDS = {
         return_height=("RTL_RETURN_ALT", 1.0),
         takeoff_height="MIS_TAKEOFF_ALT",
     ),
-    "rover": Kind(
+    "rover": VehicleKind(
         "rover",
         10,
         FLAVOUR,
         {
             **_MODES,
-            "AUTO.TAKEOFF": Mode(_custom(4, 2), Role.TAKEOFF, _AUTO, standard=8),
-            "AUTO.LAND": Mode(_custom(4, 6), Role.LAND, _AUTO, armable=False, standard=7),
+            "AUTO.TAKEOFF": FlightMode(_custom(4, 2), Role.TAKEOFF, _AUTO, standard=8),
+            "AUTO.LAND": FlightMode(_custom(4, 6), Role.LAND, _AUTO, armable=False, standard=7),
         },
         "AUTO.LOITER",
         ROVER_PARAMETERS,
         {"cruise": ("RO_SPEED_LIM", 1.0), "acceleration": ("RO_ACCEL_LIM", 1.0)},
         Px4Pace,
         WARMING,
-        # It drives half a metre per second faster than it is asked to. It turns back for a place behind it at
-        # once, in a circle of 1.9 m, and brakes from 2.6 m before one (trace l-px4-rover: 33, 42 and 19 s).
+        # It drives 0.5 m/s faster than commanded. It turns back to a position behind it at once, in a circle
+        # of 1.9 m, and brakes from 2.6 m before one (trace l-px4-rover: 33, 42 and 19 s).
         Limits(braking=2.4, jerk=5.0, yaw_rate=2.7, goal_response=FAST_GOAL, velocity_response=FAST),
         wheels=Wheels(0.93, tight=2.3, brakes=math.inf, arrives=0.5, returns=True),
     ),

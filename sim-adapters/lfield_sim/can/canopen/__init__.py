@@ -1,1 +1,1 @@
-"""CANopen (CiA 301): object dictionary and SDO, PDO, and the node that has them."""
+"""CANopen (CiA 301): object dictionary, SDO, PDO, and the node."""

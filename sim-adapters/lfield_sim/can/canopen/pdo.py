@@ -1,4 +1,4 @@
-"""Process data objects: what a node takes and sends without being asked (CiA 301, 7.2.2)."""
+"""Process data objects: received and sent without requests (CiA 301, 7.2.2)."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from lfield_sim.can.canopen.sdo import (
     PDO_LENGTH,
     STATE,
     TYPES,
-    Abort,
     Key,
     ObjectDictionary,
+    SdoAbort,
 )
 
 INVALID = 1 << 31
-#: Objects whose change sends an event-driven PDO at once; the others change all the time.
+#: Objects whose change triggers an event-driven PDO; others change all the time.
 EVENTS = frozenset({(0x6041, 0), (0x6061, 0), (0x1001, 0)})
 _COUNTS = (range(0x1600, 0x1604), range(0x1A00, 0x1A04))
 
 
 class Pdo:
-    """One PDO by its communication and mapping records; both are read each time, so they may be changed."""
+    """A PDO, defined by its communication and mapping records, which are read each time."""
 
     def __init__(self, objects: ObjectDictionary, number: int, *, sent: bool) -> None:
         self._objects = objects
@@ -39,21 +39,21 @@ class Pdo:
         return self._objects.get(self._record, 2)
 
     def keys(self) -> list[tuple[Key, int]]:
-        """What it carries, with lengths in bytes."""
+        """Its objects, with lengths in bytes."""
         count = self._objects.get(self._map)
         values = [self._objects.get(self._map, n + 1) for n in range(count)]
         return [((value >> 16, value >> 8 & 0xFF), (value & 0xFF) // 8) for value in values]
 
 
 class Rpdo(Pdo):
-    """A PDO that the node takes."""
+    """A PDO that the node receives."""
 
     def __init__(self, objects: ObjectDictionary, number: int) -> None:
         super().__init__(objects, number, sent=False)
         self._waiting: bytes | None = None
 
-    def take(self, data: bytes) -> bool:
-        """What came; False when it is shorter than the mapping."""
+    def on_data(self, data: bytes) -> bool:
+        """Receives data; False when it is shorter than the mapping."""
         if len(data) < sum(length for _, length in self.keys()):
             return False
         self._waiting = data
@@ -62,7 +62,7 @@ class Rpdo(Pdo):
         return True
 
     def apply(self) -> None:
-        """Set the objects; synchronous PDOs wait for SYNC."""
+        """Sets the objects; synchronous PDOs wait for SYNC."""
         if self._waiting is None:
             return
         writes, at = {}, 0
@@ -83,11 +83,11 @@ class Tpdo(Pdo):
         self._events = b""
 
     def data(self) -> bytes:
-        """What it carries now."""
+        """Its present content."""
         return b"".join(self._objects.encoded(key)[:length] for key, length in self.keys())
 
     def due(self, dt: float) -> bool:
-        """Let time pass; whether it is to be sent, by its timer or by an event."""
+        """Advances time; returns whether it is due by its timer or an event."""
         self._since += dt
         if self.kind < 254:
             return False
@@ -100,7 +100,7 @@ class Tpdo(Pdo):
         return True
 
     def due_at_sync(self) -> bool:
-        """Whether it is to be sent now that a SYNC has come. Type 0 is sent at every SYNC."""
+        """Whether it is due at a SYNC. Type 0 is sent at every SYNC."""
         if self.kind > 240:
             return False
         self._syncs += 1
@@ -111,22 +111,22 @@ class Tpdo(Pdo):
 
 
 def guard(objects: ObjectDictionary, key: Key, value: int) -> None:
-    """Refuse mappings that CiA 301 forbids. Raises Abort."""
+    """Refuses mappings that CiA 301 forbids. Raises SdoAbort."""
     index, subindex = key
     if not any(index in records for records in _COUNTS):
         return
     valid = not objects.get(index - 0x200, 1) & INVALID
     if valid or (subindex and objects.get(index)):
-        raise Abort(STATE)
+        raise SdoAbort(STATE)
     if subindex and value:
         _check_mapped(objects, value)
     elif not subindex and sum(objects.get(index, n + 1) & 0xFF for n in range(value)) > 64:
-        raise Abort(PDO_LENGTH)
+        raise SdoAbort(PDO_LENGTH)
 
 
 def _check_mapped(objects: ObjectDictionary, value: int) -> None:
     entry = objects.entries.get((value >> 16, value >> 8 & 0xFF))
     if entry is None:
-        raise Abort(NO_OBJECT)
+        raise SdoAbort(NO_OBJECT)
     if not entry.mappable or value & 0xFF != 8 * TYPES[entry.type][0]:
-        raise Abort(NOT_MAPPABLE)
+        raise SdoAbort(NOT_MAPPABLE)

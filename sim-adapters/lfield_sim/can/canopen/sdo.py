@@ -1,4 +1,4 @@
-"""An object dictionary and the SDO server in front of it (CiA 301, 7.2.4 and 7.4)."""
+"""An object dictionary and its SDO server (CiA 301, 7.2.4 and 7.4)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TOO_LONG, TOO_SHORT = 0x06070012, 0x06070013
 TOO_HIGH, TOO_LOW = 0x06090031, 0x06090032
 RANGE, STATE = 0x06090030, 0x08000022
 
-#: Type -> length in bytes and whether it has a sign; text has neither.
+#: Type -> length in bytes and whether it is signed; text has neither.
 TYPES: Mapping[str, tuple[int, bool]] = {
     "u8": (1, False),
     "i8": (1, True),
@@ -26,12 +26,12 @@ TYPES: Mapping[str, tuple[int, bool]] = {
     "u32": (4, False),
     "i32": (4, True),
 }
-#: What a client may send in segments, in bytes.
+#: Maximum bytes of a segmented download.
 LONGEST_DOWNLOAD = 64
 
 
-class Abort(Exception):
-    """An access that the dictionary refuses, with its abort code."""
+class SdoAbort(Exception):
+    """A refused access, with its abort code."""
 
     def __init__(self, code: int) -> None:
         super().__init__(f"SDO abort 0x{code:08X}")
@@ -39,8 +39,8 @@ class Abort(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """One object: type, access (ro, rw, wo), value after a reset, what a write must be within, PDO or not."""
+class ObjectEntry:
+    """One object: type, access (ro, rw, wo), reset value, range of writes, PDO or not."""
 
     type: str
     access: str
@@ -52,9 +52,9 @@ class Entry:
 
 
 class ObjectDictionary:
-    """Entries with their values. `guard` may refuse a write, `watch` sees it when it is done."""
+    """Entries with their values. `guard` may refuse a write, `watch` is called after it."""
 
-    def __init__(self, entries: Mapping[Key, Entry]) -> None:
+    def __init__(self, entries: Mapping[Key, ObjectEntry]) -> None:
         self.entries = entries
         self._indexes = {index for index, _ in entries}
         self._values: dict[Key, int | str] = {}
@@ -63,16 +63,16 @@ class ObjectDictionary:
         self.reset()
 
     def reset(self) -> None:
-        """Every value as after power-up."""
+        """Sets all power-up values."""
         self._values = {key: entry.default for key, entry in self.entries.items()}
 
     def guard(self, check: Callable[[Key, int], None]) -> None:
-        """Ask `check` before every write; it raises Abort to refuse."""
+        """Calls `check` before every write; it raises SdoAbort to refuse."""
         self._guards.append(check)
 
-    def watch(self, seen: Callable[[Key, int], None]) -> None:
-        """Tell of every write from the bus."""
-        self._watchers.append(seen)
+    def watch(self, on_write: Callable[[Key, int], None]) -> None:
+        """Calls `on_write` after every write from the bus."""
+        self._watchers.append(on_write)
 
     def get(self, index: int, subindex: int = 0) -> int:
         """The number in an object."""
@@ -81,20 +81,20 @@ class ObjectDictionary:
         return value
 
     def put(self, index: int, value: float, subindex: int = 0) -> None:
-        """Set a number from inside; what its type cannot hold becomes the nearest that it can."""
+        """Sets a number internally, saturated to its type."""
         length, signed = TYPES[self.entries[index, subindex].type]
         low, high = _bounds(length, signed)
         self._values[index, subindex] = max(low, min(high, round(value)))
 
     def read(self, key: Key) -> bytes:
-        """The bytes of an object, for the bus. Raises Abort."""
+        """The bytes of an object, for the bus. Raises SdoAbort."""
         entry = self._entry(key)
         if entry.access == "wo":
-            raise Abort(WRITE_ONLY)
+            raise SdoAbort(WRITE_ONLY)
         return self.encoded(key)
 
     def encoded(self, key: Key) -> bytes:
-        """The bytes of an object that is known."""
+        """The bytes of a known object."""
         value, entry = self._values[key], self.entries[key]
         if isinstance(value, str):
             return value.encode()
@@ -102,19 +102,19 @@ class ObjectDictionary:
         return value.to_bytes(length, "little", signed=signed)
 
     def write(self, key: Key, data: bytes) -> None:
-        """Set an object from the bus. Raises Abort."""
+        """Sets an object from the bus. Raises SdoAbort."""
         value = self.check(key, data)
         self._values[key] = value
         for seen in self._watchers:
             seen(key, value)
 
     def write_all(self, writes: Mapping[Key, bytes]) -> None:
-        """Set what a PDO brings, all values before any is acted on; what is refused is left as it was."""
+        """Sets the values of a PDO before any callback; refused ones are skipped."""
         done: dict[Key, int] = {}
         for key, data in writes.items():
             try:
                 done[key] = self.check(key, data)
-            except Abort:
+            except SdoAbort:
                 continue
         self._values.update(done)
         for key, value in done.items():
@@ -122,33 +122,33 @@ class ObjectDictionary:
                 seen(key, value)
 
     def check(self, key: Key, data: bytes) -> int:
-        """The number that a write brings. Raises Abort when the object does not take it."""
+        """The number of a write. Raises SdoAbort when the object refuses it."""
         length = self.check_writable(key)
         entry = self.entries[key]
         if len(data) != length:
-            raise Abort(TOO_LONG if len(data) > length else TOO_SHORT)
+            raise SdoAbort(TOO_LONG if len(data) > length else TOO_SHORT)
         value = int.from_bytes(data, "little", signed=TYPES[entry.type][1])
         if entry.choices and value not in entry.choices:
-            raise Abort(RANGE)
+            raise SdoAbort(RANGE)
         if entry.high is not None and value > entry.high:
-            raise Abort(TOO_HIGH)
+            raise SdoAbort(TOO_HIGH)
         if entry.low is not None and value < entry.low:
-            raise Abort(TOO_LOW)
+            raise SdoAbort(TOO_LOW)
         for check in self._guards:
             check(key, value)
         return value
 
     def check_writable(self, key: Key) -> int:
-        """The length in bytes of what an object takes. Raises Abort when it takes nothing."""
+        """The length in bytes of a writable object. Raises SdoAbort for others."""
         entry = self._entry(key)
         if entry.access == "ro":
-            raise Abort(READ_ONLY)
+            raise SdoAbort(READ_ONLY)
         return TYPES[entry.type][0]
 
-    def _entry(self, key: Key) -> Entry:
+    def _entry(self, key: Key) -> ObjectEntry:
         entry = self.entries.get(key)
         if entry is None:
-            raise Abort(NO_SUBINDEX if key[0] in self._indexes else NO_OBJECT)
+            raise SdoAbort(NO_SUBINDEX if key[0] in self._indexes else NO_OBJECT)
         return entry
 
 
@@ -158,7 +158,7 @@ def _bounds(length: int, signed: bool) -> tuple[int, int]:
 
 
 class SdoServer:
-    """Answers requests, expedited and in segments; block transfers are refused."""
+    """Answers requests, expedited and segmented; block transfers are refused."""
 
     def __init__(self, objects: ObjectDictionary) -> None:
         self._objects = objects
@@ -168,13 +168,13 @@ class SdoServer:
         self._toggle = 0
 
     def answer(self, request: bytes) -> bytes | None:
-        """The answer to a request; None to what needs none: an abort, or not 8 bytes."""
+        """The answer to a request; None for an abort, or not 8 bytes."""
         if len(request) != 8 or request[0] >> 5 == 4:
             self._upload = self._download = None
             return None
         try:
             return self._answer(request).ljust(8, b"\0")
-        except Abort as abort:
+        except SdoAbort as abort:
             self._upload = self._download = None
             index, subindex = self._key
             return struct.pack("<BHBL", 0x80, index, subindex, abort.code)
@@ -182,7 +182,7 @@ class SdoServer:
     def _answer(self, request: bytes) -> bytes:
         kind = request[0] >> 5
         if kind == 0:
-            return self._take_segment(request)
+            return self._on_segment(request)
         if kind == 3:
             return self._give_segment(request)
         index, subindex = struct.unpack_from("<HB", request, 1)
@@ -190,12 +190,12 @@ class SdoServer:
         self._upload = self._download = None
         self._toggle = 0
         if kind == 1:
-            return self._begin_download(request)
+            return self._start_download(request)
         if kind == 2:
-            return self._begin_upload(request)
-        raise Abort(COMMAND)
+            return self._start_upload(request)
+        raise SdoAbort(COMMAND)
 
-    def _begin_upload(self, request: bytes) -> bytes:
+    def _start_upload(self, request: bytes) -> bytes:
         data, head = self._objects.read(self._key), request[1:4]
         if 0 < len(data) <= 4:
             return bytes([0x43 | (4 - len(data)) << 2]) + head + data
@@ -204,14 +204,14 @@ class SdoServer:
 
     def _give_segment(self, request: bytes) -> bytes:
         if self._upload is None:
-            raise Abort(COMMAND)
+            raise SdoAbort(COMMAND)
         self._check_toggle(request)
         piece, rest = self._upload[:7], self._upload[7:]
         head = (request[0] & 0x10) | (7 - len(piece)) << 1 | (not rest)
         self._upload = rest or None
         return bytes([head]) + piece
 
-    def _begin_download(self, request: bytes) -> bytes:
+    def _start_download(self, request: bytes) -> bytes:
         expedited, sized = request[0] & 2, request[0] & 1
         if expedited:
             length = 4 - (request[0] >> 2 & 3) if sized else self._objects.check_writable(self._key)
@@ -221,13 +221,13 @@ class SdoServer:
             self._download = bytearray()
         return b"\x60" + request[1:4]
 
-    def _take_segment(self, request: bytes) -> bytes:
+    def _on_segment(self, request: bytes) -> bytes:
         if self._download is None:
-            raise Abort(COMMAND)
+            raise SdoAbort(COMMAND)
         self._check_toggle(request)
         self._download += request[1 : 8 - (request[0] >> 1 & 7)]
         if len(self._download) > LONGEST_DOWNLOAD:
-            raise Abort(TOO_LONG)
+            raise SdoAbort(TOO_LONG)
         if request[0] & 1:
             data, self._download = bytes(self._download), None
             self._objects.write(self._key, data)
@@ -235,5 +235,5 @@ class SdoServer:
 
     def _check_toggle(self, request: bytes) -> None:
         if request[0] & 0x10 != self._toggle:
-            raise Abort(TOGGLE)
+            raise SdoAbort(TOGGLE)
         self._toggle ^= 0x10

@@ -1,1 +1,1 @@
-"""A drive by CiA 402: what its motor can be told, modes of operation, states; on a CANopen node."""
+"""A CiA 402 drive: motor control, modes of operation, states; on a CANopen node."""

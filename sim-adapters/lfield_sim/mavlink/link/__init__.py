@@ -1,1 +1,1 @@
-"""Bytes to messages and back, by way of air that loses, breaks and delays them; signing."""
+"""Packets to messages and back, over a lossy radio link; signing."""

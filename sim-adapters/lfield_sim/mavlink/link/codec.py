@@ -8,14 +8,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import all as dialect
 
-#: The parser keeps what it has read until the buffer is empty, which on a stream may be never.
+#: The parser keeps its input until the buffer is empty, which may never happen on a stream.
 KEPT = 4096
-#: At most so many peers are remembered; the one that was silent longest is forgotten.
+#: Peers stored at most; the one that was silent longest is removed.
 MAX_PEERS = 16
 
 
-class Reader:
-    """The bytes of one peer to messages; what is broken or unknown is left out."""
+class PacketReader:
+    """Parses the bytes of one peer; broken and unknown packets are skipped."""
 
     def __init__(self) -> None:
         self._parser: Any = dialect.MAVLink(None)
@@ -32,25 +32,25 @@ class Reader:
             parser.buf_index = 0
 
 
-class Readers:
+class PacketReaders:
     """A reader for every peer."""
 
     def __init__(self) -> None:
-        self._readers: OrderedDict[Hashable, Reader] = OrderedDict()
+        self._readers: OrderedDict[Hashable, PacketReader] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._readers)
 
     def feed(self, peer: Hashable, data: bytes) -> Iterator[Any]:
         """The messages that these bytes of a peer complete; never raises."""
-        reader = self._readers.setdefault(peer, Reader())
+        reader = self._readers.setdefault(peer, PacketReader())
         self._readers.move_to_end(peer)
         if len(self._readers) > MAX_PEERS:
             self._readers.popitem(last=False)
         return reader.feed(data)
 
 
-class Writer:
+class PacketWriter:
     """Messages of one component to packets, with its own sequence numbers."""
 
     def __init__(self, system: int, component: int) -> None:

@@ -1,7 +1,7 @@
-"""Message signing: who may speak to the vehicle, and the seal of its own packets.
+"""Message signing of a vehicle: verification, and signing of its own packets.
 
-Rules: https://mavlink.io/en/guide/message_signing.html; what an autopilot does with what it does not trust
-was measured on ArduPilot: nothing, without a word.
+Rules: https://mavlink.io/en/guide/message_signing.html; measured on ArduPilot: untrusted messages are
+silently ignored.
 """
 
 from __future__ import annotations
@@ -16,23 +16,23 @@ from pymavlink.dialects.v20 import all as dialect
 
 #: Bytes of a signature block: link id, timestamp (48 bits), signature (48 bits).
 BLOCK, SIGNATURE = 13, 6
-#: A stream that is new may be a minute behind; timestamps count units of 10 us.
+#: A new stream may be a minute behind; timestamps count units of 10 us.
 BEHIND = 60 * 100_000
-#: So many streams (link, system, component) are remembered at most.
+#: Stored streams (link, system, component) at most.
 MAX_STREAMS = 64
-#: Of what the vehicle itself sends.
+#: Link id of the vehicle's own packets.
 LINK_ID = 0
-#: Timestamps in a second, and the last one that 48 bits hold.
+#: Timestamps per second, and the last one in 48 bits.
 PER_SECOND, LATEST = 100_000, (1 << 48) - 1
 
 
-class Signing:
-    """The key of a vehicle, its timestamp, and those of everybody it has heard.
+class MessageSigning:
+    """The key of a vehicle, its timestamp, and those of all received streams.
 
-    It sees every message before it is handled, and the packer before it sends.
+    It checks every message before it is handled, and signs before sending.
 
-    `uptime` in seconds moves the timestamp on. A SETUP_SIGNING for another system is not taken, nor is any
-    that the key does not vouch for once there is one; a key of zeros switches signing off.
+    `uptime` in seconds advances the timestamp. SETUP_SIGNING for another system is ignored, and needs a valid
+    signature once there is a key; a zero key disables signing.
     """
 
     def __init__(self, system: int, uptime: Callable[[], float]) -> None:
@@ -43,11 +43,11 @@ class Signing:
 
     @property
     def timestamp(self) -> int:
-        """The vehicle's own, in 10 us since the first of January 2015."""
+        """The vehicle's timestamp, in 10 us since 1 January 2015."""
         return self._latest + int((self._uptime() - self._since) * PER_SECOND)
 
     def admits(self, message: Any, *, local: bool) -> bool:
-        """Whether a message is listened to: signed by the key and new, or from the serial door."""
+        """Whether a message is accepted: signed by the key and new, or from the serial port."""
         accepted = self.key is None or local or self._is_signed(bytes(message.get_msgbuf()))
         setup = message.get_msgId() == dialect.MAVLINK_MSG_ID_SETUP_SIGNING
         if accepted and setup and message.target_system == self._system:
@@ -55,11 +55,11 @@ class Signing:
         return accepted
 
     def seal(self, packer: Any) -> None:
-        """Have the next packet of a pymavlink `MAVLink` signed, when there is a key."""
+        """Signs the next packet of a pymavlink `MAVLink`, when there is a key."""
         signing = packer.signing
         signing.sign_outgoing, signing.secret_key = self.key is not None, self.key
         if self.key is not None:
-            # No two packets have the same: the second would be a replay to whoever listens.
+            # Timestamps are unique: an equal one would be a replay.
             self._advance_to(self.timestamp + 1)
             signing.link_id, signing.timestamp = LINK_ID, self._latest
 

@@ -1,1 +1,1 @@
-"""The protocols beside flight: parameters, plans (missions, fences, rally points), files."""
+"""MAVLink microservices: parameters, plans (missions, fences, rally points), files."""

@@ -1,7 +1,7 @@
-"""MAVLink FTP as a server: requests in, replies out, over a tree of files in memory. Pure.
+"""MAVLink FTP server: requests in, replies out, over a file tree in memory. Pure.
 
-Protocol: https://mavlink.io/en/services/ftp.html. A request that comes twice is answered twice and carried
-out once, since a reply may be lost. A burst goes out some packets per step, as on a link with a limit.
+Protocol: https://mavlink.io/en/services/ftp.html. A repeated request is answered again but executed once,
+since a reply may be lost. A burst is sent some packets per step, as on a link with a limit.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 
-from lfield_sim.mavlink.services.tree import FtpError, Tree, TreeError
+from lfield_sim.mavlink.services.file_tree import FileTree, FileTreeError, FtpError
 
 #: Bytes of a payload, of its header, and of its data.
 PAYLOAD, HEADER = 251, struct.Struct("<HBBBBBxI")
 DATA = PAYLOAD - HEADER.size
 ACK, NAK = 128, 129
-#: Open files at a time, of all peers (both autopilots have one); peers whose last reply is kept.
+#: Open files at a time, of all peers (both autopilots have one); peers whose last reply is stored.
 MAX_SESSIONS, MAX_PEERS = 1, 16
-#: Packets of a burst that go out in one step, and of one burst until it must be asked to go on.
+#: Packets of a burst per step, and of one burst until the client must continue it.
 BURST_STEP, BURST_LENGTH = 10, 200
 
 Peer = tuple[int, int]
 
 
-class Op(IntEnum):
+class FtpOpcode(IntEnum):
     """MAV_FTP_OPCODE."""
 
     NONE = 0
@@ -50,7 +50,9 @@ class Op(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FtpPacket:
-    """One request or reply. `of` is the opcode that a reply answers, `size` how much data it has or wants."""
+    """One request or reply. `of` is the opcode that a reply answers, `size` the length of its data or of the
+    requested data.
+    """
 
     number: int
     session: int
@@ -63,7 +65,7 @@ class FtpPacket:
 
     @classmethod
     def read(cls, payload: bytes) -> FtpPacket | None:
-        """From the payload of message 110; None when it is none."""
+        """From the payload of message 110; None if invalid."""
         if len(payload) < HEADER.size:
             return None
         number, session, opcode, size, of, over, offset = HEADER.unpack_from(payload)
@@ -71,23 +73,23 @@ class FtpPacket:
         return cls(number, session, opcode, size, of, over, offset, data)
 
     def write(self) -> bytes:
-        """The whole payload of message 110."""
+        """The payload of message 110."""
         head = (self.number, self.session, self.opcode, self.size, self.of, self.burst_over, self.offset)
         return (HEADER.pack(*head) + self.data).ljust(PAYLOAD, b"\0")
 
     @property
     def path(self) -> str:
-        """The data as a path; bytes that are no text become characters that no file name has."""
+        """The data as a path; invalid bytes become characters that no file name has."""
         return self.data.split(b"\0", 1)[0].decode("utf-8", "replace")
 
     def ack(self, data: bytes = b"", *, session: int | None = None) -> FtpPacket:
-        """The answer that it is done; `session` is one that was opened for it."""
+        """A positive answer; `session` is a newly opened one."""
         number = (self.number + 1) & 0xFFFF
         own = self.session if session is None else session
         return FtpPacket(number, own, ACK, len(data), self.opcode, 0, self.offset, data)
 
-    def nak(self, error: TreeError) -> FtpPacket:
-        """The answer that it is refused."""
+    def nak(self, error: FileTreeError) -> FtpPacket:
+        """A refusal."""
         with_errno = error.error is FtpError.FAIL_ERRNO
         data = bytes([error.error, error.number] if with_errno else [error.error])
         return replace(self.ack(data), opcode=NAK)
@@ -95,7 +97,7 @@ class FtpPacket:
 
 @dataclass(slots=True)
 class _Session:
-    """An open file: what was read of it when it was opened, or where to write."""
+    """An open file: its content when it was opened, or where to write."""
 
     path: str
     content: bytes | None = None
@@ -103,7 +105,7 @@ class _Session:
 
 @dataclass(slots=True)
 class _Burst:
-    """The answer to a burst read: pieces of the file, numbered on, until its end or a pause."""
+    """The answer to a burst read: pieces of the file in sequence, until its end or a pause."""
 
     request: FtpPacket
     content: bytes
@@ -111,9 +113,9 @@ class _Burst:
     sent: int = 0
 
     def next(self) -> FtpPacket:
-        """The next packet; the last one says that the burst pauses, or refuses since the file is over."""
+        """The next packet; the last one pauses the burst, or refuses at the end of the file."""
         piece = self.content[self.offset : self.offset + (self.request.size or DATA)]
-        reply = self.request.ack(piece) if piece else self.request.nak(TreeError(FtpError.EOF))
+        reply = self.request.ack(piece) if piece else self.request.nak(FileTreeError(FtpError.EOF))
         number = (reply.number + self.sent) & 0xFFFF
         reply = replace(reply, number=number, offset=self.offset)
         self.sent, self.offset = self.sent + 1, self.offset + len(piece)
@@ -122,16 +124,13 @@ class _Burst:
 
 @dataclass(frozen=True, slots=True)
 class FtpStyle:
-    """How an autopilot serves files.
+    """File service of an autopilot.
 
-    own_sessions     it numbers sessions itself, else the client does
-    unknown          the error for an opcode that it does not know
-    unknown_text     what it says of one, '' for nothing
-    busy             the error for a file more than can be open
-    no_session       the error for a session that is not; `lenient`: but ending one is fine
-    empty_is_root    a folder without a name is the root, else no name
-    entry_end        what ends an entry of a list
-    creates          opening a file to write makes it; making and writing tell a size
+    own_sessions     it assigns session numbers, else the client does unknown          the error for an
+    unknown opcode unknown_text     its text for that, '' for none busy             the error for too many
+    open files no_session       the error for an unknown session; `lenient`: closing one is accepted
+    empty_is_root    an empty folder name is the root, else invalid entry_end        terminator of a list
+    entry creates          opening a file to write creates it; creating and writing return a size.
     """
 
     own_sessions: bool
@@ -175,9 +174,9 @@ def _silence(_: str) -> None:
 
 @dataclass(slots=True)
 class FtpServer:
-    """The files of one vehicle; `say` says a text."""
+    """The files of one vehicle; `say` sends a text."""
 
-    tree: Tree
+    tree: FileTree
     style: FtpStyle = PX4
     say: Callable[[str], None] = _silence
     _sessions: OrderedDict[tuple[Peer, int], _Session] = field(default_factory=OrderedDict)
@@ -185,7 +184,7 @@ class FtpServer:
     _last: OrderedDict[Peer, tuple[FtpPacket, FtpPacket]] = field(default_factory=OrderedDict)
 
     def receive(self, peer: Peer, payload: bytes) -> list[bytes]:
-        """Answer a payload; one that is no request is not answered."""
+        """Answers a payload; an invalid one has no answer."""
         request = FtpPacket.read(payload)
         if request is None or request.opcode in (ACK, NAK):
             return []
@@ -193,7 +192,7 @@ class FtpServer:
             return [self._last[peer][1].write()]
         try:
             reply = self._carry_out(peer, request)
-        except TreeError as error:
+        except FileTreeError as error:
             reply = request.nak(error)
         if reply is None:
             return []
@@ -204,30 +203,30 @@ class FtpServer:
         return [reply.write()]
 
     def advance(self) -> list[tuple[Peer, bytes]]:
-        """The next packets of the bursts that are under way."""
+        """The next packets of running bursts."""
         return [(key[0], packet.write()) for key in list(self._bursts) for packet in self._next_of_burst(key)]
 
     def forget(self) -> None:
-        """Close everything."""
+        """Closes everything."""
         self._sessions.clear()
         self._bursts.clear()
         self._last.clear()
 
     def _carry_out(self, peer: Peer, request: FtpPacket) -> FtpPacket | None:
         if request.size > DATA:
-            raise TreeError(FtpError.INVALID_DATA_SIZE)
+            raise FileTreeError(FtpError.INVALID_DATA_SIZE)
         handler = _HANDLERS.get(request.opcode)
-        if handler is None or (request.opcode == Op.TRUNCATE and not self.style.creates):
+        if handler is None or (request.opcode == FtpOpcode.TRUNCATE and not self.style.creates):
             if self.style.unknown_text:
                 self.say(self.style.unknown_text.format(opcode=request.opcode))
-            raise TreeError(self.style.unknown)
+            raise FileTreeError(self.style.unknown)
         return handler(self, peer, request)
 
     # -- folders and whole files ----------------------------------------------------------------------
 
     def _list(self, _: Peer, request: FtpPacket) -> FtpPacket:
         if not request.path and not self.style.empty_is_root:
-            raise TreeError(FtpError.INVALID_DATA_SIZE)
+            raise FileTreeError(FtpError.INVALID_DATA_SIZE)
         data = b""
         for entry in self.tree.entries(request.path)[request.offset :]:
             text = entry.encode() + self.style.entry_end
@@ -235,7 +234,7 @@ class FtpServer:
                 break
             data += text
         if not data:
-            raise TreeError(FtpError.EOF)
+            raise FileTreeError(FtpError.EOF)
         return request.ack(data)
 
     def _remove(self, _: Peer, request: FtpPacket) -> FtpPacket:
@@ -290,22 +289,22 @@ class FtpServer:
         if self.style.own_sessions:
             number = min(set(range(MAX_SESSIONS + 1)) - taken)
         if len(self._sessions) >= MAX_SESSIONS:
-            raise TreeError(self.style.busy)
+            raise FileTreeError(self.style.busy)
         self._sessions[peer, number] = session
         return number
 
     def _session(self, peer: Peer, request: FtpPacket) -> _Session:
         if (peer, request.session) not in self._sessions:
-            raise TreeError(self.style.no_session)
+            raise FileTreeError(self.style.no_session)
         return self._sessions[peer, request.session]
 
     def _content(self, peer: Peer, request: FtpPacket) -> bytes:
-        """Of the open file; TreeError at its end, and for one that is open for writing."""
+        """Data of the open file; FileTreeError at its end, and for one open for writing."""
         content = self._session(peer, request).content
         if content is None:
-            raise TreeError(FtpError.FAIL)
+            raise FileTreeError(FtpError.FAIL)
         if request.offset >= len(content):
-            raise TreeError(FtpError.EOF)
+            raise FileTreeError(FtpError.EOF)
         return content
 
     def _read(self, peer: Peer, request: FtpPacket) -> FtpPacket:
@@ -329,7 +328,7 @@ class FtpServer:
     def _write(self, peer: Peer, request: FtpPacket) -> FtpPacket:
         session = self._session(peer, request)
         if session.content is not None:
-            raise TreeError(FtpError.FAIL)
+            raise FileTreeError(FtpError.FAIL)
         self.tree.write(session.path, request.offset, request.data)
         return request.ack(self._size(len(request.data)))
 
@@ -356,25 +355,25 @@ def _text(data: bytes) -> str:
 
 
 def ftp_crc32(data: bytes) -> int:
-    """The CRC-32 of FTP: as everybody's, but it starts from 0 and is not inverted at the end."""
+    """The CRC-32 of FTP: the usual one, starting from 0 and not inverted."""
     return zlib.crc32(data, 0xFFFFFFFF) ^ 0xFFFFFFFF
 
 
 _HANDLERS: Mapping[int, Callable[[FtpServer, Peer, FtpPacket], FtpPacket | None]] = {
-    Op.NONE: FtpServer._none,
-    Op.TERMINATE: FtpServer._terminate,
-    Op.RESET: FtpServer._reset,
-    Op.LIST: FtpServer._list,
-    Op.OPEN_READ: FtpServer._open_read,
-    Op.READ: FtpServer._read,
-    Op.CREATE: FtpServer._create,
-    Op.WRITE: FtpServer._write,
-    Op.REMOVE: FtpServer._remove,
-    Op.MAKE_FOLDER: FtpServer._make_folder,
-    Op.REMOVE_FOLDER: FtpServer._remove_folder,
-    Op.OPEN_WRITE: FtpServer._open_write,
-    Op.TRUNCATE: FtpServer._truncate,
-    Op.RENAME: FtpServer._rename,
-    Op.CRC32: FtpServer._crc32,
-    Op.BURST_READ: FtpServer._burst_read,
+    FtpOpcode.NONE: FtpServer._none,
+    FtpOpcode.TERMINATE: FtpServer._terminate,
+    FtpOpcode.RESET: FtpServer._reset,
+    FtpOpcode.LIST: FtpServer._list,
+    FtpOpcode.OPEN_READ: FtpServer._open_read,
+    FtpOpcode.READ: FtpServer._read,
+    FtpOpcode.CREATE: FtpServer._create,
+    FtpOpcode.WRITE: FtpServer._write,
+    FtpOpcode.REMOVE: FtpServer._remove,
+    FtpOpcode.MAKE_FOLDER: FtpServer._make_folder,
+    FtpOpcode.REMOVE_FOLDER: FtpServer._remove_folder,
+    FtpOpcode.OPEN_WRITE: FtpServer._open_write,
+    FtpOpcode.TRUNCATE: FtpServer._truncate,
+    FtpOpcode.RENAME: FtpServer._rename,
+    FtpOpcode.CRC32: FtpServer._crc32,
+    FtpOpcode.BURST_READ: FtpServer._burst_read,
 }

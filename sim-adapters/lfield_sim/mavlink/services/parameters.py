@@ -1,12 +1,12 @@
-"""Parameters on the wire: read, set, listed, each autopilot with its own way of writing integers.
+"""Parameter protocol, with each autopilot's encoding of integers.
 
-Protocol: https://mavlink.io/en/services/parameter.html. PX4 puts the bytes of an integer where a float would
-be, ArduPilot its value as a float.
+Protocol: https://mavlink.io/en/services/parameter.html. PX4 puts the bytes of an integer into the float,
+ArduPilot its value.
 
-What there is beyond the parameters that the model heeds is a table for each flavour and kind in the folder
-`tables`: `name,type,value`. The names and types are those of the autopilots
+Parameters that the model does not use are in a table for each flavour and kind in the folder `tables`:
+`name,type,value`. Names and types are those of the autopilots
 (https://ardupilot.org/copter/docs/parameters.html,
-https://docs.px4.io/main/en/advanced_config/parameter_reference.html); the choice is ours.
+https://docs.px4.io/main/en/advanced_config/parameter_reference.html); the selection is ours.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.services.service import Service
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.services.service import VehicleService
 
-#: Values of a list that go out after one step of the model: 1500 a second.
+#: List values sent per step of the model: 1500 a second.
 PER_STEP = 30
-#: ArduPilot looks up names at 10 Hz, and tells no index with what it found.
-LOOK_UP, NO_INDEX = 0.1, 65535
-#: Names that wait to be looked up at most.
-MOST_NAMES = 100
+#: ArduPilot looks up names at 10 Hz, and answers without an index.
+LOOKUP_DELAY, NO_INDEX = 0.1, 65535
+#: Pending names at most.
+MAX_NAMES = 100
 
 
-#: What PX4 lists first: a checksum of all the others, by which a client knows them again.
+#: PX4's first list entry: a checksum of all others, by which a client detects changes.
 HASH = "_HASH_CHECK"
-#: Counters that ArduPilot tells when they change (ap-copter.g-mission).
+#: Counters that ArduPilot sends when they change (ap-copter.g-mission).
 COUNTERS = ("MIS_TOTAL", "FENCE_TOTAL", "RALLY_TOTAL")
 
 
 class ParameterType(IntEnum):
-    """MAV_PARAM_TYPE, the part that autopilots use."""
+    """The used values of MAV_PARAM_TYPE."""
 
     INT8 = 2
     INT16 = 4
@@ -53,14 +53,14 @@ class ParameterType(IntEnum):
 
     @property
     def bounds(self) -> tuple[int, int]:
-        """The least and the greatest value of an integer type."""
+        """The range of an integer type."""
         bits = {ParameterType.INT8: 7, ParameterType.INT16: 15}.get(self, 31)
         return -(1 << bits), (1 << bits) - 1
 
 
 @dataclass(frozen=True, slots=True)
 class ParameterRow:
-    """The type of a parameter, and what it is when nothing else is said."""
+    """The type of a parameter, and its default value."""
 
     type: ParameterType
     value: float
@@ -76,14 +76,14 @@ def parameter_table(flavour: str, kind: str) -> Mapping[str, ParameterRow]:
     }
 
 
-class Parameters(Service):
+class ParameterService(VehicleService):
     """The parameter protocol.
 
-    An unknown name gets no answer, nor does a wrong type from PX4, or NaN from
-    ArduPilot; PX4 takes NaN, and what is beyond a parameter's range.
+    An unknown name has no answer, nor has a wrong type on PX4, or NaN on ArduPilot; PX4 accepts NaN, and
+    values beyond a parameter's range.
     """
 
-    def __init__(self, autopilot: Autopilot, place: Place) -> None:
+    def __init__(self, autopilot: Autopilot, place: GeoOrigin) -> None:
         super().__init__(autopilot, place)
         table = parameter_table(autopilot.flavour.name, autopilot.kind.name)
         self._rows = table
@@ -93,7 +93,7 @@ class Parameters(Service):
         self._names = sorted(autopilot.parameters)
         self._numbers = {name: number for number, name in enumerate(self._names)}
         self._listing: deque[str] = deque()
-        self._looked_up: deque[tuple[float, str]] = deque(maxlen=MOST_NAMES)
+        self._requested: deque[tuple[float, str]] = deque(maxlen=MAX_NAMES)
         self._counted = {name: autopilot.parameters[name] for name in COUNTERS if name in self._numbers}
         self.handles = {
             dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: self._on_request_read,
@@ -102,10 +102,10 @@ class Parameters(Service):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """The names that were looked up, counters that have changed, and the next values of a list."""
+        """Looked-up names, changed counters, and the next values of a list."""
         found: list[Any] = []
-        while self._looked_up and now >= self._looked_up[0][0]:
-            found.append(self._value(self._looked_up.popleft()[1], named=True))
+        while self._requested and now >= self._requested[0][0]:
+            found.append(self._value(self._requested.popleft()[1], named=True))
         for name, before in self._counted.items():
             if (count := self.autopilot.parameters[name]) != before:
                 self._counted[name] = count
@@ -114,9 +114,9 @@ class Parameters(Service):
         return found + [self._value(name) for name in listed]
 
     def reboot(self) -> None:
-        """A list that was under way is not gone on with; values stay."""
+        """Ends a running list; values stay."""
         self._listing.clear()
-        self._looked_up.clear()
+        self._requested.clear()
 
     def _on_request_read(self, message: Any) -> list[Any]:
         name, number = message.param_id, message.param_index
@@ -127,7 +127,7 @@ class Parameters(Service):
         if name not in self._numbers:
             return []
         if number < 0 and not self._bytewise:
-            self._looked_up.append((self.autopilot.now + LOOK_UP, name))
+            self._requested.append((self.autopilot.now + LOOKUP_DELAY, name))
             return []
         return [self._value(name)]
 
@@ -148,7 +148,7 @@ class Parameters(Service):
         changed = self.autopilot.parameters[name] != value
         self.autopilot.parameters[name] = value
         self.autopilot.apply_parameters()
-        # PX4 answers, and then tells everybody what has changed.
+        # PX4 answers, and then broadcasts the change.
         told = [self._value(name, named=True)]
         return told * 2 if self._bytewise and changed else told
 
@@ -156,7 +156,7 @@ class Parameters(Service):
         return self._rows.get(name, ParameterRow(ParameterType.REAL32, 0.0))
 
     def _value(self, name: str, *, named: bool = False) -> Any:
-        """PARAM_VALUE 22; `named`: it was asked for, or set, by its name."""
+        """PARAM_VALUE 22; `named`: requested or set by name."""
         kind, number = self._row(name).type, self._numbers[name]
         if named and not self._bytewise:
             number = NO_INDEX
@@ -164,7 +164,7 @@ class Parameters(Service):
         return dialect.MAVLink_param_value_message(name.encode(), value, kind, len(self._names), number)
 
     def _hash(self) -> Any:
-        """PX4's checksum, which is no parameter: it has no index and a type of its own."""
+        """PX4's checksum, which has no index and its own type."""
         values = (f"{name}={self.autopilot.parameters[name]!r}" for name in self._names)
         number = zlib.crc32(" ".join(values).encode())
         value: float = struct.unpack("<f", struct.pack("<I", number))[0]
@@ -178,7 +178,7 @@ class Parameters(Service):
         return encoded
 
     def _decoded(self, value: float, kind: ParameterType) -> float:
-        """What a foreign value means: whole and within its type where it is an integer."""
+        """A received value, rounded and limited for an integer type."""
         if kind is ParameterType.REAL32:
             return value
         if self._bytewise:

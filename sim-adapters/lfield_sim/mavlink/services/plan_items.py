@@ -1,6 +1,6 @@
-"""One item of a plan (mission, fence or rally points): from the wire, to the wire, and what makes it wrong.
+"""One item of a plan (mission, fence or rally points): decoding, encoding, and checks.
 
-Mission protocol: https://mavlink.io/en/services/mission.html
+Mission protocol: https://mavlink.io/en/services/mission.html.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class PlanType(IntEnum):
 
 
 class PlanResult(IntEnum):
-    """MAV_MISSION_RESULT, the part that is used."""
+    """The used values of MAV_MISSION_RESULT."""
 
     ACCEPTED = 0
     ERROR = 1
@@ -43,37 +43,37 @@ class PlanResult(IntEnum):
     OPERATION_CANCELLED = 15
 
 
-#: Frames of a global place: above sea level, above home, above terrain; each with its INT twin.
+#: Global frames: above sea level, above home, above terrain; each with its INT twin.
 ABOVE_SEA, ABOVE_HOME, ABOVE_TERRAIN = frozenset({0, 5}), frozenset({3, 6}), frozenset({10, 11})
 PLACED = ABOVE_SEA | ABOVE_HOME | ABOVE_TERRAIN
-#: MAV_FRAME_MISSION: the command has no place.
+#: MAV_FRAME_MISSION: a command without a position.
 UNPLACED = 2
 
 WAYPOINT, TAKEOFF, VTOL_TAKEOFF = 16, 22, 84
-#: Commands that both autopilots fly to: waypoint, loiter (for ever, for a time, to a height), land, takeoff,
-#: and the landing and takeoff of what can hover.
+#: Commands with a position of both autopilots: waypoint, loiter (unlimited, for a time, to a height), land,
+#: takeoff, and VTOL landing and takeoff.
 BOTH_PLACES = frozenset({WAYPOINT, 17, 19, 21, TAKEOFF, 31, VTOL_TAKEOFF, 85})
-#: Those of ArduPilot alone: turns, change of height on the way, arc, spline, placing a payload.
+#: Those of ArduPilot only: turns, change of height, arc, spline, payload placement.
 ARDUPILOT_PLACES = BOTH_PLACES | {18, 30, 36, 82, 94}
 PLACE_COMMANDS = ARDUPILOT_PLACES
-#: Done at once or waited for by both: return, delays, distance; jump, speed, home, region of interest,
+#: Immediate or delaying commands of both: return, delays, distance; jump, speed, home, region of interest,
 #: camera, gimbal, gripper, winch, landing mark.
 _BOTH = frozenset(
     {20, 93, 112, 114, 177, 178, 179, 189, 195, 197, 201, 203, 205, 206, 211, 212, 530, 532, 534, 1000}
     | {2000, 2001, 2500, 2501, 42600}
 )
-#: By ArduPilot alone: yaw, relays, servos, fence, parachute, inverted flight, direction, guided flight and
-#: its limits, engine, sprayer, scripts, switches, tags of jumps.
+#: Of ArduPilot only: yaw, relays, servos, fence, parachute, inverted flight, direction, guided flight and its
+#: limits, engine, sprayer, scripts, switches, jump tags.
 _ARDUPILOT = frozenset(
     {92, 115, 181, 182, 183, 184, 188, 194, 202, 207, 208, 210, 213, 215, 216, 217, 218, 222, 223, 531}
     | {600, 601, 42702, 42703}
 )
-#: By PX4 alone: outputs, triggers, transitions, the gate, arming.
+#: Of PX4 only: outputs, triggers, transitions, the gate, arming.
 _PX4 = frozenset({80, 187, 196, 200, 204, 214, 260, 400, 1001, 2003, 3000, 4501})
 RALLY = 5100
 FENCE_RETURN, POLYGON_IN, POLYGON_OUT, CIRCLE_IN, CIRCLE_OUT = 5000, 5001, 5002, 5003, 5004
 POLYGONS, CIRCLES = frozenset({POLYGON_IN, POLYGON_OUT}), frozenset({CIRCLE_IN, CIRCLE_OUT})
-#: Of missions that ArduPilot takes, and PX4.
+#: Mission commands accepted by ArduPilot, and PX4.
 ARDUPILOT_COMMANDS = ARDUPILOT_PLACES | _BOTH | _ARDUPILOT
 PX4_COMMANDS = BOTH_PLACES | _BOTH | _PX4
 COMMANDS = {
@@ -89,7 +89,7 @@ _PARAMS = (
 
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class PlanItem:
     """One item: `values` are param1 to param4, `x` and `y` 1e-7 degrees, `z` metres in its frame."""
 
     command: int
@@ -101,8 +101,8 @@ class Item:
     autocontinue: int = 1
 
     @classmethod
-    def read(cls, message: Any) -> Item:
-        """Of MISSION_ITEM_INT 73, or of the old MISSION_ITEM 39 with its degrees in floats."""
+    def read(cls, message: Any) -> PlanItem:
+        """From MISSION_ITEM_INT 73, or the old MISSION_ITEM 39 with float degrees."""
         x, y = message.x, message.y
         if message.get_msgId() == dialect.MAVLINK_MSG_ID_MISSION_ITEM:
             x, y = _tenths_of_micro(x), _tenths_of_micro(y)
@@ -112,7 +112,7 @@ class Item:
     def write(
         self, peer: tuple[int, int], number: int, kind: PlanType, *, current: bool, whole: bool = True
     ) -> Any:
-        """As MISSION_ITEM_INT, or as MISSION_ITEM where `whole` numbers were not asked for."""
+        """As MISSION_ITEM_INT, or as MISSION_ITEM unless `whole`."""
         head = (*peer, number, self.frame, self.command, int(current), self.autocontinue, *self.values)
         if whole:
             return dialect.MAVLink_mission_item_int_message(*head, self.x, self.y, self.z, int(kind))
@@ -124,8 +124,10 @@ class Item:
         return self.x / 1e7, self.y / 1e7
 
 
-def check(item: Item, kind: PlanType, *, nan_means_unset: bool) -> PlanResult:
-    """Whether an autopilot takes an item. PX4 has NaN for "not given"; ArduPilot only as a waypoint's yaw."""
+def check(item: PlanItem, kind: PlanType, *, nan_means_unset: bool) -> PlanResult:
+    """Whether an autopilot accepts an item. PX4 uses NaN for "not given"; ArduPilot only for a waypoint's
+    yaw.
+    """
     missions = PX4_COMMANDS if nan_means_unset else ARDUPILOT_COMMANDS
     if item.command not in COMMANDS.get(kind, missions):
         return PlanResult.UNSUPPORTED
@@ -140,8 +142,8 @@ def check(item: Item, kind: PlanType, *, nan_means_unset: bool) -> PlanResult:
     return PlanResult.ACCEPTED
 
 
-def check_fence(items: Sequence[Item]) -> PlanResult:
-    """Whether the vertices of each polygon are all there, three at least, and circles have a radius."""
+def check_fence(items: Sequence[PlanItem]) -> PlanResult:
+    """Whether all vertices of each polygon are present, at least three, and circles have a radius."""
     left, of = 0, (0, 0.0)
     for item in items:
         if item.command in POLYGONS:
@@ -156,16 +158,16 @@ def check_fence(items: Sequence[Item]) -> PlanResult:
     return PlanResult.INVALID if left else PlanResult.ACCEPTED
 
 
-def is_too_small(item: Item) -> bool:
-    """Whether an item is of a polygon that says it has fewer than three corners."""
+def is_too_small(item: PlanItem) -> bool:
+    """Whether an item's polygon declares fewer than three corners."""
     return item.command in POLYGONS and not item.values[0] >= 3
 
 
-def _has_place(item: Item, kind: PlanType) -> bool:
+def _has_place(item: PlanItem, kind: PlanType) -> bool:
     return kind is not PlanType.MISSION or item.command in PLACE_COMMANDS
 
 
-def _check_place(item: Item) -> PlanResult:
+def _check_place(item: PlanItem) -> PlanResult:
     latitude, longitude = item.degrees
     if abs(latitude) > 90.0:
         return PlanResult.INVALID_PARAM5_X
@@ -175,5 +177,5 @@ def _check_place(item: Item) -> PlanResult:
 
 
 def _tenths_of_micro(degrees: float) -> int:
-    """Degrees as 1e-7 degrees; what is no such number becomes one that every check refuses."""
+    """Degrees as 1e-7 degrees; an invalid number becomes one that every check refuses."""
     return round(degrees * 1e7) if abs(degrees) <= 180.0 else 0x7FFFFFFF

@@ -1,11 +1,10 @@
-"""Plans by the mission protocol: missions, fences and rally points are sent, fetched and cleared alike.
+"""Mission protocol, server side: upload, download and clearing of missions, fences and rally points.
 
-The vehicle leads an upload: it asks for item after item, asks again when one does not come, and gives up in
-the end. PX4 changes a plan only when all of a new one has come and is right. ArduPilot writes a mission over
-the old one item by item: one that fails leaves the new items that came, and of the old ones as many as the
-new count says. Pure: messages in, messages out.
+The vehicle leads an upload: it requests item after item, repeats lost requests, and finally gives up. PX4
+replaces a plan only after a complete, valid upload. ArduPilot overwrites a mission item by item: a failed one
+leaves the new items received, and as many old ones as the new count says. Pure: messages in, messages out.
 
-Protocol: https://mavlink.io/en/services/mission.html; what the two autopilots do with it was measured.
+Protocol: https://mavlink.io/en/services/mission.html; behaviour of both autopilots as measured.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.mavlink.services.plan_items import (
-    Item,
+    PlanItem,
     PlanResult,
     PlanType,
     check,
@@ -26,9 +25,9 @@ from lfield_sim.mavlink.services.plan_items import (
     is_too_small,
 )
 
-#: mission_type of a CLEAR_ALL that means every plan.
+#: mission_type of a CLEAR_ALL for every plan.
 ALL = 255
-#: What the sum of steps may be short of a time, in seconds; and whose lists are remembered at most.
+#: Tolerance of accumulated steps in seconds; peers whose lists are stored.
 HAIR, MAX_PEERS = 1e-6, 16
 
 Peer = tuple[int, int]
@@ -36,14 +35,14 @@ Peer = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class PlanStyle:
-    """How an autopilot speaks the protocol.
+    """An autopilot's variant of the protocol.
 
-    `home_first`: item 0 of a mission is home, whatever was uploaded, and is there before anything was.
-    `old_request`: asks by the deprecated MISSION_REQUEST 40. `refuses_disorder`: an item out of turn ends
-    the upload, instead of being asked for again. `writes_at_once`: see above. `needs_list`: who did not ask
-    for the list gets no item. `cancels`: an upload that is given up gets an acknowledgement. `frames`: which
-    frame is read back instead of which. `texts`: what is said of what happens (`timeout`, `received`,
-    `fence`, `invalid`, `polygon`, `old`). Times in seconds.
+    `home_first`: item 0 of a mission is home, whatever was uploaded, also before the first upload.
+    `old_request`: uses the deprecated MISSION_REQUEST 40. `refuses_disorder`: an item out of order ends the
+    upload, instead of being requested again. `writes_at_once`: see above. `needs_list`: items are sent only
+    after a list request. `cancels`: an abandoned upload gets an acknowledgement. `frames`: frames that are
+    read back as others. `texts`: texts of events (`timeout`, `received`, `fence`, `invalid`, `polygon`,
+    `old`). Times in seconds.
     """
 
     home_first: bool
@@ -98,14 +97,14 @@ PX4 = PlanStyle(
 
 @dataclass(slots=True)
 class _Upload:
-    """A plan on its way: who sends it, and when something came or was asked for last."""
+    """A running upload: its sender, and the time of the last message."""
 
     peer: Peer
     kind: PlanType
     count: int
-    heard: float
+    last_received: float
     asked: float
-    items: list[Item] = field(default_factory=list)
+    items: list[PlanItem] = field(default_factory=list)
 
 
 def _nothing(_: PlanType, whole: bool) -> None:
@@ -119,29 +118,29 @@ def _silence(_: str) -> None:
 class PlanProtocol:
     """The plans of one vehicle.
 
-    `home` is item 0 of an ArduPilot mission, None while there is none; `changed` hears of new plans, and
-    whether they are whole; `say` says a text.
+    `home` is item 0 of an ArduPilot mission, None without one; `changed` is called for new plans, with
+    whether they are complete; `say` sends a text.
     """
 
     def __init__(
         self,
         style: PlanStyle,
-        home: Callable[[], Item | None],
+        home: Callable[[], PlanItem | None],
         changed: Callable[[PlanType, bool], None] = _nothing,
         say: Callable[[str], None] = _silence,
     ) -> None:
         self._style, self._home, self._changed, self._speak = style, home, changed, say
-        self.items: dict[PlanType, list[Item]] = {kind: [] for kind in PlanType}
-        #: Whether no mission was ever stored or cleared: ArduPilot has its home as one, then.
+        self.items: dict[PlanType, list[PlanItem]] = {kind: [] for kind in PlanType}
+        #: Whether no mission was ever stored or cleared: ArduPilot then has its home as one.
         self.untouched = style.home_first
         self._listed: OrderedDict[Peer, PlanType] = OrderedDict()
         self._warned = False
-        #: The item of the mission that is flown now, for downloads.
+        #: The current item of the mission, for downloads.
         self.current = 0
         self._upload: _Upload | None = None
 
     def receive(self, message: Any, now: float) -> list[Any]:
-        """Answer a message of the protocol; one that is not in HANDLED is not answered."""
+        """Answers a message of the protocol; others are ignored."""
         handler = _HANDLERS.get(message.get_msgId())
         if handler is None:
             return []
@@ -152,11 +151,11 @@ class PlanProtocol:
         return handler(self, message, PlanType(message.mission_type), now)
 
     def advance(self, now: float) -> list[Any]:
-        """Ask again for an item that does not come, and give up on one that never came."""
+        """Repeats the request for a missing item, and finally gives up."""
         upload = self._upload
         if upload is None:
             return []
-        if now - upload.heard > self._style.give_up - HAIR:
+        if now - upload.last_received > self._style.give_up - HAIR:
             self._upload = None
             self._say("timeout")
             cancelled = _ack(upload.peer, PlanResult.OPERATION_CANCELLED, upload.kind)
@@ -166,7 +165,7 @@ class PlanProtocol:
         return []
 
     def forget(self) -> None:
-        """Break off an upload, without a word."""
+        """Aborts an upload silently."""
         self._upload = None
 
     # -- uploads --------------------------------------------------------------------------------------
@@ -193,7 +192,7 @@ class PlanProtocol:
         wanted = len(upload.items)
         if message.seq != wanted:
             return self._out_of_turn(upload, message.seq, now)
-        item = Item.read(message)
+        item = PlanItem.read(message)
         result = check(item, kind, nan_means_unset=self._style.nan_means_unset)
         if result is PlanResult.ACCEPTED and self._style.needs_list and is_too_small(item):
             result = PlanResult.ERROR
@@ -204,12 +203,12 @@ class PlanProtocol:
         upload.items.append(item)
         if self._style.writes_at_once and kind is PlanType.MISSION:
             self._write(kind, [*upload.items, *self.items[kind][len(upload.items) :]])
-        upload.heard = now
+        upload.last_received = now
         return self._finish(upload) if len(upload.items) == upload.count else [self._request(upload, now)]
 
     def _out_of_turn(self, upload: _Upload, number: int, now: float) -> list[Any]:
         if number == len(upload.items) - 1:
-            # The item before, once more: its sender did not hear the request that followed it.
+            # The previous item again: its sender missed the following request.
             return [self._request(upload, now)]
         if self._style.refuses_disorder:
             return self._end(upload, PlanResult.INVALID_SEQUENCE)
@@ -225,8 +224,8 @@ class PlanProtocol:
             result = self._refuse_fence(upload.items)
         return self._end(upload, result)
 
-    def _refuse_fence(self, items: list[Item]) -> PlanResult:
-        """ArduPilot has one result for all that may be wrong with a fence, and says what it was."""
+    def _refuse_fence(self, items: list[PlanItem]) -> PlanResult:
+        """ArduPilot has one result for all mistakes of a fence, and a text with the reason."""
         corners = next((item.values[0] for item in items if is_too_small(item)), None)
         if corners is not None:
             self._speak(f"Invalid vertex count ({corners:.0f})")
@@ -270,14 +269,14 @@ class PlanProtocol:
         if not whole and not self._warned:
             self._warned = True
             self._say("old")
-        # PX4 takes the first item of a fence or of rally points for the current one; ArduPilot never home.
+        # PX4 treats the first item of a fence or of rally points as current; ArduPilot never home.
         current = self.current if kind is PlanType.MISSION else 0
         is_current = number == current and not (self._style.home_first and number == 0)
         item = replace(item, frame=self._style.frames.get(item.frame, item.frame))
         return [item.write(peer, number, kind, current=is_current, whole=whole)]
 
     def _on_ack(self, message: Any, kind: PlanType, _: float) -> list[Any]:
-        """The end of a download needs nothing; anything but ACCEPTED calls an upload off."""
+        """The end of a download needs no action; anything but ACCEPTED cancels an upload."""
         upload = self._upload
         self._listed.pop(_peer(message), None)
         if upload is not None and (upload.peer, upload.kind) == (_peer(message), kind) and message.type:
@@ -289,25 +288,25 @@ class PlanProtocol:
             self._say("fence")
         return self._clear(_peer(message), [kind], kind)
 
-    def _clear(self, peer: Peer, kinds: list[PlanType], told: int) -> list[Any]:
+    def _clear(self, peer: Peer, kinds: list[PlanType], acknowledged: int) -> list[Any]:
         if self._upload is not None and self._upload.peer != peer and self._upload.kind in kinds:
-            return [_ack(peer, PlanResult.DENIED, told)]
+            return [_ack(peer, PlanResult.DENIED, acknowledged)]
         self._upload = None
         for kind in kinds:
             self._store(kind, [])
-        return [_ack(peer, PlanResult.ACCEPTED, told)]
+        return [_ack(peer, PlanResult.ACCEPTED, acknowledged)]
 
-    def stored(self, kind: PlanType) -> list[Item]:
-        """The items of a plan as they are read back; an ArduPilot that never had a mission has its home."""
+    def stored(self, kind: PlanType) -> list[PlanItem]:
+        """The stored items as read back; an ArduPilot that never had a mission has its home."""
         if kind is PlanType.MISSION and self.untouched:
             home = self._home()
             return [home] if home is not None else []
         return self.items[kind]
 
-    def _store(self, kind: PlanType, items: list[Item]) -> None:
+    def _store(self, kind: PlanType, items: list[PlanItem]) -> None:
         self._write(kind, items, whole=True)
 
-    def _write(self, kind: PlanType, items: list[Item], *, whole: bool = False) -> None:
+    def _write(self, kind: PlanType, items: list[PlanItem], *, whole: bool = False) -> None:
         self.items[kind] = items
         if kind is PlanType.MISSION:
             self.untouched = False
@@ -337,5 +336,5 @@ _HANDLERS: Mapping[int, Callable[[PlanProtocol, Any, PlanType, float], list[Any]
     dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: PlanProtocol._on_clear_all,
 }
 
-#: The ids of the messages that the protocol is made of.
+#: Message ids of the protocol.
 HANDLED = frozenset(_HANDLERS)

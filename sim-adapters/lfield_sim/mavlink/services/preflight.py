@@ -1,8 +1,8 @@
-"""Calibrations and pre-arm checks, as far as a client sees them: results, texts and what they forbid.
+"""Calibrations and pre-arm checks as seen by clients: results, texts and arming restrictions.
 
-Nothing is calibrated. ArduPilot answers when a calibration is over, PX4 when it begins, and then tells its
-progress by texts. One that needs hands (ArduPilot's accelerometer, PX4's magnetometer and accelerometer)
-never ends by itself; PX4's barometer does not either, as in its simulator.
+Nothing is calibrated. ArduPilot answers at the end of a calibration, PX4 at its start, followed by texts
+about its progress. One that needs manual motion (ArduPilot's accelerometer, PX4's magnetometer and
+accelerometer) never ends by itself; nor does PX4's barometer, as in its simulator.
 """
 
 from __future__ import annotations
@@ -13,22 +13,22 @@ from typing import Any
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.autopilot.flavours import Result
-from lfield_sim.mavlink.command import Answer, Command, Late
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.services.service import Service
+from lfield_sim.autopilot.flavours import MavResult
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.mav_command import CommandAnswer, DelayedResult, MavCommand
+from lfield_sim.mavlink.services.service import VehicleService
 
 #: PREFLIGHT_CALIBRATION: 1-based parameters, and values of the fifth.
 GYRO, MAGNETOMETER, PRESSURE, RADIO, ACCELEROMETER = 1, 2, 3, 4, 5
 WHOLE, LEVEL, SIMPLE = 1, 2, 4
 #: MAV_CMD_RUN_PREARM_CHECKS, DO_START_MAG_CAL and DO_CANCEL_MAG_CAL.
 PREARM_CHECKS, MAG_CAL, CANCEL_MAG_CAL = 401, 42424, 42426
-#: Seconds that ArduPilot is busy with its gyros: copter, rover.
+#: Seconds of ArduPilot's gyro calibration: copter, rover.
 GYRO_TIME, GYRO_TIME_ROVER = 0.5, 2.1
-#: PX4's progress: seconds from text to text, and the steps in percent of gyro and level.
+#: PX4's progress: seconds between texts, and the steps in percent of gyro and level.
 STEP_TIME = 0.1
 STEPS = {"gyro": range(0, 101, 10), "level": range(0, 101, 20)}
-#: What PX4 says of a magnetometer that waits to be turned, with the seconds after the start.
+#: PX4's texts for a magnetometer that waits to be turned, with seconds after the start.
 TURNING: Sequence[tuple[float, str]] = (
     (0.05, "[cal] pending: back front left right up down"),
     (0.1, "[cal] hold vehicle still on a pending side"),
@@ -41,10 +41,10 @@ RADIO_RUNS = "RC calibrating"
 REBOOT_NEEDED = "Compass calibrated requires reboot"
 
 
-class Preflight(Service):
+class PreflightService(VehicleService):
     """The calibrations and checks of one vehicle."""
 
-    def __init__(self, autopilot: Autopilot, place: Place) -> None:
+    def __init__(self, autopilot: Autopilot, place: GeoOrigin) -> None:
         super().__init__(autopilot, place)
         self._running = ""
         self._to_say: list[tuple[float, str]] = []
@@ -56,7 +56,7 @@ class Preflight(Service):
         }
 
     def advance(self, now: float) -> list[Any]:
-        """Say what is due; a calibration of PX4 ends with its last text."""
+        """The texts that are due; a calibration of PX4 ends with its last text."""
         while self._to_say and now >= self._to_say[0][0]:
             _, text = self._to_say.pop(0)
             self.autopilot.say(text)
@@ -65,7 +65,7 @@ class Preflight(Service):
         return []
 
     def reboot(self) -> None:
-        """Nothing runs any more."""
+        """Nothing is running."""
         self._to_say.clear()
         self._end()
 
@@ -77,37 +77,37 @@ class Preflight(Service):
 
     # -- checks ---------------------------------------------------------------------------------------
 
-    def _check(self, _: Command) -> Answer:
+    def _check(self, _: MavCommand) -> CommandAnswer:
         pilot = self.autopilot
         unfit = pilot.unfit
         reasons = (unfit.reasons or ()) if unfit else ()
         for reason in () if pilot.flavour.submodes else reasons:
             pilot.say(f"PreArm: {reason}")
-        return Result.ACCEPTED, []
+        return MavResult.ACCEPTED, []
 
-    def _turn_compass(self, command: Command) -> Answer:
-        """ArduPilot's way to calibrate the compass: once begun, it asks for a restart, cancelled or not."""
+    def _turn_compass(self, command: MavCommand) -> CommandAnswer:
+        """ArduPilot's compass calibration: once started, it requires a restart, even if cancelled."""
         pilot = self.autopilot
         if pilot.flavour.submodes:
-            return Result.UNSUPPORTED, []
+            return MavResult.UNSUPPORTED, []
         if command.number == CANCEL_MAG_CAL and not pilot.ailing:
             pilot.ailing = REBOOT_NEEDED
             self._say_later(1.6, f"PreArm: {REBOOT_NEEDED}")
-        return Result.ACCEPTED, []
+        return MavResult.ACCEPTED, []
 
     # -- calibrations ---------------------------------------------------------------------------------
 
-    def _calibrate(self, command: Command) -> Answer:
+    def _calibrate(self, command: MavCommand) -> CommandAnswer:
         which = next((n for n in range(1, 8) if command.value(n) != 0.0), 0)
         if self.autopilot.flavour.submodes:
             return self._calibrate_px4(which, command.whole(ACCELEROMETER))
         return self._calibrate_ardupilot(which, command.whole(ACCELEROMETER))
 
-    def _calibrate_ardupilot(self, which: int, kind: int) -> Answer:
+    def _calibrate_ardupilot(self, which: int, kind: int) -> CommandAnswer:
         pilot = self.autopilot
         if pilot.armed:
             pilot.say("Disarm to allow calibration")
-            return Result.FAILED, []
+            return MavResult.FAILED, []
         busy = GYRO_TIME if pilot.flies else GYRO_TIME_ROVER
         if which == GYRO or (which == ACCELEROMETER and kind == WHOLE and not self._running):
             pilot.say("Initialising ArduPilot")
@@ -115,9 +115,9 @@ class Preflight(Service):
                 self._running = "accel"
                 text = "Place vehicle level and press any key."
                 self._say_later(busy + 0.06, text)
-            return Late(Result.ACCEPTED, busy), []
+            return DelayedResult(MavResult.ACCEPTED, busy), []
         if which == ACCELEROMETER and kind in (WHOLE, LEVEL, SIMPLE):
-            return (Result.TEMPORARILY_REJECTED if self._running else Result.ACCEPTED), []
+            return (MavResult.TEMPORARILY_REJECTED if self._running else MavResult.ACCEPTED), []
         if which == RADIO and pilot.flies and not pilot.ailing:
             pilot.ailing = RADIO_RUNS
             self._say_later(1.1, f"PreArm: {RADIO_RUNS}")
@@ -126,25 +126,25 @@ class Preflight(Service):
         if which == PRESSURE:
             pilot.say("Updating barometer calibration")
             pilot.say("Barometer calibration complete")
-            return Result.ACCEPTED, []
-        return Result.UNSUPPORTED, []
+            return MavResult.ACCEPTED, []
+        return MavResult.UNSUPPORTED, []
 
-    def _calibrate_px4(self, which: int, kind: int) -> Answer:
+    def _calibrate_px4(self, which: int, kind: int) -> CommandAnswer:
         if which == 0:
             return self._cancel()
         if self._running or self.autopilot.armed:
-            return Result.TEMPORARILY_REJECTED, []
+            return MavResult.TEMPORARILY_REJECTED, []
         if which == ACCELEROMETER and kind == SIMPLE:
-            return Result.ACCEPTED, []
+            return MavResult.ACCEPTED, []
         name = {GYRO: "gyro", MAGNETOMETER: "mag", PRESSURE: "baro", ACCELEROMETER: "accel"}.get(which, "")
         if which == ACCELEROMETER and kind == LEVEL:
             name = "level"
         if not name:
-            return Result.UNSUPPORTED, []
-        self._begin(name)
-        return Result.ACCEPTED, []
+            return MavResult.UNSUPPORTED, []
+        self._start_calibration(name)
+        return MavResult.ACCEPTED, []
 
-    def _begin(self, name: str) -> None:
+    def _start_calibration(self, name: str) -> None:
         self._running, self.autopilot.calibrating = name, True
         self.autopilot.say(f"[cal] calibration started: 2 {name}")
         steps = STEPS.get(name, ())
@@ -156,12 +156,12 @@ class Preflight(Service):
             for seconds, text in TURNING:
                 self._say_later(seconds, text)
 
-    def _cancel(self) -> Answer:
-        """One that turns can be called off; the barometer's goes on."""
+    def _cancel(self) -> CommandAnswer:
+        """A magnetometer calibration can be cancelled; the barometer's continues."""
         if self._running == "baro":
-            return Result.TEMPORARILY_REJECTED, []
+            return MavResult.TEMPORARILY_REJECTED, []
         if self._running:
             self._to_say.clear()
             self._end()
             self.autopilot.say("[cal] calibration cancelled")
-        return Result.ACCEPTED, []
+        return MavResult.ACCEPTED, []

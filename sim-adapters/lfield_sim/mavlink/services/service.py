@@ -1,10 +1,11 @@
-"""What a service of the fake is: missions, fences, parameters, files, each in a file of its own.
+"""The interface of services of the fake: missions, fences, parameters, files, each in its own file.
 
-A service belongs to one vehicle and sees whole messages, never packets. Four tables say what it takes:
+A service belongs to one vehicle and handles messages, not packets. Four tables define what it handles:
 
 - `handles`: message id -> handler. Called with the message (addressed to this vehicle or to all); returns
   the messages that answer it, which go to the asking peer alone.
-- `commands`: MAV_CMD -> handler. Called with the `Command`; returns the result (`Late`: one that comes later,
+- `commands`: MAV_CMD -> handler. Called with the `MavCommand`; returns the result (`DelayedResult`: one that
+comes later,
   None: silence) and messages that follow the acknowledgement. A command of a service goes before one of
   `commands.py`.
 - `messages`: message id -> builder. What can be asked for with REQUEST_MESSAGE (512), SET_MESSAGE_INTERVAL
@@ -33,7 +34,7 @@ What the autopilot offers to services (`lfield_sim.autopilot.autopilot`):
   (FENCE_ENABLE, GF_ACTION) are the autopilot's own business, as is what a breach leads to.
 - `say(text)`: a STATUSTEXT. `armed`, `mode`, `vehicle.place`, `home`, `battery.charge`, `flavour`.
 
-Places: `Place.at(north, east)` and `Place.local(latitude, longitude)` (1e-7 degrees) translate.
+Places: `GeoOrigin.at(north, east)` and `GeoOrigin.local(latitude, longitude)` (1e-7 degrees) translate.
 
 Mission items that are not flown (speed, servo, camera) are carried out as the commands of that number. A
 result is an `autopilot.flavours.Result`. How severe a text is: `autopilot.stacks.severities`.
@@ -45,19 +46,19 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from lfield_sim.autopilot.autopilot import Autopilot
-from lfield_sim.mavlink.command import Answer, Command
-from lfield_sim.mavlink.geo import Place
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.mav_command import CommandAnswer, MavCommand
 
 Handler = Callable[[Any], list[Any]]
-CommandHandler = Callable[[Command], Answer]
+CommandHandler = Callable[[MavCommand], CommandAnswer]
 MessageBuilder = Callable[[], Any]
 RequestHandler = Callable[[], list[Any] | None]
 
 
-class Service:
-    """One service of one vehicle; the empty one. Subclasses fill the tables in `__init__`."""
+class VehicleService:
+    """One service of one vehicle; empty by default. Subclasses fill the tables in `__init__`."""
 
-    def __init__(self, autopilot: Autopilot, place: Place) -> None:
+    def __init__(self, autopilot: Autopilot, place: GeoOrigin) -> None:
         self.autopilot, self.place = autopilot, place
         self.handles: Mapping[int, Handler] = {}
         self.commands: Mapping[int, CommandHandler] = {}
@@ -69,4 +70,4 @@ class Service:
         return []
 
     def reboot(self) -> None:
-        """The autopilot starts again: forget what does not survive that."""
+        """The autopilot restarts: resets volatile state."""

@@ -1,1 +1,1 @@
-"""What a vehicle can tell of itself, message by message: motion, condition, equipment."""
+"""Telemetry messages of a vehicle: motion, condition, payload."""

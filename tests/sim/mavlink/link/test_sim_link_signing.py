@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
-from lfield_sim.mavlink.link.signing import MAX_STREAMS, PER_SECOND, Signing
+from lfield_sim.mavlink.link.signing import MAX_STREAMS, PER_SECOND, MessageSigning
 
 KEY, OTHER = bytes(range(32)), bytes(32 * [7])
 #: 2026, in units of 10 us since 2015.
@@ -19,7 +19,7 @@ class Vehicle:
 
     def __init__(self, key=KEY):
         self.now = 0.0
-        self.gate = Signing(1, lambda: self.now)
+        self.gate = MessageSigning(1, lambda: self.now)
         if key:
             assert self.hears(station(None).setup(key))
 

@@ -8,9 +8,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.services.fences import BOUNDARY, NO_BREACH, Circle, Fence, Polygon, shapes_of
-from lfield_sim.mavlink.services.plan_items import Item
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.services.fence_shapes import (
+    BOUNDARY,
+    NO_BREACH,
+    FenceCircle,
+    FencePolygon,
+    UploadedFence,
+    shapes_of,
+)
+from lfield_sim.mavlink.services.plan_items import PlanItem
 
 SQUARE = ((-10.0, -10.0), (-10.0, 10.0), (10.0, 10.0), (10.0, -10.0))
 #: An L: its notch is the quarter north-east of the middle.
@@ -18,7 +25,7 @@ ELL = ((-10.0, -10.0), (-10.0, 10.0), (0.0, 10.0), (0.0, 0.0), (10.0, 0.0), (10.
 
 
 def test_without_shapes_everywhere_is_inside():
-    assert Fence().breached((1e6, -1e6, -500.0)) == NO_BREACH
+    assert UploadedFence().breached((1e6, -1e6, -500.0)) == NO_BREACH
 
 
 @pytest.mark.parametrize(
@@ -26,21 +33,29 @@ def test_without_shapes_everywhere_is_inside():
     [((0, 0), True), ((9.9, -9.9), True), ((10.1, 0), False), ((0, -10.1), False), ((-20, 10), False)],
 )
 def test_a_square(point, inside):
-    assert Polygon(SQUARE, True).holds(point) is inside
-    assert Fence([Polygon(SQUARE, True)]).breached((*point, -5.0)) == (NO_BREACH if inside else BOUNDARY)
-    assert Fence([Polygon(SQUARE, False)]).breached((*point, -5.0)) == (BOUNDARY if inside else NO_BREACH)
+    assert FencePolygon(SQUARE, True).holds(point) is inside
+    assert UploadedFence([FencePolygon(SQUARE, True)]).breached((*point, -5.0)) == (
+        NO_BREACH if inside else BOUNDARY
+    )
+    assert UploadedFence([FencePolygon(SQUARE, False)]).breached((*point, -5.0)) == (
+        BOUNDARY if inside else NO_BREACH
+    )
 
 
 def test_a_notch_is_outside():
-    ell = Polygon(ELL, True)
+    ell = FencePolygon(ELL, True)
     assert ell.holds((5.0, -5.0))
     assert ell.holds((-5.0, 5.0))
     assert not ell.holds((5.0, 5.0))
 
 
 def test_one_inclusion_is_enough_and_one_exclusion_too():
-    fence = Fence(
-        [Circle((0.0, 0.0), 5.0, True), Circle((20.0, 0.0), 5.0, True), Circle((2.0, 0.0), 1.0, False)]
+    fence = UploadedFence(
+        [
+            FenceCircle((0.0, 0.0), 5.0, True),
+            FenceCircle((20.0, 0.0), 5.0, True),
+            FenceCircle((2.0, 0.0), 1.0, False),
+        ]
     )
     assert fence.breached((0.0, 0.0, 0.0)) == NO_BREACH
     assert fence.breached((18.0, 0.0, 0.0)) == NO_BREACH
@@ -54,7 +69,7 @@ angles = st.floats(0.0, math.tau)
 @given(st.integers(3, 12), st.floats(5.0, 100.0), angles, st.floats(0.0, 200.0), angles)
 def test_a_regular_polygon_is_between_its_two_circles(sides, radius, turn, far, course):
     corners = [turn + math.tau * n / sides for n in range(sides)]
-    polygon = Polygon(tuple((radius * math.cos(a), radius * math.sin(a)) for a in corners), True)
+    polygon = FencePolygon(tuple((radius * math.cos(a), radius * math.sin(a)) for a in corners), True)
     point = (far * math.cos(course), far * math.sin(course))
     if far < radius * math.cos(math.pi / sides) - 1e-6:
         assert polygon.holds(point)
@@ -63,17 +78,17 @@ def test_a_regular_polygon_is_between_its_two_circles(sides, radius, turn, far, 
 
 
 def test_items_become_shapes():
-    place = Place()
-    items = [Item(5001, 0, (4.0, 0, 0, 0), *place.at(*point)) for point in SQUARE]
-    items.append(Item(5000, 0, (0.0, 0, 0, 0), *place.at(0.0, 0.0)))
-    items.append(Item(5004, 0, (3.0, 0, 0, 0), *place.at(5.0, 5.0)))
+    place = GeoOrigin()
+    items = [PlanItem(5001, 0, (4.0, 0, 0, 0), *place.at(*point)) for point in SQUARE]
+    items.append(PlanItem(5000, 0, (0.0, 0, 0, 0), *place.at(0.0, 0.0)))
+    items.append(PlanItem(5004, 0, (3.0, 0, 0, 0), *place.at(5.0, 5.0)))
     polygon, circle = shapes_of(items, place)
-    assert isinstance(polygon, Polygon)
+    assert isinstance(polygon, FencePolygon)
     assert [c == pytest.approx(e, abs=0.02) for c, e in zip(polygon.corners, SQUARE, strict=True)] == [
         True
     ] * 4
-    assert isinstance(circle, Circle)
+    assert isinstance(circle, FenceCircle)
     assert (circle.radius, circle.include) == (3.0, False)
-    fence = Fence([polygon, circle])
+    fence = UploadedFence([polygon, circle])
     assert fence.breached((0.0, 0.0, -3.0)) == NO_BREACH
     assert fence.breached((5.0, 5.0, -3.0)) == BOUNDARY

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from lfield_sim.mavlink.services.file_tree import MAX_ENTRIES, MAX_FILE, FileTree, FtpError, GeneratedFile
 from lfield_sim.mavlink.services.ftp import (
     ACK,
     ARDUPILOT,
@@ -17,12 +18,11 @@ from lfield_sim.mavlink.services.ftp import (
     NAK,
     PAYLOAD,
     PX4,
+    FtpOpcode,
     FtpPacket,
     FtpServer,
-    Op,
     ftp_crc32,
 )
-from lfield_sim.mavlink.services.tree import MAX_ENTRIES, MAX_FILE, FtpError, Made, Tree
 
 PEER = (255, 190)
 LOG = bytes(range(256)) * 100
@@ -32,7 +32,7 @@ class Client:
     """One who asks for files."""
 
     def __init__(self, server=None, peer=PEER):
-        self.server = server or FtpServer(Tree({"/a/log.bin": LOG, "/a/one.txt": b"1", "/b.txt": b""}))
+        self.server = server or FtpServer(FileTree({"/a/log.bin": LOG, "/a/one.txt": b"1", "/b.txt": b""}))
         self.peer, self.number = peer, 0
 
     def ask(self, opcode, path=b"", *, session=0, offset=0, size=None, data=None):
@@ -65,7 +65,7 @@ class Client:
     def listing(self, path):
         entries = []
         while True:
-            reply = self.ask(Op.LIST, path, offset=len(entries))
+            reply = self.ask(FtpOpcode.LIST, path, offset=len(entries))
             if reply.opcode == NAK:
                 assert reply.data[0] == FtpError.EOF
                 return entries
@@ -74,49 +74,49 @@ class Client:
 
 def test_folders_are_listed_in_pieces():
     names = [f"/many/file{n:04}.bin" for n in range(100)]
-    c = Client(FtpServer(Tree(dict.fromkeys(names, b"12345"), {})))
+    c = Client(FtpServer(FileTree(dict.fromkeys(names, b"12345"), {})))
     assert c.listing("/many") == [f"Ffile{n:04}.bin\t5" for n in range(100)]
     assert c.listing("/") == ["Dmany"]
     assert c.listing("") == ["Dmany"]
-    assert c.refused(Op.LIST, "/nowhere") is FtpError.NOT_FOUND
+    assert c.refused(FtpOpcode.LIST, "/nowhere") is FtpError.NOT_FOUND
 
 
 def test_a_folder_lists_itself_and_the_one_around_it():
     ardupilot = Client(
-        FtpServer(Tree({"/f": b"1"}, shown={"@SYS": ["Fx\t9"]}, dots=("D.", "D..")), ARDUPILOT)
+        FtpServer(FileTree({"/f": b"1"}, shown={"@SYS": ["Fx\t9"]}, dots=("D.", "D..")), ARDUPILOT)
     )
-    assert ardupilot.ok(Op.LIST, "/").data == b"D.\0\0D..\0\0Ff\t1\0\0D@SYS\0\0"
-    assert ardupilot.ok(Op.LIST, "/", offset=3).data == b"D@SYS\0\0"
-    px4 = Client(FtpServer(Tree({"/f": b"1"}, dots=("S", "S")), PX4))
-    assert px4.ok(Op.LIST, "/").data == b"S\0S\0Ff\t1\0"
-    px4.ok(Op.MAKE_FOLDER, "/new")
-    px4.ok(Op.REMOVE_FOLDER, "/new")
+    assert ardupilot.ok(FtpOpcode.LIST, "/").data == b"D.\0\0D..\0\0Ff\t1\0\0D@SYS\0\0"
+    assert ardupilot.ok(FtpOpcode.LIST, "/", offset=3).data == b"D@SYS\0\0"
+    px4 = Client(FtpServer(FileTree({"/f": b"1"}, dots=("S", "S")), PX4))
+    assert px4.ok(FtpOpcode.LIST, "/").data == b"S\0S\0Ff\t1\0"
+    px4.ok(FtpOpcode.MAKE_FOLDER, "/new")
+    px4.ok(FtpOpcode.REMOVE_FOLDER, "/new")
 
 
 def test_a_file_is_read_in_pieces_until_its_end():
     c = Client()
-    opened = c.ok(Op.OPEN_READ, "/a/log.bin", session=3)
+    opened = c.ok(FtpOpcode.OPEN_READ, "/a/log.bin", session=3)
     assert struct.unpack("<I", opened.data) == (len(LOG),)
     content = b""
     while True:
-        reply = c.ask(Op.READ, session=opened.session, offset=len(content), size=DATA)
+        reply = c.ask(FtpOpcode.READ, session=opened.session, offset=len(content), size=DATA)
         if reply.opcode == NAK:
             break
         assert reply.offset == len(content)
         content += reply.data
     assert reply.data[0] == FtpError.EOF
     assert content == LOG
-    assert c.ok(Op.READ, session=opened.session, offset=5, size=7).data == LOG[5:12]
-    c.ok(Op.TERMINATE, session=opened.session)
-    assert c.refused(Op.READ, session=opened.session, size=DATA) is FtpError.INVALID_SESSION
+    assert c.ok(FtpOpcode.READ, session=opened.session, offset=5, size=7).data == LOG[5:12]
+    c.ok(FtpOpcode.TERMINATE, session=opened.session)
+    assert c.refused(FtpOpcode.READ, session=opened.session, size=DATA) is FtpError.INVALID_SESSION
 
 
 def test_a_burst_comes_in_steps_says_when_it_pauses_and_ends():
     c = Client()
-    session = c.ok(Op.OPEN_READ, "/a/log.bin").session
+    session = c.ok(FtpOpcode.OPEN_READ, "/a/log.bin").session
     content, pauses, over = b"", [], False
     while not over:
-        assert c.ask(Op.BURST_READ, session=session, offset=len(content), size=80) is None
+        assert c.ask(FtpOpcode.BURST_READ, session=session, offset=len(content), size=80) is None
         while packets := [FtpPacket.read(payload) for _, payload in c.server.advance()]:
             assert len(packets) <= 10
             pieces = [p for p in packets if p.opcode == ACK]
@@ -130,33 +130,33 @@ def test_a_burst_comes_in_steps_says_when_it_pauses_and_ends():
 
 def test_the_last_packet_of_a_burst_tells_the_end():
     c = Client()
-    session = c.ok(Op.OPEN_READ, "/a/one.txt").session
-    c.ask(Op.BURST_READ, session=session, size=DATA)
+    session = c.ok(FtpOpcode.OPEN_READ, "/a/one.txt").session
+    c.ask(FtpOpcode.BURST_READ, session=session, size=DATA)
     first, last = [FtpPacket.read(payload) for _, payload in c.server.advance()]
     assert (first.opcode, first.data, first.burst_over) == (ACK, b"1", 0)
     assert (last.opcode, last.data[0], last.burst_over) == (NAK, FtpError.EOF, 0)
     assert last.number == first.number + 1
     assert c.server.advance() == []
-    assert c.refused(Op.BURST_READ, session=session, offset=1, size=DATA) is FtpError.EOF
+    assert c.refused(FtpOpcode.BURST_READ, session=session, offset=1, size=DATA) is FtpError.EOF
 
 
 def test_files_are_made_written_checked_and_removed():
     c = Client()
-    session = c.ok(Op.CREATE, "/a/new.txt", session=1).session
+    session = c.ok(FtpOpcode.CREATE, "/a/new.txt", session=1).session
     data = b"hello " * 100
     for offset in range(0, len(data), DATA):
-        c.ok(Op.WRITE, session=session, offset=offset, data=data[offset : offset + DATA])
-    c.ok(Op.TERMINATE, session=session)
-    crc = struct.unpack("<I", c.ok(Op.CRC32, "/a/new.txt").data)[0]
+        c.ok(FtpOpcode.WRITE, session=session, offset=offset, data=data[offset : offset + DATA])
+    c.ok(FtpOpcode.TERMINATE, session=session)
+    crc = struct.unpack("<I", c.ok(FtpOpcode.CRC32, "/a/new.txt").data)[0]
     assert crc == ftp_crc32(data)
     assert "Fnew.txt\t600" in c.listing("/a")
-    session = c.ok(Op.OPEN_WRITE, "/a/new.txt", session=1).session
-    c.ok(Op.WRITE, session=session, offset=602, data=b"!")
-    assert c.refused(Op.READ, session=session, size=5) is FtpError.FAIL
+    session = c.ok(FtpOpcode.OPEN_WRITE, "/a/new.txt", session=1).session
+    c.ok(FtpOpcode.WRITE, session=session, offset=602, data=b"!")
+    assert c.refused(FtpOpcode.READ, session=session, size=5) is FtpError.FAIL
     assert c.server.tree.read("/a/new.txt") == data + b"\0\0!"
-    c.ok(Op.REMOVE, "/a/new.txt")
-    assert c.refused(Op.OPEN_READ, "/a/new.txt") is FtpError.NOT_FOUND
-    assert c.refused(Op.CRC32, "/a/new.txt") is FtpError.NOT_FOUND
+    c.ok(FtpOpcode.REMOVE, "/a/new.txt")
+    assert c.refused(FtpOpcode.OPEN_READ, "/a/new.txt") is FtpError.NOT_FOUND
+    assert c.refused(FtpOpcode.CRC32, "/a/new.txt") is FtpError.NOT_FOUND
 
 
 def test_the_checksum_is_not_everybodys():
@@ -171,106 +171,106 @@ def test_the_checksum_is_not_everybodys():
 
 def test_folders_are_made_and_removed():
     c = Client()
-    c.ok(Op.MAKE_FOLDER, "/a/deep")
-    c.ok(Op.MAKE_FOLDER, "/a/deep/er")
-    assert c.refused(Op.MAKE_FOLDER, "/a/deep") is FtpError.EXISTS
-    assert c.refused(Op.MAKE_FOLDER, "/no/deep") is FtpError.NOT_FOUND
-    assert c.refused(Op.REMOVE_FOLDER, "/a/deep") is FtpError.FAIL_ERRNO
-    assert c.refused(Op.REMOVE_FOLDER, "/") is FtpError.PROTECTED
-    c.ok(Op.REMOVE_FOLDER, "/a/deep/er")
-    c.ok(Op.REMOVE_FOLDER, "/a/deep")
-    assert c.refused(Op.REMOVE_FOLDER, "/a/deep") is FtpError.NOT_FOUND
-    assert c.refused(Op.REMOVE, "/a") is FtpError.FAIL
-    assert c.refused(Op.CREATE, "/a") is FtpError.FAIL_ERRNO
+    c.ok(FtpOpcode.MAKE_FOLDER, "/a/deep")
+    c.ok(FtpOpcode.MAKE_FOLDER, "/a/deep/er")
+    assert c.refused(FtpOpcode.MAKE_FOLDER, "/a/deep") is FtpError.EXISTS
+    assert c.refused(FtpOpcode.MAKE_FOLDER, "/no/deep") is FtpError.NOT_FOUND
+    assert c.refused(FtpOpcode.REMOVE_FOLDER, "/a/deep") is FtpError.FAIL_ERRNO
+    assert c.refused(FtpOpcode.REMOVE_FOLDER, "/") is FtpError.PROTECTED
+    c.ok(FtpOpcode.REMOVE_FOLDER, "/a/deep/er")
+    c.ok(FtpOpcode.REMOVE_FOLDER, "/a/deep")
+    assert c.refused(FtpOpcode.REMOVE_FOLDER, "/a/deep") is FtpError.NOT_FOUND
+    assert c.refused(FtpOpcode.REMOVE, "/a") is FtpError.FAIL
+    assert c.refused(FtpOpcode.CREATE, "/a") is FtpError.FAIL_ERRNO
 
 
 @pytest.mark.parametrize("path", ["/a/../b.txt", "/" + "x" * 230, "/a/b\tc"])
 def test_paths_that_lead_nowhere(path):
-    assert Client().refused(Op.CREATE, path) is FtpError.NOT_FOUND
+    assert Client().refused(FtpOpcode.CREATE, path) is FtpError.NOT_FOUND
 
 
 def test_the_autopilots_differ():
     said = []
-    ardupilot = Client(FtpServer(Tree({"/f": b"1"}), ARDUPILOT, said.append))
-    px4 = Client(FtpServer(Tree({"/f": b"1"}), PX4, said.append))
+    ardupilot = Client(FtpServer(FileTree({"/f": b"1"}), ARDUPILOT, said.append))
+    px4 = Client(FtpServer(FileTree({"/f": b"1"}), PX4, said.append))
     assert ardupilot.refused(16, "/") is FtpError.FAIL
     assert px4.refused(16, "/") is FtpError.UNKNOWN_COMMAND
     assert said == ["Unsupported FTP: 16"]
-    assert ardupilot.refused(Op.LIST, "") is FtpError.INVALID_DATA_SIZE
+    assert ardupilot.refused(FtpOpcode.LIST, "") is FtpError.INVALID_DATA_SIZE
     assert px4.listing("") == px4.listing("/") == ["Ff\t1"]
-    assert ardupilot.ok(Op.OPEN_READ, "/f", session=77).session == 77
-    assert px4.ok(Op.OPEN_READ, "/f", session=77).session == 0
-    assert ardupilot.refused(Op.OPEN_READ, "/f", session=78) is FtpError.FAIL, "one at a time"
-    assert px4.refused(Op.OPEN_READ, "/f") is FtpError.NO_SESSIONS
-    assert ardupilot.refused(Op.READ, session=5, size=1) is FtpError.NOT_FOUND
-    assert px4.refused(Op.READ, session=5, size=1) is FtpError.INVALID_SESSION
-    ardupilot.ok(Op.TERMINATE, session=5)
-    assert px4.refused(Op.TERMINATE, session=5) is FtpError.INVALID_SESSION
+    assert ardupilot.ok(FtpOpcode.OPEN_READ, "/f", session=77).session == 77
+    assert px4.ok(FtpOpcode.OPEN_READ, "/f", session=77).session == 0
+    assert ardupilot.refused(FtpOpcode.OPEN_READ, "/f", session=78) is FtpError.FAIL, "one at a time"
+    assert px4.refused(FtpOpcode.OPEN_READ, "/f") is FtpError.NO_SESSIONS
+    assert ardupilot.refused(FtpOpcode.READ, session=5, size=1) is FtpError.NOT_FOUND
+    assert px4.refused(FtpOpcode.READ, session=5, size=1) is FtpError.INVALID_SESSION
+    ardupilot.ok(FtpOpcode.TERMINATE, session=5)
+    assert px4.refused(FtpOpcode.TERMINATE, session=5) is FtpError.INVALID_SESSION
     for client, size in ((ardupilot, b""), (px4, b"\x02\0\0\0")):
-        client.ok(Op.RESET)
-        session = client.ok(Op.CREATE, "/new").session
-        assert client.ok(Op.WRITE, session=session, data=b"ab").data == size
-        client.ok(Op.TERMINATE, session=session)
-    assert ardupilot.refused(Op.OPEN_WRITE, "/none") is FtpError.NOT_FOUND
-    px4.ok(Op.OPEN_WRITE, "/none")
-    assert ardupilot.refused(Op.TRUNCATE, "/f") is FtpError.FAIL
-    px4.ok(Op.TRUNCATE, "/f")
+        client.ok(FtpOpcode.RESET)
+        session = client.ok(FtpOpcode.CREATE, "/new").session
+        assert client.ok(FtpOpcode.WRITE, session=session, data=b"ab").data == size
+        client.ok(FtpOpcode.TERMINATE, session=session)
+    assert ardupilot.refused(FtpOpcode.OPEN_WRITE, "/none") is FtpError.NOT_FOUND
+    px4.ok(FtpOpcode.OPEN_WRITE, "/none")
+    assert ardupilot.refused(FtpOpcode.TRUNCATE, "/f") is FtpError.FAIL
+    px4.ok(FtpOpcode.TRUNCATE, "/f")
     assert px4.server.tree.read("/f") == b""
 
 
 def test_a_file_is_given_another_name():
     c = Client()
-    c.ok(Op.RENAME, b"/b.txt\0/a/c.txt")
+    c.ok(FtpOpcode.RENAME, b"/b.txt\0/a/c.txt")
     assert c.listing("/a") == ["Fc.txt\t0", "Flog.bin\t25600", "Fone.txt\t1"]
-    assert c.refused(Op.RENAME, b"/b.txt\0/d.txt") is FtpError.NOT_FOUND
-    assert c.refused(Op.RENAME, b"/a/c.txt\0/a") is FtpError.FAIL_ERRNO
-    assert c.refused(Op.RENAME, b"/a/c.txt") is FtpError.FAIL_ERRNO
+    assert c.refused(FtpOpcode.RENAME, b"/b.txt\0/d.txt") is FtpError.NOT_FOUND
+    assert c.refused(FtpOpcode.RENAME, b"/a/c.txt\0/a") is FtpError.FAIL_ERRNO
+    assert c.refused(FtpOpcode.RENAME, b"/a/c.txt") is FtpError.FAIL_ERRNO
 
 
 def test_a_file_made_when_it_is_read_tells_another_size_and_checksum():
-    made = Made(lambda: b"12345", lambda: 999, checks=False)
-    c = Client(FtpServer(Tree({}, {"@PARAM/x": made}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
+    made = GeneratedFile(lambda: b"12345", lambda: 999, checks=False)
+    c = Client(FtpServer(FileTree({}, {"@PARAM/x": made}, {"@PARAM": ("Fx\t999",)}), ARDUPILOT))
     assert c.listing("@PARAM/") == ["Fx\t999"]
-    opened = c.ok(Op.OPEN_READ, "@PARAM/x")
+    opened = c.ok(FtpOpcode.OPEN_READ, "@PARAM/x")
     assert struct.unpack("<I", opened.data) == (999,)
-    assert c.ok(Op.READ, size=80).data == b"12345"
-    assert struct.unpack("<I", c.ok(Op.CRC32, "@PARAM/x").data) != (ftp_crc32(b"12345"),)
+    assert c.ok(FtpOpcode.READ, size=80).data == b"12345"
+    assert struct.unpack("<I", c.ok(FtpOpcode.CRC32, "@PARAM/x").data) != (ftp_crc32(b"12345"),)
 
 
 def test_sessions_are_few_and_reset_gives_ones_own_back():
     c = Client()
-    c.ok(Op.OPEN_READ, "/b.txt")
+    c.ok(FtpOpcode.OPEN_READ, "/b.txt")
     other = Client(c.server, (1, 191))
-    assert other.refused(Op.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
-    other.ok(Op.RESET)
-    assert other.refused(Op.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
-    c.ok(Op.RESET)
-    other.ok(Op.OPEN_READ, "/b.txt")
-    assert c.refused(Op.READ, size=1) is FtpError.INVALID_SESSION, "not that of another"
+    assert other.refused(FtpOpcode.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
+    other.ok(FtpOpcode.RESET)
+    assert other.refused(FtpOpcode.OPEN_READ, "/b.txt") is FtpError.NO_SESSIONS
+    c.ok(FtpOpcode.RESET)
+    other.ok(FtpOpcode.OPEN_READ, "/b.txt")
+    assert c.refused(FtpOpcode.READ, size=1) is FtpError.INVALID_SESSION, "not that of another"
 
 
 def test_a_request_that_comes_twice_is_carried_out_once():
     c = Client()
-    request = FtpPacket(8, 0, Op.REMOVE, 6, data=b"/b.txt")
+    request = FtpPacket(8, 0, FtpOpcode.REMOVE, 6, data=b"/b.txt")
     assert c.send(request).opcode == ACK
     assert c.send(request).opcode == ACK, "its first reply may be lost"
-    assert c.refused(Op.REMOVE, "/b.txt") is FtpError.NOT_FOUND
+    assert c.refused(FtpOpcode.REMOVE, "/b.txt") is FtpError.NOT_FOUND
 
 
 def test_the_tree_is_bounded():
-    tree = Tree({})
+    tree = FileTree({})
     c = Client(FtpServer(tree))
     for number in range(MAX_ENTRIES - 1):
-        c.ok(Op.MAKE_FOLDER, f"/{number}")
-    assert c.refused(Op.MAKE_FOLDER, "/more") is FtpError.FAIL_ERRNO
+        c.ok(FtpOpcode.MAKE_FOLDER, f"/{number}")
+    assert c.refused(FtpOpcode.MAKE_FOLDER, "/more") is FtpError.FAIL_ERRNO
     c = Client()
-    session = c.ok(Op.OPEN_WRITE, "/b.txt").session
-    assert c.refused(Op.WRITE, session=session, offset=MAX_FILE, data=b"1") is FtpError.FAIL_ERRNO
-    assert c.refused(Op.WRITE, session=session, offset=0xFFFFFFFF, data=b"1") is FtpError.FAIL_ERRNO
+    session = c.ok(FtpOpcode.OPEN_WRITE, "/b.txt").session
+    assert c.refused(FtpOpcode.WRITE, session=session, offset=MAX_FILE, data=b"1") is FtpError.FAIL_ERRNO
+    assert c.refused(FtpOpcode.WRITE, session=session, offset=0xFFFFFFFF, data=b"1") is FtpError.FAIL_ERRNO
 
 
 def test_sizes_that_cannot_be():
-    assert Client().refused(Op.READ, size=DATA + 1) is FtpError.INVALID_DATA_SIZE
+    assert Client().refused(FtpOpcode.READ, size=DATA + 1) is FtpError.INVALID_DATA_SIZE
 
 
 @settings(max_examples=200, deadline=None)
@@ -280,14 +280,14 @@ def test_arbitrary_payloads_never_raise(payloads):
     for payload in payloads:
         c.server.receive(PEER, payload)
         assert len(c.server.advance()) <= 10 * MAX_SESSIONS
-    c.ok(Op.NONE)
+    c.ok(FtpOpcode.NONE)
 
 
 requests = st.builds(
     FtpPacket,
     st.integers(0, 0xFFFF),
     st.integers(0, 7),
-    st.one_of(st.sampled_from(list(Op)), st.integers(0, 255)),
+    st.one_of(st.sampled_from(list(FtpOpcode)), st.integers(0, 255)),
     st.integers(0, 255),
     st.integers(0, 255),
     st.integers(0, 1),
@@ -303,7 +303,10 @@ requests = st.builds(
 @given(st.lists(st.tuples(st.integers(1, 40), requests), max_size=30))
 def test_arbitrary_requests_never_raise_and_hold_bounded_memory(story):
     server = FtpServer(
-        Tree({"/a/log.bin": LOG, "/b.txt": b""}, {"@PARAM/param.pck": Made(lambda: b"x" * 999, lambda: 9)})
+        FileTree(
+            {"/a/log.bin": LOG, "/b.txt": b""},
+            {"@PARAM/param.pck": GeneratedFile(lambda: b"x" * 999, lambda: 9)},
+        )
     )
     for system, request in story:
         replies = server.receive((system, 1), request.write())
@@ -318,7 +321,7 @@ def test_arbitrary_requests_never_raise_and_hold_bounded_memory(story):
 @given(st.binary(max_size=3000), st.data())
 def test_what_was_written_over_a_lossy_link_is_read_back(content, data):
     """Every request is repeated until its reply arrives; what is lost is drawn."""
-    server = FtpServer(Tree({"/d/.keep": b""}))
+    server = FtpServer(FileTree({"/d/.keep": b""}))
     client = Client(server)
 
     def ask(opcode, payload=b"", *, session=0, offset=0):
@@ -331,9 +334,9 @@ def test_what_was_written_over_a_lossy_link_is_read_back(content, data):
                 return reply
         return client.send(request)
 
-    session = ask(Op.CREATE, b"/d/f").session
+    session = ask(FtpOpcode.CREATE, b"/d/f").session
     for offset in range(0, len(content), DATA):
         piece = content[offset : offset + DATA]
-        assert ask(Op.WRITE, piece, session=session, offset=offset).opcode == ACK
-    ask(Op.TERMINATE, session=session)
+        assert ask(FtpOpcode.WRITE, piece, session=session, offset=offset).opcode == ACK
+    ask(FtpOpcode.TERMINATE, session=session)
     assert server.tree.read("/d/f") == content

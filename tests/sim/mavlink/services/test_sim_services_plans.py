@@ -10,20 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
-from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType
+from lfield_sim.mavlink.services.plan_items import PlanItem, PlanResult, PlanType
 from lfield_sim.mavlink.services.plan_protocol import ARDUPILOT, HANDLED, PX4, PlanProtocol
 
-HOME = Item(16, 0, (0, 0, 0, 0), 473977420, 85455940, 488.0)
+HOME = PlanItem(16, 0, (0, 0, 0, 0), 473977420, 85455940, 488.0)
 HERE = (473977420, 85455940)
 STYLES = {"ardupilot": ARDUPILOT, "px4": PX4}
 
 
 def waypoint(number=0, **changes):
-    return replace(Item(16, 6, (0, 0, 0, 0), HERE[0] + number, HERE[1], 10.0), **changes)
+    return replace(PlanItem(16, 6, (0, 0, 0, 0), HERE[0] + number, HERE[1], 10.0), **changes)
 
 
 def corner(of, number, command=5001):
-    return Item(command, 0, (of, 0, 0, 0), HERE[0] + 1000 * number, HERE[1] + 1000 * (number % 2))
+    return PlanItem(command, 0, (of, 0, 0, 0), HERE[0] + 1000 * number, HERE[1] + 1000 * (number % 2))
 
 
 @pytest.fixture(params=["ardupilot", "px4"])
@@ -86,8 +86,8 @@ class Station:
 def test_what_is_uploaded_is_downloaded(style, kind):
     items = {
         PlanType.MISSION: [waypoint(n) for n in range(20)],
-        PlanType.FENCE: [corner(3, n) for n in range(3)] + [Item(5004, 0, (25.0, 0, 0, 0), *HERE)],
-        PlanType.RALLY: [Item(5100, 3, (0, 0, 0, 0), *HERE, 30.0)],
+        PlanType.FENCE: [corner(3, n) for n in range(3)] + [PlanItem(5004, 0, (25.0, 0, 0, 0), *HERE)],
+        PlanType.RALLY: [PlanItem(5100, 3, (0, 0, 0, 0), *HERE, 30.0)],
     }[kind]
     s = Station(style)
     assert s.upload(items, kind) is PlanResult.ACCEPTED
@@ -95,7 +95,7 @@ def test_what_is_uploaded_is_downloaded(style, kind):
     expected = [HOME, *items[1:]] if kind is PlanType.MISSION and style.home_first else items
     # ArduPilot has no INT frames, PX4 tells nothing else.
     expected = [replace(item, frame=style.frames.get(item.frame, item.frame)) for item in expected]
-    assert [Item.read(message) for message in s.download(kind)] == expected
+    assert [PlanItem.read(message) for message in s.download(kind)] == expected
 
 
 def test_the_autopilots_ask_in_their_own_ways():
@@ -186,11 +186,11 @@ def test_a_plan_of_none_and_clear_all(style):
 
 def test_ardupilots_empty_mission_is_home():
     s = Station(ARDUPILOT)
-    assert [Item.read(m) for m in s.download()] == [HOME], "as the vehicle comes: a client waits for it"
+    assert [PlanItem.read(m) for m in s.download()] == [HOME], "as the vehicle comes: a client waits for it"
     ask = dialect.MAVLink_mission_request_int_message(1, 1, 0, 0)
-    assert [Item.read(m) for m in s.send(ask)] == [HOME], "without a list, too"
+    assert [PlanItem.read(m) for m in s.send(ask)] == [HOME], "without a list, too"
     assert s.upload([waypoint()]) is PlanResult.ACCEPTED
-    assert [Item.read(m) for m in s.download()] == [HOME]
+    assert [PlanItem.read(m) for m in s.download()] == [HOME]
     s.send(dialect.MAVLink_mission_clear_all_message(1, 1, 0))
     assert s.download() == []
     assert Station(PX4).download() == []
@@ -226,7 +226,7 @@ def test_an_upload_is_begun_anew_or_called_off(style):
         (waypoint(command=5001), PlanResult.UNSUPPORTED),
         (waypoint(frame=1), PlanResult.UNSUPPORTED_FRAME),
         (waypoint(frame=2), PlanResult.UNSUPPORTED_FRAME),
-        (Item(178, 2, (1, 5, -1, 0)), PlanResult.ACCEPTED),
+        (PlanItem(178, 2, (1, 5, -1, 0)), PlanResult.ACCEPTED),
         (waypoint(values=(math.inf, 0, 0, 0)), PlanResult.INVALID_PARAM1),
         (waypoint(values=(0, 0, -math.inf, 0)), PlanResult.INVALID_PARAM3),
         (waypoint(values=(0, 0, 0, math.nan)), PlanResult.ACCEPTED),
@@ -256,9 +256,9 @@ def test_px4_takes_nan_for_what_is_not_given():
         [corner(3, 0), corner(3, 1), corner(4, 2)],
         [corner(3, 0), corner(3, 1), corner(3, 2, 5002)],
         [corner(math.nan, 0)],
-        [Item(5003, 0, (0.0, 0, 0, 0), *HERE)],
-        [Item(5003, 0, (-5.0, 0, 0, 0), *HERE)],
-        [corner(3, 0), Item(5003, 0, (5.0, 0, 0, 0), *HERE)],
+        [PlanItem(5003, 0, (0.0, 0, 0, 0), *HERE)],
+        [PlanItem(5003, 0, (-5.0, 0, 0, 0), *HERE)],
+        [corner(3, 0), PlanItem(5003, 0, (5.0, 0, 0, 0), *HERE)],
     ],
 )
 def test_fences_that_make_no_sense(style, items):

@@ -12,16 +12,16 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import all as dialect
 
 from lfield_sim.autopilot.autopilot import FLAVOURS, Autopilot
-from lfield_sim.autopilot.flavours import Result, Role
+from lfield_sim.autopilot.flavours import MavResult, Role
 from lfield_sim.mavlink import SIM
-from lfield_sim.mavlink.command import Command
-from lfield_sim.mavlink.geo import Place
-from lfield_sim.mavlink.run import Setup
-from lfield_sim.mavlink.services.files import Files, packed_parameters
-from lfield_sim.mavlink.services.ftp import FtpPacket, Op
-from lfield_sim.mavlink.services.parameters import Parameters, ParameterType, parameter_table
-from lfield_sim.mavlink.services.plan_items import Item, PlanResult, PlanType
-from lfield_sim.mavlink.services.plans import Plans
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.link_setup import LinkSetup
+from lfield_sim.mavlink.mav_command import MavCommand
+from lfield_sim.mavlink.services.file_service import FileService, packed_parameters
+from lfield_sim.mavlink.services.ftp import FtpOpcode, FtpPacket
+from lfield_sim.mavlink.services.parameters import ParameterService, ParameterType, parameter_table
+from lfield_sim.mavlink.services.plan_items import PlanItem, PlanResult, PlanType
+from lfield_sim.mavlink.services.plan_service import PlanService
 
 STEP = 0.02
 TAKEOFF, WAYPOINT, LAND, RETURN, SPEED, JUMP = 22, 16, 21, 20, 178, 177
@@ -32,7 +32,7 @@ class Craft:
     """A vehicle with one service, and a ground station made of messages."""
 
     def __init__(self, service, flavour="ardupilot", kind="copter"):
-        self.pilot, self.place = Autopilot(FLAVOURS[flavour][kind]), Place()
+        self.pilot, self.place = Autopilot(FLAVOURS[flavour][kind]), GeoOrigin()
         self.service = service(self.pilot, self.place)
         self.pilot.station_at = math.inf
         self.heard = []
@@ -43,7 +43,7 @@ class Craft:
 
     def command(self, number, *values):
         result, replies = self.service.commands[number](
-            Command(number, (*values, *[0.0] * (7 - len(values))))
+            MavCommand(number, (*values, *[0.0] * (7 - len(values))))
         )
         self.heard += replies
         return result
@@ -68,13 +68,13 @@ class Craft:
         return answers
 
     def item(self, command, north=0.0, east=0.0, height=5.0, values=(0, 0, 0, 0)):
-        return Item(command, 6, values, *self.place.at(north, east), height)
+        return PlanItem(command, 6, values, *self.place.at(north, east), height)
 
     def arm(self):
         mode = self.pilot.kind.modes[self.pilot.kind.mode_for(Role.GUIDED)]
         if self.pilot.flavour.name == "ardupilot":
-            assert self.pilot.set_mode(mode.number) is Result.ACCEPTED
-        assert self.pilot.arm() is Result.ACCEPTED
+            assert self.pilot.set_mode(mode.number) is MavResult.ACCEPTED
+        assert self.pilot.arm() is MavResult.ACCEPTED
 
     def reached(self):
         """Each once: PX4 tells them again."""
@@ -86,13 +86,13 @@ class Craft:
 
 @BOTH
 def test_a_mission_is_flown_item_by_item_and_returns(flavour):
-    c = Craft(Plans, flavour)
+    c = Craft(PlanService, flavour)
     first = 1 if flavour == "ardupilot" else 0
     assert c.current().mission_state == dialect.MISSION_STATE_NO_MISSION
     c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 20.0), c.item(WAYPOINT, 20.0, 10.0), c.item(RETURN)])
     assert c.current().mission_state == dialect.MISSION_STATE_NOT_STARTED
     c.arm()
-    assert c.command(300) is Result.ACCEPTED
+    assert c.command(300) is MavResult.ACCEPTED
     assert c.pilot.role is Role.MISSION
     c.wait(7.0)
     assert c.current().mission_state == dialect.MISSION_STATE_ACTIVE
@@ -107,7 +107,7 @@ def test_a_mission_is_flown_item_by_item_and_returns(flavour):
 
 @BOTH
 def test_a_mission_that_lands(flavour):
-    c = Craft(Plans, flavour)
+    c = Craft(PlanService, flavour)
     c.upload([c.item(TAKEOFF), c.item(LAND, 8.0, 0.0, 0.0)])
     c.arm()
     c.command(300)
@@ -120,29 +120,29 @@ def test_a_mission_that_lands(flavour):
 
 @BOTH
 def test_pause_go_on_and_jump(flavour):
-    c = Craft(Plans, flavour)
+    c = Craft(PlanService, flavour)
     ardupilot = flavour == "ardupilot"
     first = 1 if ardupilot else 0
     c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 100.0), c.item(WAYPOINT, 0.0, 50.0)])
-    assert c.command(193, 0) is (Result.DENIED if ardupilot else Result.UNSUPPORTED), "nothing is flown"
+    assert c.command(193, 0) is (MavResult.DENIED if ardupilot else MavResult.UNSUPPORTED), "nothing is flown"
     c.arm()
     c.command(300)
     c.wait(10.0)
     # PX4 is stopped by another mode.
     hold = c.pilot.kind.modes[c.pilot.kind.mode_for(Role.HOLD)].number
-    assert (c.command(193, 0) if ardupilot else c.pilot.set_mode(hold)) is Result.ACCEPTED
+    assert (c.command(193, 0) if ardupilot else c.pilot.set_mode(hold)) is MavResult.ACCEPTED
     c.wait(6.0)
     here = c.pilot.vehicle.place
     assert c.current().mission_state == dialect.MISSION_STATE_PAUSED
     c.wait(3.0)
     assert c.pilot.vehicle.place == pytest.approx(here, abs=0.01)
-    assert c.command(193 if ardupilot else 300, int(ardupilot)) is Result.ACCEPTED
+    assert c.command(193 if ardupilot else 300, int(ardupilot)) is MavResult.ACCEPTED
     assert c.current().seq == first + 1
     if ardupilot:
-        assert c.command(224, first + 2) is Result.ACCEPTED
-        assert c.command(224, 99) is Result.DENIED
+        assert c.command(224, first + 2) is MavResult.ACCEPTED
+        assert c.command(224, 99) is MavResult.DENIED
     else:
-        assert c.command(224, first + 2) is Result.UNSUPPORTED
+        assert c.command(224, first + 2) is MavResult.UNSUPPORTED
         c.send(dialect.MAVLink_mission_set_current_message(1, 1, first + 2))
     c.wait(2.0)
     assert c.current().seq == first + 2
@@ -150,24 +150,24 @@ def test_pause_go_on_and_jump(flavour):
     assert [m.seq for m in told] == ([first] if ardupilot else []), "PX4 tells it with its stream"
     assert c.current().seq == first
     assert c.send(dialect.MAVLink_mission_set_current_message(1, 1, 77)) == []
-    assert c.command(193, 7) is (Result.DENIED if ardupilot else Result.UNSUPPORTED)
+    assert c.command(193, 7) is (MavResult.DENIED if ardupilot else MavResult.UNSUPPORTED)
 
 
 @BOTH
 def test_without_a_mission_there_is_no_start(flavour):
-    c = Craft(Plans, flavour)
+    c = Craft(PlanService, flavour)
     c.arm()
     before = c.pilot.mode
-    assert c.command(300) is (Result.FAILED if flavour == "ardupilot" else Result.ACCEPTED)
+    assert c.command(300) is (MavResult.FAILED if flavour == "ardupilot" else MavResult.ACCEPTED)
     assert c.pilot.mode == before
-    assert c.pilot.take_texts()[-1] in (
+    assert c.pilot.pop_texts()[-1] in (
         "Mode change to AUTO failed: init failed",
         "Switching to Mission is currently not available\t",
     )
 
 
 def test_ardupilot_tells_home_as_item_0_and_counts_in_parameters():
-    c = Craft(Plans)
+    c = Craft(PlanService)
     c.upload([c.item(TAKEOFF), c.item(WAYPOINT, 5.0)])
     assert c.pilot.parameters["MIS_TOTAL"] == 3.0
     (item,) = c.send(dialect.MAVLink_mission_request_int_message(1, 1, 0, 0))
@@ -177,15 +177,15 @@ def test_ardupilot_tells_home_as_item_0_and_counts_in_parameters():
 
 @pytest.mark.parametrize(("frame", "z"), [(6, 12.0), (3, 12.0), (5, 500.0), (0, 500.0), (11, 12.0)])
 def test_heights_in_every_frame(frame, z):
-    c = Craft(Plans, "px4")
-    c.upload([Item(WAYPOINT, frame, (0, 0, 0, 0), *c.place.at(3.0, 4.0), z)])
+    c = Craft(PlanService, "px4")
+    c.upload([PlanItem(WAYPOINT, frame, (0, 0, 0, 0), *c.place.at(3.0, 4.0), z)])
     assert c.pilot.mission.items[0].place == pytest.approx((3.0, 4.0, -12.0), abs=0.02)
 
 
 def test_a_place_of_zeros_is_here_and_a_takeoff_keeps_its_height():
-    c = Craft(Plans, "px4")
-    nowhere = [Item(WAYPOINT, 6, (0, 0, 0, 0), 0, 0, 9.0), Item(TAKEOFF, 6, (0, 0, 0, 0), 0, 0, 9.0)]
-    c.upload([*nowhere, Item(SPEED, 2, (1, 3.0, -1, 0))])
+    c = Craft(PlanService, "px4")
+    nowhere = [PlanItem(WAYPOINT, 6, (0, 0, 0, 0), 0, 0, 9.0), PlanItem(TAKEOFF, 6, (0, 0, 0, 0), 0, 0, 9.0)]
+    c.upload([*nowhere, PlanItem(SPEED, 2, (1, 3.0, -1, 0))])
     here, up, speed = c.pilot.mission.items
     assert (here.place, speed.place) == (None, None)
     assert up.place[2] == -9.0
@@ -193,7 +193,7 @@ def test_a_place_of_zeros_is_here_and_a_takeoff_keeps_its_height():
 
 @BOTH
 def test_an_uploaded_fence_is_kept(flavour):
-    c = Craft(Plans, flavour)
+    c = Craft(PlanService, flavour)
     corners = [
         c.item(5001, n, e, values=(4, 0, 0, 0)) for n, e in ((-20, -20), (-20, 20), (20, 20), (20, -20))
     ]
@@ -212,21 +212,21 @@ def test_an_uploaded_fence_is_kept(flavour):
 
 
 def test_the_fence_is_switched_and_wants_a_position():
-    c = Craft(Plans)
-    assert c.command(207, 1) is Result.ACCEPTED
+    c = Craft(PlanService)
+    assert c.command(207, 1) is MavResult.ACCEPTED
     assert c.pilot.parameters["FENCE_ENABLE"] == 1.0
     c.pilot.gps_lost = True
-    assert c.pilot.arm() is Result.FAILED
-    assert c.pilot.take_texts()[-1] == "Arm: Fence enabled, need position estimate"
-    assert c.command(207, 0) is Result.ACCEPTED
-    assert c.pilot.arm() is Result.FAILED
-    assert c.pilot.take_texts()[-1] == "Arm: Need Position Estimate"
-    assert c.command(207, 7) is Result.FAILED
-    assert Craft(Plans, "px4").command(207, 1) is Result.UNSUPPORTED
+    assert c.pilot.arm() is MavResult.FAILED
+    assert c.pilot.pop_texts()[-1] == "Arm: Fence enabled, need position estimate"
+    assert c.command(207, 0) is MavResult.ACCEPTED
+    assert c.pilot.arm() is MavResult.FAILED
+    assert c.pilot.pop_texts()[-1] == "Arm: Need Position Estimate"
+    assert c.command(207, 7) is MavResult.FAILED
+    assert Craft(PlanService, "px4").command(207, 1) is MavResult.UNSUPPORTED
 
 
 def test_a_restart_breaks_off_an_upload_and_keeps_the_plan():
-    c = Craft(Plans)
+    c = Craft(PlanService)
     c.upload([c.item(TAKEOFF)])
     c.send(dialect.MAVLink_mission_count_message(1, 1, 5, 0))
     c.service.reboot()
@@ -256,7 +256,7 @@ def as_float(value):
 @pytest.mark.parametrize("kind", ["copter", "rover"])
 @BOTH
 def test_a_list_is_whole_numbered_and_takes_its_time(flavour, kind):
-    c = Craft(Parameters, flavour, kind)
+    c = Craft(ParameterService, flavour, kind)
     first = c.send(dialect.MAVLink_param_request_list_message(1, 1))
     hashed = [] if flavour == "ardupilot" else [("_HASH_CHECK", 65535, dialect.MAV_PARAM_TYPE_UINT32)]
     assert [(m.param_id, m.param_index, m.param_type) for m in first] == hashed
@@ -272,7 +272,7 @@ def test_a_list_is_whole_numbered_and_takes_its_time(flavour, kind):
 
 
 def test_ardupilot_writes_integers_as_floats():
-    c = Craft(Parameters)
+    c = Craft(ParameterService)
     answer = read(c, "FS_GCS_ENABLE")
     assert (answer.param_value, answer.param_type) == (0.0, ParameterType.INT8)
     assert set_(c, "FS_GCS_ENABLE", 1.9, ParameterType.REAL32).param_value == 1.0
@@ -282,20 +282,20 @@ def test_ardupilot_writes_integers_as_floats():
 
 
 def test_px4_writes_integers_as_bytes_and_minds_types():
-    c = Craft(Parameters, "px4")
+    c = Craft(ParameterService, "px4")
     answer = read(c, "SYS_AUTOSTART")
     assert (answer.param_value, answer.param_type) == (as_float(10040), ParameterType.INT32)
     assert set_(c, "NAV_DLL_ACT", as_float(2), ParameterType.INT32).param_value == as_float(2)
     assert c.pilot.parameters["NAV_DLL_ACT"] == 2.0
     assert set_(c, "NAV_DLL_ACT", 3.0, ParameterType.REAL32) is None
-    assert c.pilot.take_texts() == []
+    assert c.pilot.pop_texts() == []
     assert set_(c, "NAV_DLL_ACT", as_float(-1), ParameterType.INT32) is not None
     assert c.pilot.parameters["NAV_DLL_ACT"] == -1.0
 
 
 @BOTH
 def test_what_is_unknown_gets_no_answer(flavour):
-    c = Craft(Parameters, flavour)
+    c = Craft(ParameterService, flavour)
     assert read(c, "NO_SUCH") is None
     assert set_(c, "NO_SUCH", 1.0, ParameterType.REAL32) is None
     count = len(c.pilot.parameters)
@@ -307,18 +307,18 @@ def test_what_is_unknown_gets_no_answer(flavour):
 
 def test_values_that_are_no_numbers_are_taken_by_px4_only():
     for name in ("WPNAV_SPEED", "FS_GCS_ENABLE"):
-        c = Craft(Parameters)
+        c = Craft(ParameterService)
         before = c.pilot.parameters[name]
         for value in (math.nan, math.inf, -math.inf):
             assert set_(c, name, value, ParameterType.REAL32) is None
         assert c.pilot.parameters[name] == before
-    c = Craft(Parameters, "px4")
+    c = Craft(ParameterService, "px4")
     assert math.isnan(set_(c, "MPC_XY_CRUISE", math.nan, ParameterType.REAL32).param_value)
     assert math.isnan(c.pilot.parameters["MPC_XY_CRUISE"])
 
 
 def test_ardupilot_tells_no_index_with_a_name_and_takes_its_time():
-    c = Craft(Parameters)
+    c = Craft(ParameterService)
     asked = dialect.MAVLink_param_request_read_message(1, 1, b"FS_GCS_ENABLE", -1)
     assert c.send(asked) == []
     assert c.wait(0.08) == []
@@ -330,7 +330,7 @@ def test_ardupilot_tells_no_index_with_a_name_and_takes_its_time():
 
 
 def test_px4_tells_a_change_twice():
-    c = Craft(Parameters, "px4")
+    c = Craft(ParameterService, "px4")
     message = dialect.MAVLink_param_set_message(1, 1, b"MIS_TAKEOFF_ALT", 7.5, ParameterType.REAL32)
     assert [m.param_value for m in c.send(message)] == [7.5, 7.5]
     assert [m.param_value for m in c.send(message)] == [7.5]
@@ -341,7 +341,7 @@ def test_px4_tells_a_change_twice():
     st.sampled_from(["ardupilot", "px4"]), st.data(), st.integers(0, 255), st.binary(min_size=4, max_size=4)
 )
 def test_any_value_for_any_parameter_is_answered_by_what_it_now_is(flavour, data, kind, raw):
-    c = Craft(Parameters, flavour)
+    c = Craft(ParameterService, flavour)
     name = data.draw(st.sampled_from(sorted(c.pilot.parameters)))
     answer = set_(c, name, struct.unpack("<f", raw)[0], kind)
     if answer is not None:
@@ -370,7 +370,7 @@ def unpacked(data):
 
 
 def test_the_packed_parameters_are_those_that_are_listed():
-    c = Craft(Files)
+    c = Craft(FileService)
     table = parameter_table("ardupilot", "copter")
     for name, row in table.items():
         c.pilot.parameters.setdefault(name, row.value)
@@ -389,9 +389,9 @@ def fetch(c, path):
             ).write(),
         )
     )
-    (opened,) = ask(1, Op.OPEN_READ, data=path.encode())
+    (opened,) = ask(1, FtpOpcode.OPEN_READ, data=path.encode())
     session = FtpPacket.read(bytes(opened.payload)).session
-    assert ask(3, Op.BURST_READ, session=session) == []
+    assert ask(3, FtpOpcode.BURST_READ, session=session) == []
     packets = [FtpPacket.read(bytes(m.payload)) for m in c.wait(3.0)]
     return b"".join(p.data for p in packets if p.opcode == 128)
 
@@ -401,29 +401,29 @@ def test_files_of_both_are_fetched():
         ("ardupilot", "/APM/LOGS/00000001.BIN"),
         ("px4", "/fs/microsd/log/2026-11-20/10_00_00.ulg"),
     ):
-        assert len(fetch(Craft(Files, flavour), path)) >= 10_000
-    assert len(unpacked(fetch(Craft(Files), "@PARAM/param.pck"))) >= 15
+        assert len(fetch(Craft(FileService, flavour), path)) >= 10_000
+    assert len(unpacked(fetch(Craft(FileService), "@PARAM/param.pck"))) >= 15
 
 
 @pytest.mark.parametrize(
     ("words", "flavour", "result"),
     [
-        (["--fitted", "none"], "ardupilot", Result.FAILED),
+        (["--fitted", "none"], "ardupilot", MavResult.FAILED),
         (["--fitted", "none"], "px4", None),
-        (["--fitted", "camera,gripper"], "ardupilot", Result.FAILED),
-        (["--fitted", "gimbal"], "ardupilot", Result.ACCEPTED),
-        ([], "px4", Result.ACCEPTED),
+        (["--fitted", "camera,gripper"], "ardupilot", MavResult.FAILED),
+        (["--fitted", "gimbal"], "ardupilot", MavResult.ACCEPTED),
+        ([], "px4", MavResult.ACCEPTED),
     ],
 )
 def test_what_is_not_fitted_answers_as_on_the_real_one(words, flavour, result):
     parser = argparse.ArgumentParser()
     SIM.add_arguments(parser)
     args = parser.parse_args([*words, "--vehicle", f"1:copter:{flavour}"])
-    setup = Setup(args.vehicle, args.battery, None, {}, {}, args.fitted)
+    setup = LinkSetup(args.vehicle, args.battery, None, {}, {}, args.fitted)
     (fake,) = setup.link(setup.faults([])).vehicles
     gimbal = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW
     service = next(each for each in fake.services if gimbal in each.commands)
-    assert service.commands[gimbal](Command(gimbal, (10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[0] == result
+    assert service.commands[gimbal](MavCommand(gimbal, (10.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)))[0] == result
 
 
 def test_what_cannot_be_fitted_is_named(capsys):

@@ -1,0 +1,117 @@
+"""The bus of a driver: frames in and out on the loop; reopened automatically after a loss."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable
+
+from lfield.driver import DeviceError
+from lfield.driver.network import Attempts
+from lfield_can import log_messages
+from lfield_can.bus.connection import open_connection
+from lfield_can.bus.endpoint import parse_endpoint
+from lfield_can.bus.frames import BUS_OFF, Frame, Interface, Listener, error_text
+from lfield_can.bus.socketcand import open_socketcand
+
+#: Seconds to the first attempt to reopen a lost bus, and the longest between two attempts.
+FIRST_RETRY, LAST_RETRY = 0.2, 2.0
+#: Seconds between two log lines about error frames.
+QUIET_TIME = 10.0
+#: Seconds after which a reopened bus counts as stable.
+STEADY = 2.0
+
+
+class Bus:
+    """One CAN bus. `on_frame` gets every data frame, `note` a sentence for the log."""
+
+    def __init__(self, endpoint: str, on_frame: Callable[[Frame], None], note: Callable[[str], None]) -> None:
+        self.errors = 0
+        self._place = parse_endpoint(endpoint)
+        self._listener = Listener(on_frame, self._on_error, self._lost)
+        self._note = note
+        self._interface: Interface | None = None
+        self._reopening: asyncio.Task[None] | None = None
+        self._attempts = Attempts(self._place.text)
+        self._opened_at, self._pause = -math.inf, FIRST_RETRY
+        self._last_logged = -QUIET_TIME
+        self._errors_logged = 0
+
+    async def open(self) -> None:
+        """Opens the bus. Raises DeviceError when that is impossible."""
+        self._loop = asyncio.get_running_loop()
+        opened = open_socketcand if self._place.server is not None else open_connection
+        self._interface = await opened(self._place, self._listener)
+
+    async def close(self) -> None:
+        """Closes the bus."""
+        if self._reopening is not None:
+            self._reopening.cancel()
+        interface, self._interface = self._interface, None
+        if interface is not None:
+            await interface.close()
+
+    async def send(self, frame: Frame) -> None:
+        """Sends a frame; returns when the interface has accepted it. Raises DeviceError."""
+        if self._interface is None:
+            raise self._error("the bus is lost", timeout=True)
+        reason = await self._interface.send(frame)
+        if reason:
+            raise self._error(f"a frame could not be sent: {reason}")
+
+    def post(self, frame: Frame) -> None:
+        """Sends a frame without waiting; it may be dropped, for frames that are repeated."""
+        interface = self._interface
+        if interface is not None:
+            interface.post(frame)
+
+    @property
+    def malformed(self) -> int:
+        """The number of invalid frames since the bus was last opened."""
+        return self._interface.malformed if self._interface is not None else 0
+
+    def _error(self, reason: str, *, timeout: bool = False) -> DeviceError:
+        kind = "DeviceTimeoutException" if timeout else "DeviceException"
+        return DeviceError("bus", f"{self._place.text}: {reason}", kind=kind)
+
+    def _on_error(self, identifier: int, data: bytes) -> None:
+        """An error frame."""
+        self.errors += 1
+        words = error_text(identifier, data)
+        if identifier & BUS_OFF or (self._interface is not None and self._interface.is_off):
+            self._lost(words)
+        elif self._loop.time() - self._last_logged >= QUIET_TIME:
+            count = self.errors - self._errors_logged
+            self._last_logged, self._errors_logged = self._loop.time(), self.errors
+            self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._place.text, reason=words))
+
+    # -- loss and recovery ------------------------------------------------------------------------------
+
+    def _lost(self, reason: str) -> None:
+        interface, self._interface = self._interface, None
+        if interface is None:
+            return
+        if self._loop.time() - self._opened_at > STEADY:
+            self._attempts.works()
+        self._log(self._attempts.lost(reason, self._loop.time()))
+        self._reopening = self._loop.create_task(self._reopen(interface))
+
+    async def _reopen(self, broken: Interface) -> None:
+        """Closes the failed interface, then retries until one works."""
+        await broken.close()
+        # An interface that is down can be opened, but fails when it is read: keep increasing the pauses.
+        if self._loop.time() - self._opened_at > STEADY:
+            self._pause = FIRST_RETRY
+        while self._interface is None:
+            await asyncio.sleep(self._pause)
+            self._pause = min(2.0 * self._pause, LAST_RETRY)
+            try:
+                await self.open()
+            except DeviceError as error:
+                self._log(self._attempts.failed(error.reason, self._loop.time()))
+        self._opened_at = self._loop.time()
+        self._log(self._attempts.opened("", self._loop.time()))
+
+    def _log(self, line: str) -> None:
+        if line:
+            self._note(line)

@@ -1,0 +1,53 @@
+"""The log lines of the CAN driver: each has a stable code (lfield/docs/messages.md)."""
+
+from lfield.driver import LogMessage
+
+# --- the bus --------------------------------------------------------------------------------------------
+
+ERROR_FRAMES = LogMessage("can-error-frames", "error frames on {bus} (count {count}): {reason}", "warning")
+SILENT = LogMessage("can-silent", "no longer responding: no message received", "warning")
+RESPONDING = LogMessage("can-responding", "responding again")
+ID_CONFLICT = LogMessage("can-id-conflict", "motion refused: {reason}", "error")
+ID_UNIQUE = LogMessage("can-id-unique", "motion permitted again: the id is unique")
+
+# --- axes -----------------------------------------------------------------------------------------------
+
+SETUP_FAILED = LogMessage("can-setup-failed", "set-up failed: {reason}; retrying", "warning")
+SET_UP_AGAIN = LogMessage("can-set-up-again", "restarted and set up again; not enabled", "warning")
+LEAVING_BOUNDS = LogMessage("can-leaving-bounds", "stopped: it was leaving its bounds", "error")
+EMERGENCY = LogMessage("can-emergency", "emergency message: {reason}", "error")
+TORQUE_GAP = LogMessage(
+    "can-torque-gap", "torque off for a moment: the drive cannot be enabled from a quick stop", "warning"
+)
+LIMIT_BY_DRIVER = LogMessage("can-limit-by-driver", "limit enforced by this driver only: {reason}")
+COASTS = LogMessage("can-coasts", "coasts after a fault: 0x605E is 0", "warning")
+QUICK_STOP_UNKNOWN = LogMessage(
+    "can-quick-stop-unknown", "quick stop unknown: {reason}; check in its manual whether it brakes", "warning"
+)
+HEARTBEAT_IGNORED = LogMessage(
+    "can-heartbeat-ignored", "heartbeat of this computer not monitored: {reason}", "warning"
+)
+PDO_LACKS = LogMessage("can-pdo-lacks", "the drive does not {ability}: {reason}")
+PDO_BY_SYNC = LogMessage("can-pdo-by-sync", "{pdo} has no timer: requested by SYNC")
+PDO_BY_CHANGE = LogMessage(
+    "can-pdo-by-change",
+    "{pdo} is sent only on change (transmission type {type}): its values are valid while the drive's "
+    "heartbeat is received",
+)
+PDO_SLOW = LogMessage(
+    "can-pdo-slow", "{pdo} is sent at most every {milliseconds:g} ms: its values are outdated", "warning"
+)
+
+# --- devices of DBC and EDS files -----------------------------------------------------------------------
+
+FILE_WARNING = LogMessage("can-file-warning", "{place}: warning[{kind}]: {reason}; {hint}", "warning")
+FILE_WARNINGS = LogMessage("can-file-warnings", "{path}: more warnings: {count}", "warning")
+TWO_SOURCES = LogMessage(
+    "can-two-sources",
+    "{message} comes from two addresses, 0x{first:02X} and 0x{second:02X}; using 0x{first:02X}: specify the "
+    "address in the DBC file",
+    "warning",
+)
+INVALID_FRAME = LogMessage("can-invalid-frame", "message {message} invalid: {reason}", "warning")
+NOT_SAFE = LogMessage("can-not-safe", "safe state not commanded: {reason}", "error")
+NOTHING_RECEIVED = LogMessage("can-nothing-received", "no message received: waived by its binding", "warning")

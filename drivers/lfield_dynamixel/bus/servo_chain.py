@@ -1,0 +1,214 @@
+"""Reads and writes control tables on a bus, with retries and protection against late answers.
+
+Answers do not identify their request. So a servo whose answer was missed is *doubted*: before its next answer
+is accepted it must answer a ping, whose data has a length that no read here requests. A servo answers in
+order; after the ping's answer, older ones cannot follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from dynamixel_sdk.robotis_def import (
+    BROADCAST_ID,
+    INST_FAST_SYNC_READ,
+    INST_PING,
+    INST_READ,
+    INST_REBOOT,
+    INST_SYNC_READ,
+    INST_SYNC_WRITE,
+    INST_WRITE,
+)
+
+from lfield.driver import DeviceError
+from lfield_dynamixel.bus.error_text import refusal_text
+from lfield_dynamixel.bus.half_duplex_bus import COMMAND, Bus
+from lfield_dynamixel.bus.packets import PROTOCOLS, AnyProtocol, Status, split_fast
+
+#: Attempts of a request before a servo counts as silent.
+TRIES = 5
+#: Consecutive failures of fast reads while plain ones work: some servo does not support them.
+FAST_FAILURES = 3
+#: Plain reads until a fast one is tried again: the cause may have been a servo or port that was gone.
+FAST_RETRY_READS = 200
+
+#: Rounds of an id check: with one answer each until there is one servo, with two answers that prove a second
+#: one, and at most.
+FEWEST_ROUNDS, PROOF, MOST_ROUNDS = 4, 3, 12
+
+_PING_BYTES = {1: 0, 2: 3}
+
+
+class NoAnswer(DeviceError):
+    """A servo that does not answer; `number` is its id."""
+
+    def __init__(self, number: int, why: str = "") -> None:
+        self.number = number
+        reason = f"servo {number} does not answer" + (f": {why}" if why else "")
+        super().__init__(f"servo {number}", reason, kind="DeviceTimeoutException")
+
+
+class ServoRefusal(DeviceError):
+    """A servo that refused a request; `error_byte` is the byte of its answer."""
+
+    def __init__(self, number: int, code: int, text: str) -> None:
+        self.number, self.error_byte = number, code
+        super().__init__(f"servo {number}", f"servo {number} refused: {text}")
+
+
+@dataclass(frozen=True, slots=True)
+class Node:
+    """One servo on the bus, with its protocol (1 or 2)."""
+
+    number: int
+    protocol: int = 2
+
+    @property
+    def codec(self) -> AnyProtocol:
+        """Its packet codec."""
+        return PROTOCOLS[self.protocol]
+
+    def place(self, *values: int) -> bytes:
+        """Addresses and lengths as parameters: two bytes each in protocol 2.0, one in 1.0."""
+        width = 2 if self.protocol == 2 else 1
+        return b"".join(value.to_bytes(width, "little") for value in values)
+
+
+class Chain:
+    """The servos on one bus."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._doubted: set[int] = set()
+        self._fast_failures = self._plain_reads = 0
+
+    async def ping(self, node: Node, *, urgency: int = COMMAND) -> bytes | None:
+        """Pings a servo: the data of its answer (2.0: model and firmware), or None."""
+        size = _PING_BYTES[node.protocol]
+        answers = await self._request(node, INST_PING, b"", size, urgency)
+        if not answers or len(answers[0].data) != size:
+            self._doubted.add(node.number)
+            return None
+        self._doubted.discard(node.number)
+        return answers[0].data
+
+    async def read(self, node: Node, start: int, size: int, *, urgency: int = COMMAND) -> Status:
+        """Reads `size` bytes of a control table from the address `start`. Raises NoAnswer, ServoRefusal."""
+        parameters = node.place(start, size)
+        return await self._request_with_retries(node, INST_READ, parameters, size, urgency)
+
+    async def write(self, node: Node, start: int, data: bytes, *, urgency: int = COMMAND) -> Status:
+        """Writes bytes to a control table, with confirmation. Raises NoAnswer, ServoRefusal.
+
+        Writes are idempotent, so a lost answer is handled by writing again.
+        """
+        return await self._request_with_retries(node, INST_WRITE, node.place(start) + data, 0, urgency)
+
+    async def write_unconfirmed(self, node: Node, start: int, data: bytes) -> None:
+        """Writes without waiting for an answer: for a servo that is configured to send none."""
+        packet = node.codec.encode(node.number, INST_WRITE, node.place(start) + data)
+        await self._bus.exchange(node.codec, packet, (), 0)
+
+    async def id_conflict(
+        self, node: Node, start: int, size: int, *, urgency: int = COMMAND, fewest: int = FEWEST_ROUNDS
+    ) -> str:
+        """Why two servos seem to have an id; '' for one servo.
+
+        Two servos both answer: one after the other, or at once, which damages the answer. Answers get lost,
+        so there are several rounds, at least `fewest`, and a single one proves nothing.
+        """
+        packet = node.codec.encode(node.number, INST_READ, node.place(start, size))
+        single = doubled = damaged = 0
+        for _ in range(MOST_ROUNDS):
+            heard = await self._bus.listen(node.codec, packet, size, urgency=urgency)
+            answers = [a for a in node.codec.reader().feed(heard) if a.number == node.number]
+            doubled += len(answers) > 1
+            single += len(answers) == 1
+            damaged += bool(heard) and not answers
+            if doubled >= PROOF:
+                return f"two servos answer to the id {node.number}; give each its own"
+            if single >= fewest + 2 * (doubled + damaged):
+                return ""
+        if damaged > MOST_ROUNDS // 2:
+            return (
+                f"the answers of servo {node.number} are damaged: check whether two servos have this id, and "
+                "the wires"
+            )
+        return ""
+
+    async def reboot(self, node: Node) -> None:
+        """Restarts a servo. It may answer before it restarts; the caller must verify that it is back."""
+        await self._request(node, INST_REBOOT, b"", 0, COMMAND)
+        self._doubted.add(node.number)
+
+    async def sync_write(
+        self, start: int, data: Mapping[int, bytes], *, protocol: int = 2, urgency: int = COMMAND
+    ) -> None:
+        """One packet that writes to several servos. It has no answer."""
+        node = Node(BROADCAST_ID, protocol)
+        size = len(next(iter(data.values())))
+        body = b"".join(bytes((number,)) + part for number, part in data.items())
+        packet = node.codec.encode(BROADCAST_ID, INST_SYNC_WRITE, node.place(start, size) + body)
+        await self._bus.exchange(node.codec, packet, (), 0, urgency=urgency)
+
+    async def sync_read(
+        self, nodes: Sequence[Node], start: int, size: int, *, urgency: int = COMMAND, alone: bool = True
+    ) -> dict[int, Status]:
+        """Reads the same range of several servos, by id. A missing servo has answered neither in the group
+        nor (unless `alone` is False, which saves time) alone. Raises nothing.
+        """
+        sure = [node for node in nodes if node.protocol == 2 and node.number not in self._doubted]
+        found = await self._read_group(sure, start, size, urgency) if len(sure) > 1 else {}
+        for node in nodes:
+            if node.number in found or not (alone or len(nodes) == 1):
+                continue
+            try:
+                found[node.number] = await self.read(node, start, size, urgency=urgency)
+            except (NoAnswer, ServoRefusal):
+                continue
+        return found
+
+    async def _read_group(
+        self, nodes: Sequence[Node], start: int, size: int, urgency: int
+    ) -> dict[int, Status]:
+        """The answers to a fast sync read, or to a plain one if fast ones do not work."""
+        numbers = tuple(node.number for node in nodes)
+        fast = self._fast_failures < FAST_FAILURES or self._plain_reads >= FAST_RETRY_READS
+        self._plain_reads = 0 if fast else self._plain_reads + 1
+        instruction = INST_FAST_SYNC_READ if fast else INST_SYNC_READ
+        codec = nodes[0].codec
+        packet = codec.encode(BROADCAST_ID, instruction, nodes[0].place(start, size) + bytes(numbers))
+        asked, length = ((BROADCAST_ID,), (size + 4) * len(numbers) - 3) if fast else (numbers, size)
+        answers = await self._bus.exchange(codec, packet, asked, length, urgency=urgency)
+        if fast:
+            whole = split_fast(answers[0], numbers, size) if answers else None
+            self._fast_failures = 0 if whole else self._fast_failures + 1
+            # It was answered under another id, so later answers are not in doubt.
+            return whole or {}
+        found = {answer.number: answer for answer in answers if len(answer.data) == size}
+        self._doubted.update(set(numbers) - found.keys())
+        return found
+
+    async def _request_with_retries(
+        self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int
+    ) -> Status:
+        """Repeats a request until it is answered with the requested length."""
+        for _ in range(TRIES):
+            if node.number in self._doubted and await self.ping(node, urgency=urgency) is None:
+                continue
+            answers = await self._request(node, instruction, parameters, size, urgency)
+            if answers:
+                words = refusal_text(node.protocol, answers[0])
+                if words:
+                    raise ServoRefusal(node.number, answers[0].error, words)
+                if len(answers[0].data) == size:
+                    return answers[0]
+            self._doubted.add(node.number)
+        raise NoAnswer(node.number, self._bus.is_lost)
+
+    async def _request(
+        self, node: Node, instruction: int, parameters: bytes, size: int, urgency: int
+    ) -> list[Status]:
+        packet = node.codec.encode(node.number, instruction, parameters)
+        return await self._bus.exchange(node.codec, packet, (node.number,), size, urgency=urgency)

@@ -1,0 +1,81 @@
+"""Positions on the Earth and distances in metres.
+
+Between near positions a flat approximation on a sphere, as in the autopilots, with a degree of longitude at
+the middle latitude; its error is below a metre over 5 km. The team's frame uses the ellipsoid, by
+geographiclib.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from geographiclib.geodesic import Geodesic
+
+from lfield.driver import Origin, Vector
+
+__all__ = ["EARTH_RADIUS", "Place", "Vector", "onto", "round_from"]
+
+#: The Earth's equatorial radius in metres (WGS 84).
+EARTH_RADIUS = 6378137.0
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Latitude and longitude in degrees, height above mean sea level in metres."""
+
+    latitude: float
+    longitude: float
+    altitude: float
+
+    @classmethod
+    def scaled(cls, latitude: int, longitude: int, altitude: int) -> Place | None:
+        """From 1e-7 degrees and millimetres as in messages; None for an invalid position.
+
+        Autopilots send 0, 0 before they know their position.
+        """
+        if abs(latitude) > 900_000_000 or abs(longitude) > 1_800_000_000 or not (latitude or longitude):
+            return None
+        return cls(latitude / 1e7, longitude / 1e7, altitude / 1000.0)
+
+    def to(self, other: Place, radius: float = EARTH_RADIUS) -> Vector:
+        """The vector from here to there, in metres."""
+        north = math.radians(other.latitude - self.latitude) * radius
+        # The shortest difference, also across the date line.
+        degrees = math.remainder(other.longitude - self.longitude, 360.0)
+        east = math.radians(degrees) * radius * _shrink(self.latitude, other.latitude)
+        return (north, east, self.altitude - other.altitude)
+
+    def shifted(self, way: Vector, radius: float = EARTH_RADIUS) -> Place:
+        """The position at the end of a vector from here."""
+        north, east, down = way
+        latitude = self.latitude + math.degrees(north / radius)
+        shrink = _shrink(self.latitude, latitude)
+        longitude = self.longitude + math.degrees(east / (radius * shrink))
+        return Place(latitude, math.remainder(longitude, 360.0), self.altitude - down)
+
+
+def onto(origin: Origin | Place, place: Place) -> Vector:
+    """Metres north and east of an origin along the geodesic, and the turn of north in radians.
+
+    The turn is how far north at `place` is rotated clockwise against north at the origin.
+    """
+    found = Geodesic.WGS84.Inverse(origin.latitude, origin.longitude, place.latitude, place.longitude)
+    there, far = math.radians(found["azi1"]), found["s12"]
+    turn = math.remainder(there - math.radians(found["azi2"]), math.tau)
+    return (far * math.cos(there), far * math.sin(there), turn)
+
+
+def round_from(origin: Origin | Place, north: float, east: float) -> tuple[float, float]:
+    """Latitude and longitude of a position given in metres north and east of an origin: the inverse of
+    `onto`.
+    """
+    bearing = math.degrees(math.atan2(east, north))
+    far = math.hypot(north, east)
+    found = Geodesic.WGS84.Direct(origin.latitude, origin.longitude, bearing, far)
+    return (found["lat2"], found["lon2"])
+
+
+def _shrink(a: float, b: float) -> float:
+    """Length of a degree of longitude relative to the equator; never 0, even at a pole."""
+    return max(math.cos(math.radians((a + b) / 2.0)), 1e-6)

@@ -1,0 +1,241 @@
+"""Checks that move a vehicle: a copter climbs to 3 m, a rover stays on the ground.
+
+They move 3 m, and farther to approach a speed limit.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+
+from lfield.driver import DeviceError
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried, cancelled, held, refused, rested
+from lfield_mavlink.parts.guidance import CANNOT_TURN, HEADING_TOLERANCE
+
+MOTION = Kit()
+
+#: Metres: height of a copter, and distance of all vehicles.
+HEIGHT, FAR = 3.0, 3.0
+#: Turn in radians.
+QUARTER = math.pi / 2
+#: Seconds at the speed limit that would reveal an excess, and the least share of it that must be reached for
+#: a result.
+RUN, TRIED = 5.0, 0.6
+#: m/s: setpoint; moving above; at rest below.
+SPEED, MOVES, STANDS = 1.0, 0.3, 0.2
+#: Seconds that a latch may be reported late by the guard.
+LATE = 0.5
+
+
+@MOTION.check("takeoff() is refused while disarmed", moves=True)
+async def takeoff_disarmed(bench: Bench) -> str:
+    """PX4 would accept the command and fly when it is armed later."""
+    if _kind(bench) != "copter":
+        raise NotTried(f"a {_kind(bench)} does not take off")
+    reason = await refused(bench, "takeoff", _height(bench))
+    if bench.query("armed") or not bench.query("landed"):
+        raise CheckFailed("takeoff() was refused, but it flies")
+    return reason
+
+
+@MOTION.check("motors on and off", moves=True)
+async def arming(bench: Bench) -> str:
+    """The armed bit follows."""
+    await bench.call("arm")
+    try:
+        _see(bench.query("armed"), "arm() returned, but it is not armed")
+        mode = bench.query("mode")
+    finally:
+        await bench.call("disarm")
+    _see(not bench.query("armed"), "disarm() returned, but it is armed")
+    return f"armed in {mode}, disarmed"
+
+
+@MOTION.check("a short trip", moves=True)
+async def trip(bench: Bench) -> str:
+    """Takeoff, there and back, a turn, hold; goTo() returns on arrival, hold() in its mode."""
+    async with _under_way(bench):
+        start = bench.query("position")
+        off = []
+        for way in (_far(bench), 0.0):
+            goal = (start[0] + way, start[1], start[2])
+            await bench.call("goTo", *goal)
+            off.append(math.dist(bench.query("position")[:2], goal[:2]))
+        _see(max(off) <= await _tolerance(bench), f"goTo() returned {max(off):.2f} m from its goal")
+        turned = await _turn(bench)
+        await bench.call("hold")
+        await _stops(bench)
+        return (
+            f"at {bench.query('altitude'):.1f} m; {off[0]:.2f} m off at {_far(bench):g} m, {off[1]:.2f} m "
+            f"off after return; {turned}; held in {bench.query('mode')}"
+        )
+
+
+@MOTION.check("a cancelled motion holds", moves=True)
+async def cancels(bench: Bench) -> str:
+    """It stops where it was cancelled, free for the next goal; a landing is completed."""
+    async with _under_way(bench):
+        north, east, down = bench.query("position")
+        told = [await cancelled(bench, lambda: _moves(bench), "goTo", north + _far(bench), east, down)]
+        await _stops(bench)
+        left = math.dist(bench.query("position")[:2], (north + _far(bench), east))
+        _see(left > float(bench.binding.option("tolerance")), "its goTo() was cancelled but was completed")
+        if _kind(bench) == "copter":
+            told.append(await cancelled(bench, lambda: bench.query("climb") < -MOVES, "land"))
+            _see(not bench.query("armed"), "land() returned, but its motors are on")
+            await bench.call("arm")
+            climbs = cancelled(bench, lambda: bench.query("climb") > MOVES, "takeoff", _height(bench))
+            told.append(await climbs)
+            await bench.until(lambda: abs(bench.query("climb")) < STANDS, 10.0, "it to stop climbing")
+            _see(bench.query("altitude") < _height(bench), "its takeoff was cancelled but continued")
+        return "; ".join(told)
+
+
+@MOTION.check("its speed limit is enforced", moves=True)
+async def speed_limit(bench: Bench) -> str:
+    """The highest horizontal speed on a sufficiently long way, after a takeoff and after a hold."""
+    limit = bench.binding.limits.get("speed")
+    if limit is None:
+        raise NotTried("its binding has no 'limits'")
+    far = min(RUN * limit, bench.binding.limits.get("radius", math.inf) / 2)
+    async with _under_way(bench):
+        start, fastest = bench.query("position"), []
+        for way in (far, 0.0):
+            fastest.append(await _fastest(bench, start[0] + way, start[1], start[2]))
+            await bench.call("hold")
+        allowed = limit * (1.0 + float(bench.binding.option("limit_tolerance")))
+        told = f"{' and '.join(f'{speed:.2f}' for speed in fastest)} m/s at most, of {limit:g}"
+        _see(max(fastest) <= allowed, told)
+        _see(max(fastest) >= TRIED * limit, f"{told}: {far:g} m are too short for a result")
+        return told
+
+
+@MOTION.check("a velocity that is not renewed ends", moves=True)
+async def velocity(bench: Bench) -> str:
+    """After its time-to-live the guard brings it into the safe state, where it comes to rest."""
+    async with _under_way(bench):
+        last = await _drive(bench, min(SPEED, bench.binding.limits.get("speed", math.inf)))
+        ttl = bench.binding.ttl
+        await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
+        ended = bench.now - last
+        _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
+        reason = bench.latched
+        words = await rested(bench)
+        if bench.binding.safe_state == "hold" or _kind(bench) == "rover":
+            await _stops(bench)
+        else:
+            _see(bool(words), "it landed without reporting it")
+            await bench.until(lambda: not bench.query("armed"), LATE, "its motors to be off, as reported")
+        way = f", then {words[0]}" if words else ""
+        return f"after {ended:.2f} s, {reason}{way}; then it was in {bench.query('mode')}"
+
+
+@MOTION.check("a host that stops responding during a motion", moves=True)
+async def hang(bench: Bench) -> str:
+    """The guard makes the vehicle safe."""
+    async with _under_way(bench):
+        await bench.fall_silent(3 * bench.silence)
+        reason = await held(bench, 1.0)
+        return f"in {bench.query('mode')} because {reason}"
+
+
+@MOTION.check("it is at rest at the end", moves=True)
+async def ends_safely(bench: Bench) -> str:
+    """On the ground, motors off, free."""
+    await bench.until(
+        lambda: bench.query("landed") and not bench.query("armed"), 10.0, "it to be at rest, disarmed"
+    )
+    _see(not bench.latched, f"it is latched: {bench.latched}")
+    return f"in {bench.query('mode')}, motors off"
+
+
+@asynccontextmanager
+async def _under_way(bench: Bench) -> AsyncIterator[None]:
+    """Armed, a copter in the air; in every case landed and disarmed afterwards."""
+    if _kind(bench) not in ("copter", "rover"):
+        raise NotTried(f"a {_kind(bench)} is not moved by this kit")
+    try:
+        await bench.call("arm")
+        if _kind(bench) == "copter":
+            await bench.call("takeoff", _height(bench))
+        yield
+    finally:
+        if bench.latched:
+            await held(bench, 0.0)
+        await bench.call("land" if _kind(bench) == "copter" else "hold")
+        await bench.call("disarm")
+
+
+async def _drive(bench: Bench, speed: float) -> float:
+    """Repeats a velocity to the north until it moves; returns the time of the last setpoint."""
+    pause = bench.binding.ttl / 4.0
+    end = bench.now + 5.0
+    while bench.now < end:
+        last = bench.now
+        await bench.call("setVelocity", speed, 0.0, 0.0)
+        if math.hypot(*bench.query("velocity")[:2]) >= MOVES * speed:
+            return last
+        await asyncio.sleep(pause)
+    raise CheckFailed(f"setVelocity({speed:g}, 0, 0) does not move it")
+
+
+async def _fastest(bench: Bench, *goal: float) -> float:
+    """The highest horizontal speed on the way to a position."""
+    going, most = asyncio.ensure_future(bench.call("goTo", *goal)), 0.0
+    try:
+        while not going.done():
+            await asyncio.wait([going], timeout=0.05)
+            most = max(most, math.hypot(*bench.query("velocity")[:2]))
+        await going
+    finally:
+        going.cancel()
+    return most
+
+
+def _moves(bench: Bench) -> bool:
+    return math.hypot(*bench.query("velocity")[:2]) > MOVES
+
+
+async def _stops(bench: Bench) -> None:
+    await bench.until(lambda: math.hypot(*bench.query("velocity")[:2]) < STANDS, 10.0, "it to stop")
+
+
+async def _turn(bench: Bench) -> str:
+    """A quarter turn to the right; a car-like rover may report that it cannot turn on the spot."""
+    heading = bench.query("heading") + QUARTER
+    try:
+        await bench.call("yaw", heading)
+    except DeviceError as error:
+        if CANNOT_TURN in str(error):
+            return "it can turn only while driving"
+        raise
+    off = abs(math.remainder(bench.query("heading") - heading, math.tau))
+    _see(off <= 2.0 * HEADING_TOLERANCE, f"yaw() returned {off:.2f} rad from its heading")
+    return f"turned, {off:.2f} rad off"
+
+
+def _kind(bench: Bench) -> str:
+    return str(bench.binding.option("kind"))
+
+
+async def _tolerance(bench: Bench) -> float:
+    """Metres: telemetry is slightly older than the driver's data. ArduPilot stops a rover at WP_RADIUS."""
+    stops = 0.0
+    if _kind(bench) == "rover" and bench.identity.startswith("ArduPilot"):
+        stops = await bench.call("parameter", "WP_RADIUS")
+    return max(2.0 * float(bench.binding.option("tolerance")), stops + 0.5)
+
+
+def _height(bench: Bench) -> float:
+    return min(HEIGHT, bench.binding.limits.get("altitude", math.inf))
+
+
+def _far(bench: Bench) -> float:
+    return min(FAR, bench.binding.limits.get("radius", math.inf) / 2)
+
+
+def _see(shown: bool, otherwise: str) -> None:
+    if not shown:
+        raise CheckFailed(otherwise)

@@ -1,0 +1,155 @@
+"""Checks of stored plans: mission, fence, rally points. Previous plans are restored."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lfield.driver import DeviceError
+from lfield.driver.kit import Bench, CheckFailed, Kit, NotTried
+from lfield_mavlink.geodesy import Place
+
+PLANS = Kit()
+
+#: Metres: distance of waypoints, their height above home, and radius of the fence.
+FAR, HEIGHT, FENCE = 20.0, 5.0, 500.0
+#: Precision of a plan that is read back: degrees, and metres.
+DEGREES, METRES = 1e-6, 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class _Plan:
+    """A list of points {latitude, longitude, metres}: its name, and its instructions."""
+
+    points: str
+    read: str
+    write: str
+    clear: str
+
+
+_MISSION = _Plan("waypoints", "missionWaypoints", "uploadMission", "clearMission")
+_RALLY = _Plan("rally points", "rallyPoints", "setRallyPoints", "clearRallyPoints")
+
+
+@PLANS.check("a mission is uploaded, read back and cleared", moves=True)
+async def mission(bench: Bench) -> str:
+    """Three waypoints around its position."""
+    far, height = _within_limits(bench)
+    return await _tried(bench, _MISSION, [(*corner, height) for corner in _around(bench, far, 3)])
+
+
+@PLANS.check("a fence is set, read back and cleared", moves=True)
+async def fence(bench: Bench) -> str:
+    """A circle, then a polygon with an exclusion zone, around its position; afterwards its previous fence
+    state.
+    """
+    zones = await bench.call("fence")
+    if zones:
+        raise NotTried(f"it has a fence, which is not changed: {zones.splitlines()[0]}")
+    latitude, longitude, _ = bench.query("globalPosition")
+    before = await _switches(bench)
+    seen = []
+    try:
+        await bench.call("setFenceCircle", latitude, longitude, FENCE)
+        seen.append(await bench.call("fence"))
+        await bench.call(
+            "setFencePolygon", [value for corner in _around(bench, FENCE, 4) for value in corner]
+        )
+        await bench.call("excludeCircle", *_around(bench, FENCE / 2, 1)[0], FENCE / 10)
+        seen += (await bench.call("fence")).splitlines()
+    finally:
+        await bench.call("clearFence")
+        for name, value in before.items():
+            await bench.call("setParameter", name, value)
+    kinds = [line.split()[:2] for line in seen]
+    if kinds != [["inside", "circle"], ["inside", "polygon"], ["outside", "circle"]]:
+        raise CheckFailed(f"read back: {'; '.join(seen) or 'nothing'}")
+    circle = [float(word) for word in seen[0].split()[2:]]
+    _same([latitude, longitude, FENCE], circle, "a circle")
+    left = await bench.call("fence")
+    if left:
+        raise CheckFailed(f"after clearFence() there was {left}")
+    return f"{seen[0]}; a polygon with a circle outside; now none, as before"
+
+
+@PLANS.check("rally points are set, read back and cleared", moves=True)
+async def rally(bench: Bench) -> str:
+    """Two points near its position."""
+    far, height = _within_limits(bench)
+    return await _tried(bench, _RALLY, [(*corner, height) for corner in _around(bench, far, 2)])
+
+
+def _within_limits(bench: Bench) -> tuple[float, float]:
+    """Horizontal distance and height above home that the binding allows, in metres."""
+    limits = bench.binding.limits
+    return min(FAR, limits.get("radius", math.inf) / 2), min(HEIGHT, limits.get("altitude", math.inf))
+
+
+async def _tried(bench: Bench, plan: _Plan, points: Sequence[tuple[float, float, float]]) -> str:
+    """Writes a plan, reads it back and clears it; then restores the vehicle's own in every case."""
+    before = await _kept(bench, plan)
+    wanted = [value for point in points for value in point]
+    try:
+        await bench.call(plan.write, wanted)
+        _same(wanted, await bench.call(plan.read), plan.points)
+        await bench.call(plan.clear)
+        left = await bench.call(plan.read)
+        if left:
+            raise CheckFailed(f"{len(left) // 3} {plan.points} remained after {plan.clear}()")
+    finally:
+        await _give_back(bench, plan, before)
+    return f"{len(points)} {plan.points}; now it holds {len(before) // 3}, as before"
+
+
+async def _kept(bench: Bench, plan: _Plan) -> list[float]:
+    """The stored plan, for restoring. Raises NotTried if it could not be restored.
+
+    That is verified before the plan is changed: a limit of the binding may forbid the vehicle's plan.
+    """
+    try:
+        kept: list[float] = await bench.call(plan.read)
+        if kept:
+            await bench.call(plan.write, kept)
+    except DeviceError as error:
+        if error.kind == "DeviceTimeoutException":
+            raise
+        raise NotTried(f"the stored plan could not be restored: {error.reason}") from None
+    return kept
+
+
+async def _give_back(bench: Bench, plan: _Plan, before: list[float]) -> None:
+    """Restores a plan. Raises CheckFailed, which takes precedence over an earlier failure."""
+    try:
+        if before:
+            await bench.call(plan.write, before)
+        else:
+            await bench.call(plan.clear)
+    except DeviceError as error:
+        held = f"its {len(before) // 3} {plan.points} were" if before else "its empty plan was"
+        raise CheckFailed(f"{held} not given back: {error.reason}") from error
+
+
+async def _switches(bench: Bench) -> dict[str, float]:
+    """The parameters of ArduPilot's fence that the driver changes; PX4 has none."""
+    if not bench.identity.startswith("ArduPilot"):
+        return {}
+    return {name: await bench.call("parameter", name) for name in ("FENCE_TYPE", "FENCE_ENABLE")}
+
+
+def _around(bench: Bench, far: float, count: int) -> list[tuple[float, float]]:
+    """Latitude and longitude of `count` positions on a circle around the vehicle."""
+    here = Place(*bench.query("globalPosition"))
+    angles = [math.tau * number / count for number in range(count)]
+    places = [here.shifted((far * math.cos(angle), far * math.sin(angle), 0.0)) for angle in angles]
+    return [(place.latitude, place.longitude) for place in places]
+
+
+def _same(expected: list[float], found: list[float], what: str) -> None:
+    """Raises CheckFailed unless {latitude, longitude, metres}* were read back as sent."""
+    near = [DEGREES, DEGREES, METRES] * (len(expected) // 3)
+    fits = len(found) == len(expected) and all(
+        abs(now - then) <= most for now, then, most in zip(found, expected, near, strict=True)
+    )
+    if not fits:
+        raise CheckFailed(f"{what}: expected {expected}, read back {found}")

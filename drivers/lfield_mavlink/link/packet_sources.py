@@ -1,0 +1,293 @@
+"""Sources of packets with one system id: one vehicle or two. Pure: packets and times in.
+
+Two addresses behind one port that both keep sending heartbeats are two vehicles. After a change of address,
+the old one falls silent and the board behind the new one is the same. Over several links one vehicle has
+several addresses; it is identified by the unique id of its board, or without one by its time since boot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+from lfield_mavlink import log_messages
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.link.sender_separation import Board, HeartbeatContradictions, SenderSeparator
+
+#: Seconds after its last packet for which an address is in use, and for which a second one with heartbeats is
+#: a conflict.
+IN_USE, LASTS = 2.5, 4.0
+#: Seconds for which both must send: packets of an abandoned address may arrive late.
+BOTH = 0.5
+#: Seconds of listening until a single vehicle is certain: an autopilot's heartbeat is 1 Hz.
+LISTENS = 1.2
+#: Addresses stored, queries for the unique id of each, and seconds between two queries.
+MAX_SOURCES, MAX_QUERIES, QUERY_INTERVAL = 16, 5, 0.5
+#: Difference of two boot clocks in seconds: the same vehicle over two links below; different vehicles above,
+#: if two boards have one id, as all PX4 simulators do.
+SAME_CLOCK, OTHER_CLOCK = 2.0, 5.0
+#: What to do about two vehicles.
+REMEDY = "give each vehicle a system id of its own (MAV_SYSID, SYSID_THISMAV or MAV_SYS_ID)"
+#: How often a clock must go back within so many seconds to indicate two vehicles at one address.
+BACKWARDS, WITHIN = 3, 5.0
+#: Seconds within which two vehicles at one address both answer two queries.
+BY_TURNS = 2.0
+#: Messages that may identify the vehicle behind an address.
+_IDENTIFYING = (dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
+
+
+class Source(NamedTuple):
+    """The number of a link, and the address behind it; '' for a link with a single peer."""
+
+    link: int
+    address: str = ""
+
+
+@dataclass(slots=True)
+class _SourceState:
+    """What one source has sent."""
+
+    at: float = -math.inf
+    first_beat: float = math.inf
+    beat: float = -math.inf
+    board: Board | None = None
+    #: The previously reported board, and when that changed.
+    former: Board | None = None
+    changed: float = -math.inf
+    #: When two boards were reported alternately.
+    doubled: float = -math.inf
+    #: Whether it has sent heartbeats while the vehicle's own address did.
+    is_rival: bool = False
+    queries: int = 0
+    queried_at: float = -math.inf
+    #: The vehicle's boot clock minus ours in seconds, at the smallest delay.
+    clock: float | None = None
+    booted: float = -math.inf
+    heartbeats: HeartbeatContradictions = field(default_factory=HeartbeatContradictions)
+    strands: SenderSeparator = field(default_factory=SenderSeparator)
+    backwards: deque[float] = field(default_factory=lambda: deque(maxlen=BACKWARDS))
+
+    def on_packet(self, message: Any, now: float) -> None:
+        """Handles a packet."""
+        self.at = now
+        if message.get_msgId() == dialect.MAVLINK_MSG_ID_HEARTBEAT:
+            if now - self.beat > LASTS:
+                self.first_beat, self.queries = now, 0
+            self.beat = now
+            self.heartbeats.on_heartbeat(message, now)
+        elif message.get_msgId() == dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION:
+            self._on_board(Board.of(message), now)
+        elif message.get_msgId() == dialect.MAVLINK_MSG_ID_ATTITUDE:
+            # One kind only: some senders have a different clock for each kind of message.
+            self._on_clock(message.time_boot_ms / 1000.0, now)
+
+    def _on_board(self, board: Board, now: float) -> None:
+        """A vehicle that replaces another one changes the board once."""
+        if board == self.board:
+            return
+        if board == self.former and now - self.changed <= BY_TURNS:
+            self.doubled = now
+        self.board, self.former, self.changed = board, self.board, now
+
+    def _on_clock(self, booted: float, now: float) -> None:
+        if booted < self.booted - 1.0:
+            self.backwards.append(now)
+        self.booted, ahead = booted, booted - now
+        if self.clock is None or ahead > self.clock or ahead < self.clock - SAME_CLOCK:
+            self.clock = ahead
+
+    def is_mixed(self, now: float) -> bool:
+        """Whether two boards answer from here, or two clocks alternate."""
+        by_turns = len(self.backwards) == BACKWARDS and now - self.backwards[0] <= WITHIN
+        return by_turns or now - self.doubled <= LASTS
+
+    def is_same(self, other: _SourceState, *, both: bool) -> bool | None:
+        """Whether both are one vehicle; None while unknown.
+
+        `both`: both send now. The clock of a silent one may have restarted elsewhere.
+        """
+        mine, others = self.board, other.board
+        if mine is None or others is None:
+            if self.queries < MAX_QUERIES:
+                return None
+        elif mine.uid or others.uid:
+            if mine.uid != others.uid or not both:
+                return mine.uid == others.uid
+            return self._has_clock_of(other, OTHER_CLOCK)
+        elif mine != others:
+            return False
+        if not (both or self.is_rival):
+            return True
+        return self._has_clock_of(other, SAME_CLOCK)
+
+    def _has_clock_of(self, other: _SourceState, apart: float) -> bool:
+        """A rival is another vehicle unless the clocks agree; a source that is not a rival is one only if
+        they differ.
+        """
+        if self.clock is None or other.clock is None:
+            return not self.is_rival
+        return abs(self.clock - other.clock) <= apart
+
+
+class Sources:
+    """The addresses of one system id. `links` are the endpoints by number, for messages.
+
+    `events` are log lines, and `moves` counts changes of the vehicle's address.
+    """
+
+    def __init__(self, system: int, links: Sequence[str]) -> None:
+        self._system, self._links = system, links
+        #: Whether a second vehicle may have its own address: behind a listening port, or on a second link.
+        self._several = len(links) > 1 or any(link.startswith("udpin:") for link in links)
+        self._states: dict[Source, _SourceState] = {}
+        self._own: set[Source] = set()
+        self._first = math.inf
+        self._rivals: dict[Source, float] = {}
+        # Own addresses that a second vehicle uses as well.
+        self._mixed: set[Source] = set()
+        self.events: list[str] = []
+        self.moves = 0
+
+    # -- packets ------------------------------------------------------------------------------------------
+
+    def accepts(self, source: Source) -> bool:
+        """Whether packets from there are the vehicle's, as far as known."""
+        return source in self._own and source not in self._mixed
+
+    def touch(self, source: Source, now: float) -> None:
+        """A packet that need not be decoded came from one of the vehicle's own addresses."""
+        self._states[source].at = now
+
+    def on_packet(self, source: Source, message: Any, now: float) -> bool:
+        """Handles a packet of the vehicle's autopilot; returns whether it is accepted.
+
+        Packets before the first heartbeat from an address are not: they may not be an autopilot's.
+        """
+        seen = self._states.get(source)
+        if seen is None:
+            if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
+                return False
+            seen = self._add(source)
+        seen.on_packet(message, now)
+        if source in self._own:
+            return self._is_first(source, seen, message, now)
+        if not self._own:
+            self._own.add(source)
+            self._first = now
+            return True
+        if message.get_msgId() in _IDENTIFYING:
+            self._on_other(source, seen, now)
+        return source in self._own
+
+    def _add(self, source: Source) -> _SourceState:
+        others = [each for each in self._states if each not in self._own]
+        if len(self._states) >= MAX_SOURCES and others:
+            oldest = min(others, key=lambda each: self._states[each].at)
+            del self._states[oldest]
+            self._rivals.pop(oldest, None)
+        return self._states.setdefault(source, _SourceState())
+
+    def _on_other(self, source: Source, state: _SourceState, now: float) -> None:
+        """A heartbeat from an unknown address."""
+        used = [each for each in self._own if now - self._states[each].at <= IN_USE]
+        if same_port := [each for each in used if each.link == source.link]:
+            if any(self._states[each].at - state.first_beat >= BOTH for each in same_port):
+                state.is_rival = True
+                self._conflict(source, now)
+            return
+        same = self._is_same(state, used)
+        if same is False:
+            self._conflict(source, now)
+        elif same:
+            self._adopt(source, used)
+
+    def _adopt(self, source: Source, used: Sequence[Source]) -> None:
+        """Accepts an address of the vehicle: in addition to those in use on other links, or instead of
+        all.
+        """
+        if not used:
+            before = ", ".join(map(self._describe, sorted(self._own)))
+            line = log_messages.ADDRESS_CHANGED.line(new=self._describe(source), old=before)
+            self.events.append(line)
+        self._own = {each for each in self._own if used and each.link != source.link} | {source}
+        self._rivals.pop(source, None)
+        self.moves += 1
+
+    def _is_same(self, state: _SourceState, used: Sequence[Source]) -> bool | None:
+        found = [state.is_same(self._states[each], both=bool(used)) for each in used or self._own]
+        return False if False in found else None if None in found else True
+
+    def _is_first(self, source: Source, state: _SourceState, message: Any, now: float) -> bool:
+        """Whether a packet from an own address is the vehicle's, not a second one's."""
+        first = state.strands.is_first(message, now)
+        if not state.is_mixed(now):
+            self._mixed.discard(source)
+            return first or not state.strands.is_doubled(now)
+        if source not in self._mixed:
+            self._mixed.add(source)
+            line = log_messages.TWO_VEHICLES_MIXED.line(
+                system=self._system, source=self._describe(source), remedy=REMEDY
+            )
+            self.events.append(line)
+        return first
+
+    def _conflict(self, source: Source, now: float) -> None:
+        if now - self._rivals.get(source, -math.inf) > LASTS:
+            own = ", ".join(map(self._describe, sorted(self._own)))
+            line = log_messages.TWO_VEHICLES.line(
+                system=self._system, own=own, other=self._describe(source), remedy=REMEDY
+            )
+            self.events.append(line)
+        self._rivals[source] = now
+
+    # -- what follows -------------------------------------------------------------------------------------
+
+    def conflict(self, now: float) -> str:
+        """The addresses of two vehicles with this system id; '' for one vehicle."""
+        rivals = [each for each, at in self._rivals.items() if now - at <= LASTS]
+        if rivals:
+            names = " and ".join(map(self._describe, (*sorted(self._own), *sorted(rivals))))
+            return f"two vehicles send as system {self._system}: {names}"
+        for each in sorted(self._own):
+            if self._states[each].is_mixed(now):
+                return f"two vehicles send as system {self._system}, both over {self._describe(each)}"
+        return ""
+
+    def is_settled(self, now: float) -> bool:
+        """Whether it is certain that there is one vehicle, or that there are two.
+
+        Behind a single peer, that requires two queries for the board.
+        """
+        if not self._several or self.conflict(now):
+            return True
+        pending = (
+            now - seen.beat <= LASTS for source, seen in self._states.items() if source not in self._own
+        )
+        return now - self._first >= LISTENS and not any(pending)
+
+    def due(self, now: float) -> list[Source]:
+        """The uncertain addresses to query for AUTOPILOT_VERSION now."""
+        links = {each.link for each in self._own if now - self._states[each].at <= IN_USE}
+        found = []
+        for source, seen in self._states.items():
+            if source in self._own:
+                waits = now - seen.heartbeats.contradicted <= LASTS
+            else:
+                unknown = seen.board is None and source.link not in links
+                waits = unknown and now - seen.beat <= LASTS and seen.queries < MAX_QUERIES
+            if waits and now - seen.queried_at >= QUERY_INTERVAL:
+                seen.queries, seen.queried_at = seen.queries + 1, now
+                found.append(source)
+        return found
+
+    def address(self, link: int) -> str:
+        """The vehicle's address behind a link; '' for all."""
+        return next((each.address for each in self._own if each.link == link), "")
+
+    def _describe(self, source: Source) -> str:
+        """`udpin:0.0.0.0:14550 from 10.0.0.5:14555`."""
+        endpoint = self._links[source.link]
+        return f"{endpoint} from {source.address}" if source.address else endpoint

@@ -1,0 +1,243 @@
+"""Compares the target that the autopilot reports with the targets that were sent. Pure.
+
+POSITION_TARGET_GLOBAL_INT and POSITION_TARGET_LOCAL_NED report the target in the mode for setpoints. Any
+station may send another target: an ArduCopter follows the last setpoint of any sender without a notice
+(gauntlet-a). It reports no position while it follows a velocity, takes off, or holds after a takeoff; PX4
+then reports a velocity without a position (px4-copter.d-velocity). An ArduRover reports no velocity, but the
+distance to its target in NAV_CONTROLLER_OUTPUT: 0 while it follows a velocity (ap-rover.f-fence-landing).
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+from lfield_mavlink.geodesy import Vector
+
+#: Metres over ground and in height between two targets that are not the same. What was sent is told again to
+#: 0.011 m (ap-rover.c-speed: all of 174), the last digit of a latitude; the rest is for what was not
+#: recorded, places of PX4 in OFFBOARD and of ArduCopter. Degrees and metres differ by FAR of the distance.
+NEAR, LEVEL, FAR = 0.5, 1.0, 1e-3
+#: The same for the stopping position when a vehicle enters the mode, which is only known approximately.
+RESTS, RESTS_LEVEL = 2.0, 3.0
+#: m/s between two different velocities; a slower horizontal one may be a limited one.
+SAME = 0.6
+#: Metres around the vehicle within which a target may be its own stopping position.
+HERE = 5.0
+#: Seconds for which a replaced target may still be reported: packets are late and lost.
+LATE = 3.0
+#: Metres before its goal and braking distance, within which a distance of 0 may be rounded.
+ARRIVES = 3.0
+#: Seconds in which the first of a series of targets must be reported.
+FIRST_TARGET_TIMEOUT = 1.2
+
+
+class TargetMonitor:
+    """The targets of one vehicle in its local frame: sent and reported.
+
+    A motion is by positions, by velocities, or (a takeoff, a hover) by neither.
+    """
+
+    def __init__(self, *, level: bool = True) -> None:
+        self._level = level
+        self._places: deque[tuple[float, Vector]] = deque()
+        self._velocities: deque[tuple[float, Vector]] = deque()
+        # Earlier targets and until when they may be reported. Until one of the new ones is reported all may
+        # be, since it ignores targets outside its fence.
+        self._earlier: list[tuple[float, Vector]] = []
+        self._started_at = math.inf
+        # Where it stops when it has not accepted a position yet, and until when that may be reported.
+        self._rests: tuple[Vector, float] | None = None
+        # When the newest position was sent that it is known to have followed.
+        self._followed = -math.inf
+        self._is_confirmed = self._by_velocity = False
+        self._stops_at: float | None = None
+        # The last reported position of this motion, and when a distance of 0 was reported before reaching it.
+        self._reported: Vector | None = None
+        self._nowhere_at = -math.inf
+        self._strange: tuple[float, str] | None = None
+
+    def clear(self, now: float) -> None:
+        """It follows no sent target from now on, but may still report the last ones."""
+        self._earlier = [each for each in self._earlier if now <= each[0]]
+        self._earlier += [(now + LATE, place) for _, place in self._places]
+        self._places.clear()
+        self._started_at, self._followed, self._is_confirmed, self._by_velocity = now, -math.inf, False, False
+        self._strange = self._stops_at = self._reported = None
+        self._nowhere_at = -math.inf
+        if self._rests is not None:
+            self._rests = self._rests[0], min(self._rests[1], now + LATE)
+
+    def on_place(self, place: Vector, now: float, rests_at: Vector | None) -> None:
+        """A position was sent; `rests_at` is where it stops if it has not accepted one yet."""
+        if self._by_velocity:
+            self.clear(now)
+        if not self._places:
+            self._started_at = now
+            if rests_at is not None:
+                self._rests = rests_at, math.inf
+        if self._places and self._places[-1][1] == place:
+            self._places.pop()
+        self._places.append((now, place))
+        while len(self._places) > 1 and self._places[0][0] < min(now, self._followed) - LATE:
+            self._places.popleft()
+
+    def on_velocity(self, velocity: Vector, now: float) -> None:
+        """A velocity was sent."""
+        if not self._by_velocity:
+            self.clear(now)
+            self._by_velocity = True
+        self._velocities.append((now, velocity))
+        while self._velocities[0][0] < now - LATE:
+            self._velocities.popleft()
+
+    def on_reported_place(self, place: Vector, now: float, here: Vector | None, *, aloft: bool) -> None:
+        """The autopilot reports its target; a height of NaN is not reported.
+
+        `here` is its position, `aloft` whether it flies: on the ground it may report an old target.
+        """
+        if (sent := self._sent_at(place, now)) is not None:
+            self._followed = max(self._followed, sent)
+            self._reported = place if math.isfinite(sent) else self._reported
+            # It reports nothing about an ignored goal: only the last one shows that they are followed.
+            self._is_confirmed = self._is_confirmed or (
+                bool(self._places) and self._is_near(place, self._places[-1][1])
+            )
+            return
+        begins = now - self._started_at <= FIRST_TARGET_TIMEOUT
+        if self._places:
+            if self._is_confirmed or not begins:
+                self._find(now, f"{self._left(place):.0f} m from its goal")
+        elif here is not None and (aloft or self._by_velocity):
+            far = math.dist(place[:2], here[:2])
+            if far > HERE or (self._by_velocity and not begins):
+                self._find(now, f"to a place {far:.0f} m away")
+
+    def on_reported_distance(self, distance: float, here: Vector | None, speed: float, now: float) -> None:
+        """A rover reports the distance to its target in metres, 0 without one.
+
+        A second 0 within LATE seconds is foreign if it is far from the last reported position of this motion.
+        """
+        told = self._reported
+        if distance > 0.0 or here is None or told is None:
+            return
+        left = math.dist(here[:2], told[:2])
+        late = any(now <= until and self._is_near(told, place) for until, place in self._earlier)
+        if late or left < ARRIVES + speed**2 / 2.0:
+            return
+        if now - self._nowhere_at <= LATE:
+            self._find(now, f"to no place, {left:.0f} m before its goal")
+        self._nowhere_at = now
+
+    def on_reported_velocity(self, velocity: Vector, now: float) -> None:
+        """The autopilot reports that it follows a velocity."""
+        words = f"at {math.hypot(*velocity):.1f} m/s"
+        if self._was_sent(velocity, now):
+            self._stops_at = None
+        elif math.hypot(*velocity) > SAME:
+            self._find(now, words)
+        elif self._places and self._is_confirmed:
+            # It stops instead of continuing; once is its own behaviour when it enters the mode.
+            self._stops_at = now if self._stops_at is None else self._stops_at
+            if now - self._stops_at > FIRST_TARGET_TIMEOUT:
+                self._find(now, words)
+
+    def on_guided(self, now: float) -> str:
+        """It is still in the mode for setpoints: how its target differs from the sent one, in words.
+
+        '' while it is the sent one, or nothing is known. A target may be reported before the mode that
+        belongs to it.
+        """
+        return "" if self._strange is None or now <= self._strange[0] else self._strange[1]
+
+    def _find(self, now: float, reason: str) -> None:
+        if self._strange is None:
+            self._strange = now, reason
+
+    def _left(self, place: Vector) -> float:
+        goal = self._places[-1][1]
+        level = self._level and math.isfinite(place[2])
+        return math.dist(place, goal) if level else math.dist(place[:2], goal[:2])
+
+    def _sent_at(self, place: Vector, now: float) -> float | None:
+        """When a position was last sent, minus infinity before this motion; None if it was not."""
+        for at, sent in reversed(self._places):
+            if self._is_near(place, sent):
+                return at
+        if self._is_at_rest(place, now):
+            return -math.inf
+        ignored = bool(self._places) and not self._is_confirmed
+        earlier = (each for until, each in self._earlier if now <= until or ignored)
+        return -math.inf if any(self._is_near(place, sent) for sent in earlier) else None
+
+    def _is_near(self, place: Vector, sent: Vector) -> bool:
+        near = NEAR + FAR * math.hypot(*sent[:2])
+        return math.dist(place[:2], sent[:2]) <= near and self._is_level(place, sent, LEVEL)
+
+    def _is_at_rest(self, place: Vector, now: float) -> bool:
+        if self._is_confirmed or self._rests is None or now > self._rests[1]:
+            return False
+        rests = self._rests[0]
+        return math.dist(place[:2], rests[:2]) <= RESTS and self._is_level(place, rests, RESTS_LEVEL)
+
+    def _is_level(self, place: Vector, sent: Vector, apart: float) -> bool:
+        level = self._level and math.isfinite(place[2])
+        return not level or abs(place[2] - sent[2]) <= apart
+
+    def _was_sent(self, velocity: Vector, now: float) -> bool:
+        """Whether it is a velocity of the last seconds, or the present one, limited by the autopilot."""
+        recent = [sent for at, sent in self._velocities if at >= now - LATE]
+        recent += [self._velocities[-1][1]] if self._by_velocity else []
+        return any(_is_bounded(velocity, sent) for sent in recent)
+
+
+def _is_bounded(velocity: Vector, sent: Vector) -> bool:
+    """Whether a velocity is another one, or a slower one in its direction; it may climb more slowly."""
+    fast = math.hypot(*sent[:2])
+    along = sum(v * s for v, s in zip(velocity[:2], sent[:2], strict=True)) / fast if fast else 0.0
+    share = min(1.0, max(0.0, along / fast)) if fast else 0.0
+    off = math.dist(velocity[:2], (share * sent[0], share * sent[1]))
+    low, high = sorted((0.0, sent[2]))
+    return off <= SAME and low - SAME <= velocity[2] <= high + SAME
+
+
+class CourseMonitor:
+    """Detects that a vehicle on its way to a goal moves elsewhere, by its horizontal velocity.
+
+    It is on its way once its course is within TOWARDS of the goal; rovers turn first, and copters accelerate.
+    Then a course that is off by more than OFF for LASTS seconds, faster than SPEED m/s, is foreign. Within
+    NEAR metres plus the braking distance courses are ignored.
+    """
+
+    TOWARDS, OFF, LASTS, SPEED, NEAR = math.radians(45.0), math.radians(60.0), 0.8, 0.8, 3.0
+
+    def __init__(self) -> None:
+        self._goal: Vector | None = None
+        self._was_towards = False
+        self._off_at = math.inf
+        #: The speed in m/s at which it moves elsewhere, 0 while it does not.
+        self.leaves = 0.0
+
+    def start(self, goal: Vector | None) -> None:
+        """A motion starts, to a goal or without a known one."""
+        self._goal, self._was_towards = goal, False
+        self._off_at, self.leaves = math.inf, 0.0
+
+    def on_motion(self, place: Vector, velocity: Vector, now: float) -> None:
+        """A sample."""
+        if self._goal is None:
+            return
+        way = (self._goal[0] - place[0], self._goal[1] - place[1])
+        left, speed = math.hypot(*way), math.hypot(*velocity[:2])
+        if speed < self.SPEED or left < self.NEAR + speed**2 / 2.0:
+            self._off_at, self.leaves = math.inf, 0.0
+            return
+        cosine = (way[0] * velocity[0] + way[1] * velocity[1]) / (left * speed)
+        off = math.acos(min(1.0, max(-1.0, cosine)))
+        self._was_towards = self._was_towards or off < self.TOWARDS
+        if not self._was_towards or off < self.OFF:
+            self._off_at, self.leaves = math.inf, 0.0
+            return
+        self._off_at = min(self._off_at, now)
+        if now - self._off_at >= self.LASTS:
+            self.leaves = speed

@@ -1,0 +1,400 @@
+"""Starts, maintains, monitors and ends motions, and tracks who controls the vehicle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+
+from lfield.driver import DeviceError
+from lfield_mavlink.contact.contact import STATE_TIMEOUT, Contact
+from lfield_mavlink.geodesy import Vector
+from lfield_mavlink.link.dialect import dialect
+from lfield_mavlink.modes import AUTONOMOUS
+from lfield_mavlink.monitors.flight_monitor import FlightMonitor
+from lfield_mavlink.parts.failsafe import Failsafe
+from lfield_mavlink.parts.fences import OwnFence
+from lfield_mavlink.parts.progress import Arrival, Progress
+from lfield_mavlink.services.parameters import Parameters
+from lfield_mavlink.setpoints.guided_mode import GuidedMode, Hover
+from lfield_mavlink.setpoints.motion_orders import (
+    AutopilotOrders,
+    Order,
+    ProgressPatience,
+    orders_for,
+    reposition,
+)
+from lfield_mavlink.setpoints.setpoint_stream import SetpointStream
+from lfield_mavlink.setpoints.speed_control import SpeedControl
+from lfield_mavlink.setpoints.trajectory import Stay, Target, Trajectory, stopping_place
+
+#: For flying to a goal, and for driving.
+TRAVEL_PATIENCE, DRIVE_PATIENCE = ProgressPatience(), ProgressPatience(turning=40.0, detour=30.0)
+#: m/s above which it moves; for a low commanded speed that share of it; never below the noise.
+MOVES, SHARE, NOISE = 0.3, 0.5, 0.05
+#: Seconds until a stationary vehicle's fence is checked; seconds without a position until a moving target
+#: waits.
+ASKED_WHY, PLACED = 2.0, 0.5
+#: Seconds out of OFFBOARD after which the trajectory ends: an older packet may arrive late.
+LEFT = 0.7
+#: m/s horizontally at which a stop is followed.
+STAYS_AT = 1.0
+
+
+class Motion:
+    """Modes and motions of one vehicle, shared by the parts that move it."""
+
+    def __init__(
+        self, vehicle: Contact, parameters: Parameters, others: Callable[[], str] = lambda: ""
+    ) -> None:
+        self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
+        self.fence, self.failsafe = OwnFence(vehicle, parameters), Failsafe(vehicle)
+        self.monitor = FlightMonitor(vehicle, parameters, others, lambda: self.ours)
+        self.stream = SetpointStream(vehicle.clock, self.send, self._where, self._is_followed)
+        self.speed = SpeedControl(vehicle, self.stream, parameters)
+        self.guided, self.hover = GuidedMode(vehicle), Hover(vehicle)
+        self.tolerance: float = vehicle.binding.option("tolerance")
+        # The modes of the last command; any other mode is foreign.
+        self._commanded: frozenset[str] = frozenset()
+        # Start of the last motion, and why this driver stopped it.
+        self._started_at, self._stopped = -math.inf, ""
+        # Since when it has left OFFBOARD, None while it is in it or entering it.
+        self._left_at: float | None = None
+        self._was_in_guided = False
+        vehicle.on(dialect.MAVLINK_MSG_ID_HEARTBEAT, self._on_mode)
+        vehicle.on(dialect.MAVLINK_MSG_ID_CURRENT_MODE, self._on_mode)
+
+    @property
+    def orders(self) -> AutopilotOrders:
+        """The command factory for this autopilot."""
+        return orders_for(self._vehicle.profile)
+
+    # -- modes ----------------------------------------------------------------------------------------
+
+    @property
+    def ours(self) -> bool:
+        """Whether this program selected the mode; always true for a vehicle at rest."""
+        if self.failsafe.is_engaged or self.monitor.foreign or not self._state.armed:
+            return not self._state.armed
+        profile = self._vehicle.profile
+        # It enters modes by itself on the ground only; in the air, or instead of setpoints, somebody did.
+        by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
+        own = profile.own if by_itself else ()
+        return self._state.mode in (profile.guided, *own, *self._commanded)
+
+    def claim(self, *modes: str) -> None:
+        """Sets the modes that this program has selected."""
+        self._commanded = frozenset(modes)
+
+    def release(self) -> None:
+        """Takes control in the present mode, whoever selected it."""
+        self.failsafe.release()
+        self.monitor.release()
+        self.claim(self._state.mode)
+
+    def start_motion(self, what: str) -> None:
+        """Ends the last motion for a new one. Raises DeviceError under foreign control."""
+        self._vehicle.check_link()
+        self._vehicle.check_identity()
+        if not self.ours:
+            why = self.monitor.foreign or (
+                f"the vehicle is in {self._state.mode}, which this program did not select; "
+                f"{self.failsafe.holding}"
+            )
+            raise self._vehicle.error(f"{what} refused: {why}. release() takes control again")
+        self.monitor.check_start(what)
+        self._vehicle.assume_control()
+        self._started_at, self._stopped = self._vehicle.clock.monotonic(), ""
+        self.speed.on_motion_started()
+        self.brake()
+
+    async def halt(self, why: str) -> None:
+        """Holds, and ends the running motion with this reason. Raises DeviceError."""
+        self._stopped = why
+        self.brake()
+        await self.hold()
+
+    async def hold(self) -> None:
+        """Stops and stays: in the hold mode, or a PX4 copter by setpoints. Raises DeviceError.
+
+        In its hold mode PX4 would stay as long as any ground station is heard.
+        """
+        profile, place = self._vehicle.profile, self._resting_place
+        if profile.by_trajectory and profile.flies and place is not None and self._state.landed is False:
+            # Without a position only its hold mode remains.
+            with suppress(DeviceError):
+                await self.start("hold", Order(frozenset({profile.guided}), trajectory=Stay(place, STAYS_AT)))
+                return
+        await self.set_mode(profile.hold)
+        self.hover.start()
+
+    def brake(self) -> None:
+        """Ends every motion: a PX4 copter stops by the setpoints that it needs anyway."""
+        place, profile = self._resting_place, self._vehicle.profile
+        if place and self.stream.runs and self._is_fed and profile.by_trajectory and profile.flies:
+            self._start_stream(Stay(place, STAYS_AT))
+        else:
+            self.stream.stop()
+
+    @property
+    def _resting_place(self) -> Vector | None:
+        """Where it would come to rest by braking now, in metres of home; None if unknown."""
+        place = self._state.position
+        known = place is not None and self._state.home is not None and self._state.armed
+        known = known and not (self.monitor.lost_position or self.monitor.foreign)
+        return stopping_place(place, self._state.velocity) if known and place is not None else None
+
+    async def set_mode(self, name: str) -> None:
+        """Enters a mode; the hold mode also stops it. Raises DeviceError."""
+        self.speed.forget_slowing()
+        if name != self._vehicle.profile.hold or not await self._send_stay():
+            values = self._vehicle.profile.mode_command(name)
+            await self.enter(f"mode {name}", name, dialect.MAV_CMD_DO_SET_MODE, *values)
+
+    async def _send_stay(self) -> bool:
+        """Sends PX4 a goal where it can stop, if it may be flying to one; returns whether it accepted.
+
+        In its hold mode PX4 flies to a goal of a ground station, also if that mode is commanded again.
+        """
+        profile, state, place = self._vehicle.profile, self._state, self._resting_place
+        if not profile.px4 or state.mode != profile.hold or place is None:
+            return False
+        fed = self._is_fed
+        try:
+            await self._start_order("hold", reposition(state, place, None))
+        except DeviceError:
+            return False
+        if fed:
+            values = profile.mode_command(profile.hold)
+            await self.failsafe.may_have_done("hold", dialect.MAV_CMD_DO_SET_MODE, *values)
+        self.stream.stop()
+        return True
+
+    async def enter(
+        self,
+        what: str,
+        mode: str,
+        command: int,
+        *values: float,
+        done: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Enters a mode by a command, unless it is `done`. Raises DeviceError."""
+        self.hover.end()
+        self.monitor.on_mode(mode)
+        # Set before success is known: a repeated safe state is ours, and so is a mode that is not left.
+        self._commanded |= {mode}
+        fed = self._is_fed
+        await self._vehicle.achieve(
+            what, lambda: self._state.mode == mode or done(), command, *values, mode=mode
+        )
+        if fed:
+            await self.failsafe.may_have_done(what, command, *values)
+        if mode != self._vehicle.profile.guided:
+            self.stream.stop()
+        self.claim(mode)
+
+    # -- motions --------------------------------------------------------------------------------------
+
+    async def start(self, what: str, order: Order, is_accepted: Callable[[], bool] | None = None) -> None:
+        """Starts an order. Raises DeviceError, also for an autonomous PX4 motion without a waiver."""
+        if order.command is not None and self._vehicle.profile.px4:
+            self._check_waived(what, f"PX4 flies {' or '.join(sorted(order.modes))} by itself")
+        await self._start_order(what, order, is_accepted)
+
+    async def _start_order(
+        self, what: str, order: Order, is_accepted: Callable[[], bool] | None = None
+    ) -> None:
+        if order.mode and self._state.mode != order.mode:
+            await self.set_mode(order.mode)
+        self.monitor.on_order(order)
+        # As in `enter`: the present mode is ours until the new one is seen.
+        self._commanded |= order.modes
+        if (command := order.command) is not None:
+            self.speed.on_command_started()
+            await self._vehicle.command(
+                what, command.number, *command.values, place=command.place, is_accepted=is_accepted
+            )
+        if order.trajectory is not None:
+            await self._follow(what, order.trajectory)
+        await self._vehicle.until(lambda: self._state.mode in order.modes, STATE_TIMEOUT, what)
+        self.claim(*order.modes)
+        await self.speed.fly_at(order.speed if order.command is None else None, self.send)
+
+    def check_bounded(self, what: str, mode: str) -> None:
+        """Refuses a mode that needs a waiver, since no failsafe ends it when this computer fails.
+
+        The binding's safe state and a landing need none. Raises DeviceError.
+        """
+        profile, binding = self._vehicle.profile, self._vehicle.binding
+        bounded = {profile.land, profile.safe(binding.safe_state)}
+        if not profile.flies or self._state.landed is not False:
+            bounded.add(profile.hold)
+        if mode in profile.autonomous - bounded:
+            self._check_waived(what, f"PX4 flies {mode} by itself")
+        if mode in profile.piloted - bounded and self._state.landed is False:
+            self._check_waived(what, f"the failsafe of ArduCopter leaves {mode} to a pilot")
+
+    def _check_waived(self, what: str, why: str) -> None:
+        if not self._vehicle.binding.waives(AUTONOMOUS):
+            raise self._vehicle.error(
+                f"{what} refused: {why}, and would continue if this computer fails, even beside another "
+                f"ground station. Use goTo, orbit, hold and land, or accept it by 'waivers: {{{AUTONOMOUS}: "
+                f"REASON}}' in its binding"
+            )
+
+    async def _follow(self, what: str, trajectory: Trajectory) -> None:
+        """Starts a trajectory in OFFBOARD and confirms it. Raises DeviceError."""
+        self._start_stream(trajectory)
+        try:
+            until = self._vehicle.clock.monotonic() + STATE_TIMEOUT
+            await self.guided.enter_offboard(what, until, f"{STATE_TIMEOUT:g} s")
+        except BaseException:
+            self.stream.stop()
+            raise
+
+    def _start_stream(self, trajectory: Trajectory) -> None:
+        self._left_at, self._was_in_guided = None, self._is_fed
+        self.stream.follow(trajectory)
+
+    def _where(self) -> tuple[Vector | None, Vector]:
+        """Its position (None if lost) and velocity."""
+        state, now = self._state, self._vehicle.clock.monotonic()
+        return state.position if now - state.placed_at <= PLACED else None, state.velocity
+
+    def _is_followed(self) -> bool:
+        """Whether the trajectory still applies: not under foreign control, nor with motors off."""
+        stays = self._left_at is None or self._vehicle.clock.monotonic() - self._left_at < LEFT
+        return self._state.armed and stays and not self.monitor.foreign
+
+    @property
+    def _is_fed(self) -> bool:
+        """Whether PX4 expects setpoints, including before its accepted mode is shown."""
+        return self._vehicle.profile.px4 and (self.guided.is_entered or self.guided.is_believed)
+
+    def _on_mode(self, _: object) -> None:
+        """Notes when it leaves OFFBOARD."""
+        if self._state.profile is None or self.stream.trajectory is None:
+            return
+        if self.guided.is_entered:
+            self._left_at, self._was_in_guided = None, True
+        elif self._was_in_guided and self._left_at is None:
+            self._left_at = self._vehicle.clock.monotonic()
+
+    async def travel(
+        self,
+        what: str,
+        order: Order,
+        distance: Callable[[Vector], float],
+        near: float,
+        patience: ProgressPatience = TRAVEL_PATIENCE,
+    ) -> None:
+        """Waits until `distance` is at most `near`, while it decreases. Raises DeviceError."""
+        try:
+            await self._travel(what, order, distance, near, patience)
+        except BaseException:
+            # Failed or cancelled.
+            if order.trajectory is not None and self.stream.trajectory is order.trajectory:
+                self.brake()
+            raise
+
+    async def _travel(
+        self,
+        what: str,
+        order: Order,
+        distance: Callable[[Vector], float],
+        near: float,
+        patience: ProgressPatience,
+    ) -> None:
+        vehicle = self._vehicle
+        start = vehicle.clock.monotonic()
+        progress, sent_at, asked = Progress(patience, start, self._state.position), -math.inf, False
+        while True:
+            now = vehicle.clock.monotonic()
+            vehicle.check_link()
+            place = self._state.position
+            left = distance(place) if place is not None else math.inf
+            if left <= near:
+                return
+            await self.monitor.check(what, order, left)
+            await self._check_underway(what, order, start)
+            if progress.is_over(left, self.moves, now, self.speed.of_motion, place):
+                await self._cancel_order(order)
+                seconds = patience.bound(self.moves, self.speed.of_motion)
+                words = patience.message.format(seconds=seconds, left=left, room=patience.clearance)
+                fence = await self.fence.perhaps() if order.goal is not None else ""
+                raise vehicle.error(f"{what} gave up: {words}{fence}")
+            if not asked and self._is_refused(order, progress, now):
+                asked = True
+                await self._check_fence(what, order)
+            if order.target is not None and place is not None and now - sent_at >= order.period:
+                self.send(order.target(place))
+                sent_at = now
+            await vehicle.wait_message(min(0.25, order.period))
+
+    @property
+    def patience(self) -> ProgressPatience:
+        """The patience for motions to a position."""
+        return TRAVEL_PATIENCE if self._vehicle.profile.flies else DRIVE_PATIENCE
+
+    @property
+    def moves(self) -> bool:
+        """Whether it moves horizontally or vertically, as far as known."""
+        pace = self.speed.of_motion
+        least = MOVES if pace is None else max(min(MOVES, SHARE * pace), NOISE)
+        return self._state.speeds is not None and math.hypot(*self._state.speeds) > least
+
+    def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
+        """Whether the autopilot seems to refuse the goal."""
+        told = "geofence" in self._vehicle.reasons(self._started_at)
+        return order.goal is not None and (told or progress.stood(now) > ASKED_WHY)
+
+    async def _check_fence(self, what: str, order: Order) -> None:
+        """Raises DeviceError when its own fence is the reason."""
+        assert order.goal is not None, "the caller has checked it"
+        told = self._vehicle.reasons(self._started_at)
+        why = await self.fence.why_beyond(order.goal)
+        if why or "geofence" in told:
+            await self._cancel_order(order)
+            raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{told}")
+
+    async def arrival(self) -> Arrival:
+        """How a rover arrives: ArduPilot stops it within WP_RADIUS of a goal."""
+        profile, radius = self._vehicle.profile, 0.0
+        if profile.kind == "rover" and not profile.px4:
+            radius = await self._parameters.read("WP_RADIUS") or 0.0
+        return Arrival(radius, lambda: self.moves, self._vehicle.clock.monotonic)
+
+    def send(self, target: Target) -> None:
+        """Sends a setpoint in the autopilot's local frame."""
+        self.speed.on_sent(target)
+        self.monitor.on_sent(target)
+        self._vehicle.send(target.message(self._vehicle.system, self._state.home_offset))
+
+    async def _cancel_order(self, order: Order) -> None:
+        """Cancels the goal in the autopilot, which would follow it once the obstacle is gone.
+
+        A landing or a return continues, since nothing is safer.
+        """
+        if order.has_destination:
+            with suppress(DeviceError):
+                await self.hold()
+
+    async def _check_underway(self, what: str, order: Order, start: float) -> None:
+        """Raises DeviceError if somebody else has it, but not if a failsafe also lands or returns."""
+        if self._stopped:
+            raise self._vehicle.error(f"{what} was stopped: {self._stopped}")
+        state = self._state
+        taken = self.failsafe.is_engaged and order.has_destination
+        if state.armed and state.mode in order.modes and not taken:
+            return
+        await self.failsafe.await_text()
+        chosen = ", which its failsafe chose" if self.failsafe.is_engaged else self.monitor.commanded_by
+        why = f"the vehicle went to {state.mode}{chosen}" if state.armed else "the motors are off"
+        raise self._vehicle.error(f"{what} ended early: {why}{self._vehicle.reasons(start)}")
+
+    async def slow_down(self, speed: float, why: str) -> None:
+        """Slows it down or, if setpoints contain the speed, holds. Raises DeviceError."""
+        if self.speed.can_slow_down:
+            await self.speed.slow_down(speed)
+        else:
+            await self.halt(why)

@@ -1,0 +1,142 @@
+"""Connection racing (RFC 8305, "happy eyeballs"): connects to whichever address of a host answers first.
+
+The kernel repeats an unanswered attempt after 1, 2, 4 s ..., so reconnection after an outage can take
+seconds. A caller that needs it sooner repeats attempts in parallel.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import os
+import socket
+from collections import deque
+from collections.abc import Sequence
+from typing import Any, Generic, TypeVar
+
+#: Seconds before the next address is tried in parallel (RFC 8305, section 5).
+ATTEMPT_DELAY = 0.25
+
+
+#: Seconds between repeated attempts at one address, and the lifetime of each: about five packets of 60 bytes
+#: per second.
+RETRY_DELAY, ATTEMPT_TIMEOUT = 0.5, 2.0
+
+
+#: An address family and a socket address.
+Resolved = TypeVar("Resolved", bound=tuple[int, tuple[Any, ...]])
+
+
+class _Race(Generic[Resolved]):
+    """Parallel attempts at several addresses, until one connects or all have failed.
+
+    With `again`, each address that has not failed is tried anew every AGAIN seconds.
+    """
+
+    def __init__(
+        self, addresses: Sequence[Resolved], failures: dict[Resolved, Exception], *, again: bool
+    ) -> None:
+        self._remaining, self._failures, self._is_retrying = deque(addresses), failures, again
+        self._tasks: dict[asyncio.Task[socket.socket], tuple[Resolved, float]] = {}
+        self._now = asyncio.get_running_loop().time
+
+    async def run(self) -> tuple[socket.socket, Resolved]:
+        """See `first_connected`."""
+        while self._remaining or self._tasks:
+            if self._remaining:
+                found = self._remaining.popleft()
+                self._tasks[asyncio.ensure_future(_connect(*found))] = found, self._now()
+            for task in await self._wait_ended():
+                found, _ = self._tasks.pop(task)
+                if task.cancelled():
+                    continue
+                error = task.exception()
+                if error is None:
+                    return task.result(), found
+                if not isinstance(error, OSError):
+                    raise error
+                self._fail(found, error)
+        raise next(reversed(self._failures.values()))
+
+    async def _wait_ended(self) -> list[asyncio.Task[socket.socket]]:
+        """Wait for attempts to end, at most until the next one is due."""
+        pause = RETRY_DELAY if self._is_retrying else None
+        done, _ = await asyncio.wait(
+            self._tasks,
+            timeout=ATTEMPT_DELAY if self._remaining else pause,
+            return_when=asyncio.FIRST_COMPLETED,
+        )
+        if not done and not self._remaining:
+            oldest = self._now() - ATTEMPT_TIMEOUT
+            for task, (_, began) in self._tasks.items():
+                if began <= oldest:
+                    task.cancel()
+            self._remaining.extend(dict.fromkeys(found for found, _ in self._tasks.values()))
+        return list(done)
+
+    def _fail(self, found: Resolved, error: OSError) -> None:
+        """An address failed: cancel its other attempts."""
+        self._failures[found] = error
+        self._remaining = deque(other for other in self._remaining if other != found)
+        for task, (other, _) in self._tasks.items():
+            if other == found:
+                task.cancel()
+
+    def close(self) -> None:
+        """Cancel the remaining attempts."""
+        for task in self._tasks:
+            task.cancel()
+            task.add_done_callback(_close)
+
+
+async def first_connected(
+    addresses: Sequence[Resolved], failures: dict[Resolved, Exception], *, again: bool = False
+) -> tuple[socket.socket, Resolved]:
+    """A connected socket and its address; failed addresses are added to `failures`.
+
+    With `again`, an address that has not answered within AGAIN seconds is tried again in parallel, for paths
+    that may return at any moment. Raises the OSError of the last address when all have failed.
+    """
+    race = _Race(addresses, failures, again=again)
+    try:
+        return await race.run()
+    finally:
+        race.close()
+
+
+async def _connect(family: int, address: tuple[Any, ...]) -> socket.socket:
+    """Connect one socket. Not by the loop's `sock_connect`, which loses the scope id of an IPv6 address."""
+    made = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        made.setblocking(False)
+        error = made.connect_ex(address)
+        if error == errno.EINPROGRESS:
+            await _writable(made)
+            error = made.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)
+        if error:
+            raise OSError(error, os.strerror(error))
+    except BaseException:
+        made.close()
+        raise
+    return made
+
+
+async def _writable(made: socket.socket) -> None:
+    loop = asyncio.get_running_loop()
+    done: asyncio.Future[None] = loop.create_future()
+
+    def ready() -> None:
+        if not done.done():
+            done.set_result(None)
+
+    loop.add_writer(made.fileno(), ready)
+    try:
+        await done
+    finally:
+        loop.remove_writer(made.fileno())
+
+
+def _close(task: asyncio.Task[socket.socket]) -> None:
+    """Close the sockets of cancelled attempts."""
+    if not task.cancelled() and task.exception() is None:
+        task.result().close()

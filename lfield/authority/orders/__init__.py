@@ -1,1 +1,0 @@
-"""Signatures of orders to stop and pause that come as datagrams, and of their answers."""

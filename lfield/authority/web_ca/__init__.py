@@ -1,0 +1,1 @@
+"""Certificates for browsers: a separate root CA and the keys of web pages."""

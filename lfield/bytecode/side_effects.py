@@ -1,0 +1,147 @@
+"""Side-effect analysis: which methods have effects, and which coordinators request failover.
+
+A portal has effects when it may change anything except its result. If a host fails during a call without
+effects, the caller loses nothing, so its host need not write the journal before it. A coordinator that may
+call `heartbeatInterval` (appendix I) is fenced: it runs only while its host holds a lease.
+
+Computed from the instructions alone, so a host need not trust the compiler. In doubt a method has effects,
+and a coordinator is fenced.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
+from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Program, Quad
+
+_CALL, _MOVE, _PUSH, _DEVICE = (BY_NAME[name].code for name in ("call", "move", "push", "device"))
+_HEARTBEAT = BY_NAME["heartbeat_interval"].code
+_WRITES = frozenset({BY_NAME["putf"].code, BY_NAME["pute"].code})
+#: Instructions whose result is a new object: no other thread can hold it.
+_ALLOCATIONS = frozenset(BY_NAME[name].code for name in ("new", "newarray", "lds"))
+#: Heads that leave the engine without an effect, except on logs, time and random numbers.
+_QUERIES = ("now", "lived", "random", "find", "findall", "agent", "host", "offers", "explain", "teams")
+_HARMLESS_PREFIXES = ("write", "print", *_QUERIES, "yield", "sleep")
+_HARMLESS = frozenset(
+    row.code for row in BY_CODE.values() if row.name.partition("_")[0] in _HARMLESS_PREFIXES
+)
+
+# The possible origins of a slot's value, and of changed objects, as a set of bits: an existing object that is
+# no parameter, or parameter number n (0: the object that the method runs on).
+_OLD = 1
+
+
+def _parameter_bit(parameter: int) -> int:
+    return 2 << parameter
+
+
+#: A portal without effects changes none of these: its arguments are copies, its object is the resource.
+_LASTING = _OLD | _parameter_bit(0)
+
+
+@dataclass(slots=True)
+class _Body:
+    """The changes of a method itself, and its calls: the callee, and the origins of each argument."""
+
+    changes: int = 0
+    calls: list[tuple[int, list[int]]] = field(default_factory=list)
+
+
+@lru_cache(maxsize=8)
+def effectful_methods(program: Program) -> frozenset[int]:
+    """The methods of a verified program that may, called as portals, have effects besides a result.
+
+    Those that lead to an instruction of a device that is not a query, to a portal, or to a change of an
+    object or array that may have existed before the call. Output, time and random numbers do not count.
+    """
+    bodies = [_read(program, method) for method in program.core.methods]
+    found = [body.changes for body in bodies]
+    changed = True
+    while changed:
+        changed = False
+        for i, body in enumerate(bodies):
+            changes = found[i]
+            for callee, arguments in body.calls:
+                changes |= _changes_of_call(found[callee], arguments)
+            changed |= changes != found[i]
+            found[i] = changes
+    return frozenset(i for i, changes in enumerate(found) if changes & _LASTING)
+
+
+@lru_cache(maxsize=8)
+def fenced_classes(program: Program) -> frozenset[str]:
+    """The coordinators of a verified program with a method that leads to a call of `heartbeatInterval`.
+
+    Every method of the class counts, also uncalled ones and constructors.
+    """
+    methods = program.core.methods
+    heads = [{(quad.op, quad.a) for quad in program.quads[m.entry : m.end]} for m in methods]
+    leads = {i for i, found in enumerate(heads) if any(op == _HEARTBEAT for op, _ in found)}
+    before = -1
+    while before != len(leads):
+        before = len(leads)
+        leads |= {i for i, found in enumerate(heads) if any(op == _CALL and a in leads for op, a in found)}
+    classes = [program.core.classes[methods[i].owner] for i in leads]
+    return frozenset(record.name for record in classes if record.kind == "coordinator")
+
+
+def _changes_of_call(changes: int, arguments: list[int]) -> int:
+    """The changes of a caller by a call: parameters of the callee map to its arguments."""
+    result = changes & _OLD
+    for i, held in enumerate(arguments):
+        if changes & _parameter_bit(i):
+            result |= held
+    return result
+
+
+def _read(program: Program, method: MethodRecord) -> _Body:
+    held = _possible_origins(program, method)
+    body = _Body()
+    arguments: list[int] = []
+    for quad in program.quads[method.entry : method.end]:
+        if quad.op == _PUSH:
+            arguments.append(held[quad.a] if quad.a >= 0 else 0)
+            continue
+        if quad.op in _WRITES:
+            body.changes |= held[quad.a]
+        elif quad.op == _CALL:
+            body.calls.append((quad.a, arguments))
+        elif _has_effect(program, BY_CODE[quad.op], quad):
+            body.changes |= _OLD
+        arguments = []
+    return body
+
+
+def _has_effect(program: Program, row: Opcode, quad: Quad) -> bool:
+    """Whether a head that leaves the engine has an external effect."""
+    if quad.op == _DEVICE:
+        return program.core.device_calls[quad.a].effect != "query"
+    return row.leaves_engine and quad.op not in _HARMLESS
+
+
+def _possible_origins(program: Program, method: MethodRecord) -> list[int]:
+    """For each slot the origins of its values anywhere in the method; none for objects created in the
+    method."""
+    held = [0] * len(method.slots)
+    for slot in range(method.parameters + 1):
+        held[slot] = _parameter_bit(slot)
+    for handler in method.handlers:
+        if handler.kind in (CATCH, FINALLY):
+            held[handler.slot] |= _OLD
+    moves: list[tuple[int, int]] = []
+    for quad in program.quads[method.entry : method.end]:
+        operands = BY_CODE[quad.op].operands
+        if not operands or operands[0].role != "D" or quad.op in _ALLOCATIONS:
+            continue
+        if quad.op != _MOVE:
+            held[quad.a] |= _OLD
+        elif quad.b >= 0:
+            moves.append((quad.a, quad.b))
+    before: list[int] = []
+    while before != held:
+        before = list(held)
+        for into, out in moves:
+            held[into] |= held[out]
+    return held

@@ -1,0 +1,317 @@
+"""Verifies groups: the pushes, the head with these arguments, and the pop of its result.
+
+A group is checked as a whole, from its first push to its pop; see opcodes.py for the reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME, Opcode
+from lfield.bytecode.program import (
+    ANY,
+    ARRAY,
+    BOOLEAN,
+    BUILTIN_CLASSES,
+    DEVICE,
+    EXCEPTIONS,
+    HELD_DEVICE,
+    INT,
+    NULL,
+    OBJECT,
+    PROXY,
+    REAL,
+    STRING,
+    TICKET,
+    VOID,
+    Quad,
+    TypeRecord,
+)
+from lfield.bytecode.verifier.operands import MethodView
+
+_PUSH, _POP = BY_NAME["push"], BY_NAME["pop"]
+_EXACT = {"boolean": BOOLEAN, "int": INT, "real": REAL, "string": STRING}
+
+#: Features of coordinators alone, by instruction.
+_OF_COORDINATORS = {"hops": "hops", "heartbeat_interval": "a heartbeat", "limit": "a time limit"}
+
+#: Instructions that create or read exceptions that a program of lfield 0.3 lacks.
+_NOT_IN_0_3 = frozenset(
+    {"exc_others", "gather", "begin", "start", "fetch", "leave", "limit", "settle", "hold", "take", "drop"}
+)
+
+#: Whether a type index is valid for an argument or result of a head.
+TypeTest = Callable[[MethodView, int], bool]
+
+
+class GroupSignature(NamedTuple):
+    """The arguments of a head, in the order of the pushes, and its result (None for nothing)."""
+
+    parameters: list[TypeTest]
+    result: TypeTest | None
+
+
+def check_group(view: MethodView, quads: tuple[Quad, ...], start: int) -> int:
+    """Check the group that starts at `start`; returns the instruction after it."""
+    end = view.method.end
+    pc = start
+    while pc < end and quads[pc].op == _PUSH.code:
+        view.check_operands(pc, _PUSH, quads[pc])
+        pc += 1
+    row = BY_CODE.get(quads[pc].op) if pc < end else None
+    if row is None or row.argument_kinds is None:
+        raise view.refused(start, "the pushed values are not used by an instruction")
+    view.check_operands(pc, row, quads[pc])
+    signature = _signature(view, pc, row, quads[pc])
+    _check_pushes(view, quads[start:pc], start, signature)
+    return _check_pop(view, quads, pc, signature)
+
+
+def _check_pushes(view: MethodView, pushes: tuple[Quad, ...], start: int, signature: GroupSignature) -> None:
+    if len(pushes) != len(signature.parameters):
+        raise view.refused(start, f"{len(pushes)} values are pushed, {len(signature.parameters)} expected")
+    for offset, (quad, test) in enumerate(zip(pushes, signature.parameters, strict=True)):
+        if not test(view, view.source(quad.a, start + offset)):
+            raise view.refused(start + offset, "the pushed value has the wrong type")
+
+
+def _check_pop(view: MethodView, quads: tuple[Quad, ...], head: int, signature: GroupSignature) -> int:
+    pc = head + 1
+    popped = pc < view.method.end and quads[pc].op == _POP.code
+    if popped != (signature.result is not None):
+        raise view.refused(head, "a result must be popped, and only a result")
+    if signature.result is None:
+        return pc
+    view.check_operands(pc, _POP, quads[pc])
+    if not signature.result(view, view.slot(quads[pc].a, pc)):
+        raise view.refused(pc, "the result does not fit the slot")
+    return pc + 1
+
+
+def _signature(view: MethodView, pc: int, row: Opcode, quad: Quad) -> GroupSignature:
+    if row.name in _NOT_IN_0_3 and view.core.builtins < len(BUILTIN_CLASSES):
+        raise view.refused(pc, f"{row.name} needs exceptions that the program does not have")
+    special = _SPECIAL.get(row.name)
+    if special is not None:
+        return special(view, pc, quad)
+    if row.name.startswith("write_") and view.scope != "resource":
+        raise view.refused(pc, "only resources write")
+    if row.name in _OF_COORDINATORS and view.scope != "coordinator":
+        raise view.refused(pc, f"only coordinators have {_OF_COORDINATORS[row.name]}")
+    result = _accepts(_EXACT[row.result_kind]) if row.result_kind else None
+    return GroupSignature([_kind_test(kind) for kind in row.argument_kinds or ()], result)
+
+
+def _call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    callee = view.core.methods[quad.a]
+    if callee.kind not in ("method", "constructor"):
+        raise view.refused(pc, "only methods and constructors are called")
+    if not view.can_access(view.core.classes[callee.owner]):
+        raise view.refused(pc, "the method is out of scope here")
+    arguments = callee.slots[: callee.parameters + 1]
+    return GroupSignature([*map(_accepts, arguments)], _result_test(callee.result))
+
+
+def _pcall(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    callee = view.core.methods[quad.a]
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators call portals")
+    if callee.kind != "portal":
+        raise view.refused(pc, "pcall needs a portal")
+    arguments = callee.slots[1 : callee.parameters + 1]
+    return GroupSignature([_proxy_of(callee.owner), *map(_accepts, arguments)], _result_test(callee.result))
+
+
+def _collect_call(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    """The arguments of `pcall`, after the sentinel and the target of the result."""
+    proxy, *arguments = _pcall(view, pc, quad).parameters
+    result = view.core.methods[quad.a].result
+
+    def accepts_result(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        return record.kind == NULL or (
+            record.kind == ARRAY and result != VOID and view.types.fits(result, record.of)
+        )
+
+    return GroupSignature([_is_ticket, accepts_result, _accepts(INT), proxy, *arguments], None)
+
+
+def _settle(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_coordinator(view, pc)
+    array = view.types.record(quad.a)
+    if array.kind != ARRAY:
+        raise view.refused(pc, "the target of a result is an element of an array")
+    return GroupSignature([_is_ticket, _accepts(quad.a), _accepts(INT), _accepts(array.of)], None)
+
+
+def _gather(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_coordinator(view, pc)
+    return GroupSignature([], _is_ticket)
+
+
+def _waits(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_coordinator(view, pc)
+    return GroupSignature([_is_ticket], None)
+
+
+def _leave(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_coordinator(view, pc)
+    return GroupSignature([_is_ticket, _accepts(ANY)], None)
+
+
+def _check_coordinator(view: MethodView, pc: int) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators work in parallel")
+
+
+def _is_ticket(view: MethodView, index: int) -> bool:
+    return view.types.kind(index) == TICKET
+
+
+def _hold(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_reserves(view, pc)
+
+    def is_kept(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        while record.kind == ARRAY:
+            record = view.types.record(record.of)
+        offer = record.kind == OBJECT and view.core.classes[record.of].capability
+        return offer or record.kind == PROXY
+
+    return GroupSignature([is_kept], _is_numbers)
+
+
+def _reservation_array(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_reserves(view, pc)
+    return GroupSignature([_is_numbers], None)
+
+
+def _check_reserves(view: MethodView, pc: int) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators reserve resources")
+
+
+def _is_numbers(view: MethodView, index: int) -> bool:
+    return view.types.record(index) == TypeRecord(ARRAY, INT)
+
+
+def _others(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    return GroupSignature([_accepts(ANY)], _accepts(EXCEPTIONS))
+
+
+def _find(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_find(view, pc, quad)
+    return GroupSignature([_accepts(STRING)], _proxy_of(quad.a))
+
+
+def _findall(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_find(view, pc, quad)
+    proxy = _proxy_of(quad.a)
+
+    def is_array_of_proxies(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        return record.kind == ARRAY and proxy(view, record.of)
+
+    return GroupSignature([], is_array_of_proxies)
+
+
+def _check_find(view: MethodView, pc: int, quad: Quad) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators find resources")
+    if view.core.classes[quad.a].kind != "resource":
+        raise view.refused(pc, "only resources are found")
+
+
+def _offers(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_query(view, pc, quad)
+    offer = TypeRecord(OBJECT, quad.a)
+
+    def is_array_of_offers(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        return record.kind == ARRAY and view.types.record(record.of) == offer
+
+    return GroupSignature([_accepts(STRING)], is_array_of_offers)
+
+
+def _teams(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_query(view, pc, quad)
+    offer = TypeRecord(OBJECT, quad.a)
+
+    def is_array_of_teams(view: MethodView, index: int) -> bool:
+        record = view.types.record(index)
+        team = view.types.record(record.of) if record.kind == ARRAY else record
+        return record.kind == team.kind == ARRAY and view.types.record(team.of) == offer
+
+    return GroupSignature([_accepts(STRING), _accepts(INT)], is_array_of_teams)
+
+
+def _explain(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    _check_query(view, pc, quad)
+    return GroupSignature([_accepts(STRING)], _accepts(STRING))
+
+
+def _about(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators have proxies")
+    return GroupSignature([lambda view, index: view.types.kind(index) == PROXY], _accepts(STRING))
+
+
+def _check_query(view: MethodView, pc: int, quad: Quad) -> None:
+    if view.scope != "coordinator":
+        raise view.refused(pc, "only coordinators query capabilities")
+    if not view.core.classes[quad.a].capability:
+        raise view.refused(pc, "only capabilities have offers")
+
+
+def _device(view: MethodView, pc: int, quad: Quad) -> GroupSignature:
+    call = view.core.device_calls[quad.a]
+    if call.owner != view.method.owner:
+        raise view.refused(pc, "a device is used by its own resource only")
+    held = [_accepts(DEVICE)] if call.field == HELD_DEVICE else []
+    return GroupSignature([*held, *map(_accepts, call.parameters)], _result_test(call.result))
+
+
+_SPECIAL: dict[str, Callable[[MethodView, int, Quad], GroupSignature]] = {
+    "call": _call,
+    "pcall": _pcall,
+    "find": _find,
+    "findall": _findall,
+    "offers": _offers,
+    "explain": _explain,
+    "teams": _teams,
+    "agent": _about,
+    "host": _about,
+    "device": _device,
+    "exc_others": _others,
+    "gather": _gather,
+    "begin": _collect_call,
+    "start": _waits,
+    "fetch": _waits,
+    "leave": _leave,
+    "settle": _settle,
+    "hold": _hold,
+    "take": _reservation_array,
+    "drop": _reservation_array,
+}
+
+
+def _accepts(expected: int) -> TypeTest:
+    return lambda view, index: view.types.fits(index, expected)
+
+
+def _result_test(result: int) -> TypeTest | None:
+    return None if result == VOID else lambda view, index: view.types.fits(result, index)
+
+
+def _proxy_of(resource: int) -> TypeTest:
+    return lambda view, index: view.types.record(index) == TypeRecord(PROXY, resource)
+
+
+def _kind_test(kind: str) -> TypeTest:
+    """The test for a kind of the table; `ref` is the exception whose details are read."""
+    if kind == "array":
+        return lambda view, index: view.types.kind(index) == ARRAY
+    if kind == "ref":
+        return lambda view, index: view.types.fits(index, ANY)
+    return _accepts(_EXACT[kind])

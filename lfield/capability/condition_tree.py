@@ -1,0 +1,91 @@
+"""Conditions and values over attributes as trees, and what is wrong with their texts.
+
+They are written as expressions are in L; condition_parser.py makes the trees, matching/condition_checker.py
+resolves their names, condition_encoding.py is their form in a bundle.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from lfield.text.source_text import Span
+
+#: The greatest height of a tree: trees are walked recursively.
+MAX_HEIGHT = 100
+#: The most offers that can be asked for.
+MAX_LIMIT = 1000
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """What is wrong with a text, where: characters `start` to `end` of it."""
+
+    start: int
+    end: int
+    message: str
+    hint: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.message} ({self.hint})" if self.hint else self.message
+
+
+@dataclass(slots=True, eq=False)
+class ConditionExpr:
+    """An expression; `height` is the height of its tree."""
+
+    span: Span
+    height: int
+
+
+@dataclass(slots=True, eq=False)
+class ConditionLiteral(ConditionExpr):
+    """A number, text, true, false or null (None)."""
+
+    value: bool | int | float | str | None
+
+
+@dataclass(slots=True, eq=False)
+class ConditionName(ConditionExpr):
+    """A bare name."""
+
+    name: str
+
+
+@dataclass(slots=True, eq=False)
+class ConditionUnary(ConditionExpr):
+    """`!x` or `-x`."""
+
+    operator: str
+    operand: ConditionExpr
+
+
+@dataclass(slots=True, eq=False)
+class ConditionBinary(ConditionExpr):
+    """Any operator with two sides; `sign` is the operator."""
+
+    operator: str
+    sign: Span
+    left: ConditionExpr
+    right: ConditionExpr
+
+
+@dataclass(slots=True, eq=False)
+class ConditionMember(ConditionExpr):
+    """`object.name`; `place` is the name."""
+
+    object: ConditionExpr
+    name: str
+    place: Span
+
+
+@dataclass(slots=True, eq=False)
+class ConditionCall(ConditionExpr):
+    """`function(arguments)`, where the function is a Name or a Member."""
+
+    function: ConditionName | ConditionMember
+    arguments: list[ConditionExpr]
+
+
+@dataclass(slots=True, eq=False)
+class ConditionUnsupported(ConditionExpr):
+    """An expression of L that has no meaning over attributes: `a[0]`, `new T()`, `this`."""

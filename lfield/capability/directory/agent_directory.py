@@ -1,0 +1,286 @@
+"""The directory of all agents of a mission on one host: their attributes, and whether they can be called.
+
+The agents and their own values come from the deployment and the registry. How its own agents are, the host
+tells its directory (`own`); how the others are, their hosts tell in news (`take`). Nothing else happens here:
+a question is answered from what is known.
+
+A live value of another host is as old as that host said, plus the time since the last
+message from it: while the link is up and no delta arrives, nothing has changed. A value that its host has
+stopped renewing, and all values of a host that was away until it has told everything again, just grow older.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from lfield.capability.directory.agent_profile import (
+    AgentIdentity,
+    agent_profiles,
+    live_attributes,
+    location_of,
+)
+from lfield.capability.directory.directory_delta import (
+    UNCHANGED,
+    AgentCondition,
+    AttributeSample,
+    DeltaEncoder,
+    DirectoryDelta,
+    Unavailability,
+)
+from lfield.capability.model import LiveAttribute, Registry
+from lfield.capability.offer import Candidate, Fact, Position
+from lfield.clock import Clock
+
+#: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
+ANSWER_REUSE_SECONDS = 0.1
+
+
+class ContactTimes(Protocol):
+    """When a message last came from each other host, and since when it has no link; monotonic clock."""
+
+    @property
+    def down_since(self) -> Mapping[str, float]:
+        """Since when each host without a link has had none."""
+
+    def last_contact(self, host: str) -> float | None:
+        """When something last came from a host; None when nothing ever did."""
+
+
+@dataclass(slots=True)
+class _Remote:
+    """The state received from another host in its `incarnation`.
+
+    `is_in_sync` when no delta of it is missing here; else its values were current up to
+    `fresh_until`.
+    """
+
+    incarnation: int = 0
+    sequence: int = 0
+    is_in_sync: bool = False
+    fresh_until: float = 0.0
+    conditions: dict[str, AgentCondition] = field(default_factory=dict)
+
+
+class _HostState(Struct, frozen=True, gc=False):
+    """How a host is at the moment of a question: how its agents are, and since when it is away.
+
+    It surely kept its values up to date up to `fresh_until`; those of this host are as old as they say.
+    """
+
+    conditions: Mapping[str, AgentCondition]
+    down_since: float | None = None
+    fresh_until: float = -math.inf
+    hops: int = 0
+
+
+class _CachedCandidate(Struct, frozen=True, gc=False):
+    """A candidate as it was answered, good `until` then while condition and link are the same."""
+
+    candidate: Candidate
+    condition: AgentCondition
+    down_since: float | None
+    own: bool
+    barred: Mapping[str, str]
+    until: float
+
+
+#: For agents whose portals the querying coordinator may all call.
+NOTHING: Mapping[str, str] = {}
+
+
+class AgentDirectory:
+    """The agents of a mission in the directory of the host `here`; `incarnation` identifies its run, not the
+    next.
+
+    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. `pose` is where
+    the host stands by the devices file. A reserved agent can be called only by its holder:
+    `asker` is the querying coordinator, '' for none.
+    """
+
+    def __init__(
+        self,
+        registry: Registry,
+        agents: Sequence[AgentIdentity],
+        here: str,
+        links: ContactTimes,
+        clock: Clock,
+        incarnation: int = 1,
+        pose: Position | None = None,
+    ) -> None:
+        self._pose = pose
+        self._registry, self._here, self._links, self._clock = registry, here, links, clock
+        self._agents: dict[str, AgentIdentity] = {a.id: a for a in agents if a.type in registry.providers}
+        #: The agents of this host, whose conditions `set_own` wants.
+        self.own_agents = [agent.id for agent in self._agents.values() if agent.host == here]
+        self._by_type: dict[str, list[AgentIdentity]] = {}
+        for agent in self._agents.values():
+            self._by_type.setdefault(agent.type, []).append(agent)
+        self._profiles = agent_profiles(registry, agents)
+        self._live = {agent.id: live_attributes(registry, agent) for agent in self._agents.values()}
+        self.asker = ""
+        #: By primitive why an asker may not call an agent for it, by their ids; None where all may call all.
+        self.barred: Callable[[str, str], Mapping[str, str]] | None = None
+        self._own_status: dict[str, AgentCondition] = {}
+        self._replacements: dict[str, Callable[[AgentCondition], AgentCondition]] = {}
+        self._cache: dict[str, _CachedCandidate] = {}
+        self._announcer = DeltaEncoder(registry.attributes, incarnation)
+        self._remotes = {agent.host: _Remote() for agent in self._agents.values() if agent.host != here}
+
+    # --- this host's agents ---------------------------------------------------------------------------
+
+    def answer_for(self, asker: str) -> None:
+        """The next answers are for this coordinator; '' for a person."""
+        self.asker = asker
+
+    def restrict(self, barred: Callable[[str, str], Mapping[str, str]]) -> None:
+        """Set the access rules: `barred` has by primitive why a coordinator may not call an agent."""
+        self.barred = barred
+
+    def live(self, agent: str) -> Mapping[str, LiveAttribute]:
+        """The live attributes of an agent, with where their values come from."""
+        return self._live[agent]
+
+    def set_own(self, agent: str, condition: AgentCondition) -> None:
+        """How an agent of this host is now."""
+        replacement = self._replacements.get(agent)
+        self._own_status[agent] = condition if replacement is None else replacement(condition)
+
+    def replace_own(self, agent: str, replacement: Callable[[AgentCondition], AgentCondition]) -> None:
+        """From now on replace the condition of an agent of this host: a test provides its attributes."""
+        self._replacements[agent] = replacement
+
+    def next_delta(self) -> DirectoryDelta | None:
+        """The next delta for every other host; None when nothing has changed."""
+        return self._announcer.next_delta(self._own_status)
+
+    def full_delta(self) -> DirectoryDelta | None:
+        """The full state for a host that was disconnected; None when nothing was ever sent."""
+        return self._announcer.full_delta()
+
+    # --- the other hosts ------------------------------------------------------------------------------
+
+    def on_link_up(self, host: str, life: int) -> None:
+        """A link to a host is up; its values are current again after its full state has arrived."""
+        remote = self._remotes.get(host)
+        if remote is None:
+            return
+        self._is_out_of_sync(remote)
+        if remote.incarnation != life:
+            self._remotes[host] = _Remote(life)
+
+    def on_link_down(self, host: str) -> None:
+        """The link to a host is gone."""
+        remote = self._remotes.get(host)
+        if remote is not None:
+            self._is_out_of_sync(remote, self._links.last_contact(host))
+
+    def on_delta(self, host: str, delta: DirectoryDelta) -> None:
+        """Apply a delta of a host. Late, duplicate and non-consecutive deltas are ignored."""
+        remote = self._remotes.get(host)
+        if remote is None or delta.incarnation != remote.incarnation or delta.sequence <= remote.sequence:
+            return
+        if delta.since > remote.sequence or (delta.since and not remote.is_in_sync):
+            self._is_out_of_sync(remote)
+            return
+        for agent, change in delta.agents.items():
+            remote.conditions[agent] = remote.conditions.get(agent, UNCHANGED).updated(change)
+        remote.sequence, remote.is_in_sync, remote.fresh_until = delta.sequence, True, self._clock.monotonic()
+
+    def _is_out_of_sync(self, remote: _Remote, delta: float | None = None) -> None:
+        if remote.is_in_sync:
+            remote.is_in_sync, remote.fresh_until = False, max(remote.fresh_until, delta or 0.0)
+
+    # --- Team -----------------------------------------------------------------------------------------
+
+    def candidates(self, resource: str) -> list[Candidate]:
+        """The agents of a resource type as they are now, in the order of the deployment."""
+        return self._candidates(self._by_type.get(resource, ()))
+
+    def here(self) -> Position | None:
+        """Where this host is: where the first of its agents is whose place is known, else its pose."""
+        now, seen = self._clock.monotonic(), self._host_state(self._here)
+        own = (self._candidate(self._agents[agent], seen, now) for agent in self.own_agents)
+        return location_of(own, self._registry.attributes, self._pose)
+
+    def all_candidates(self) -> list[Candidate]:
+        """All agents as they are now, in the order of the deployment."""
+        return self._candidates(self._agents.values())
+
+    def _candidates(self, agents: Iterable[AgentIdentity]) -> list[Candidate]:
+        # Written out, here and below, because a thousand agents go through it in a query.
+        now, hosts, found = self._clock.monotonic(), dict[str, _HostState](), []
+        for agent in agents:
+            seen = hosts.get(agent.host)
+            if seen is None:
+                seen = hosts[agent.host] = self._host_state(agent.host)
+            found.append(self._candidate(agent, seen, now))
+        return found
+
+    def _host_state(self, host: str) -> _HostState:
+        if host == self._here:
+            return _HostState(self._own_status)
+        remote = self._remotes[host]
+        contact = self._links.last_contact(host) if remote.is_in_sync else None
+        kept_until = remote.fresh_until if contact is None else max(remote.fresh_until, contact)
+        return _HostState(remote.conditions, self._links.down_since.get(host), kept_until, 1)
+
+    def _candidate(self, agent: AgentIdentity, state: _HostState, now: float) -> Candidate:
+        condition, away = state.conditions.get(agent.id, UNCHANGED), state.down_since
+        own = condition.reserved is not None and condition.reserved.holder == self.asker
+        barred = NOTHING if self.barred is None else self.barred(self.asker, agent.id)
+        shown = self._cache.get(agent.id)
+        if (
+            shown is None
+            or shown.condition is not condition
+            or (shown.down_since, shown.own, shown.barred) != (away, own, barred)
+            or now >= shown.until
+        ):
+            shown = self._cache[agent.id] = self._make_candidate(
+                agent, condition, state, now, barred, own=own
+            )
+        return shown.candidate
+
+    def _make_candidate(
+        self,
+        agent: AgentIdentity,
+        condition: AgentCondition,
+        state: _HostState,
+        now: float,
+        barred: Mapping[str, str],
+        *,
+        own: bool,
+    ) -> _CachedCandidate:
+        known, reported, away = self._profiles[agent.id], {}, state.down_since
+        trouble = condition.trouble if away is None else Unavailability("unreachable", away)
+        if condition.samples:
+            reported = _with_ages(condition.samples, state.fresh_until, now)
+        why = trouble or (None if own else condition.reserved)
+        refusal = why.sentence(now) if why else ""
+        candidate = known.candidate(
+            state.hops, refusal, reported, condition.unknown, "{1} has not reported {0} yet"
+        )
+        if barred:
+            candidate = replace(candidate, barred=barred)
+        passing = why or (reported and known.measured)
+        return _CachedCandidate(
+            candidate, condition, away, own, barred, now + ANSWER_REUSE_SECONDS if passing else math.inf
+        )
+
+
+def _with_ages(samples: Mapping[str, AttributeSample], kept_until: float, now: float) -> dict[str, Fact]:
+    """The received values with their current ages; `kept` ones were renewed up to `kept_until`."""
+    facts = {}
+    for name, sample in samples.items():
+        age = 0.0
+        if sample.of == "measured":
+            age = now - sample.when
+            if sample.kept and kept_until > sample.at:
+                age -= kept_until - sample.at
+        facts[name] = Fact(sample.value, age if age > 0.0 else 0.0, sample.of)
+    return facts

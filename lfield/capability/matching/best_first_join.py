@@ -1,0 +1,305 @@
+"""Parts put together, the cheapest combinations first, as they are asked for.
+
+Parts are chosen one after the other. What was begun waits with the least that it can cost: what is chosen
+costs what it costs, what is not costs at least the cheapest that is left. A part that must have a value in
+common with one chosen before is looked up by it; of parts that are joined so, all that has no counterpart is
+left out at the beginning. So only inequalities, sums and distances are ever tried in vain.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import count
+
+from lfield.capability.matching.condition_evaluator import Judge
+from lfield.capability.matching.plan import Plan
+from lfield.capability.matching.pushdown import Join, PartCheck
+from lfield.capability.model import Value
+
+
+class PlanStream:
+    """Plans that are created on first use and cached; the best first."""
+
+    def __init__(self, plans: Iterable[Plan]) -> None:
+        self._rest = iter(plans)
+        self._made: list[Plan] = []
+
+    def at(self, index: int) -> Plan | None:
+        """The plan with that number, or None behind the last one."""
+        while len(self._made) <= index:
+            plan = next(self._rest, None)
+            if plan is None:
+                return None
+            self._made.append(plan)
+        return self._made[index]
+
+    def all_of(self, first: int, count: int) -> list[Plan]:
+        """So many of those that were made, from one on."""
+        return self._made[first : first + count]
+
+    def all(self) -> list[Plan]:
+        """All of them."""
+        self._made.extend(self._rest)
+        return self._made
+
+
+@dataclass(slots=True)
+class SearchBudget:
+    """How much may still be tried: combinations in vain, and steps of any kind; `parent` is spent with it."""
+
+    failures: int
+    steps: int
+    parent: SearchBudget | None = None
+
+    def spend(self) -> bool:
+        """One step more; False when that is too much."""
+        self.steps -= 1
+        return self.steps >= 0 and (self.parent is None or self.parent.spend())
+
+    def fail(self) -> bool:
+        """One combination more that was tried in vain; False when that is too much."""
+        self.failures -= 1
+        return self.failures >= 0 and (self.parent is None or self.parent.fail())
+
+
+class SearchBudgetExceeded(Exception):
+    """There may be more than could be tried."""
+
+
+#: A combination that was begun: the least it can cost, the numbers of its parts (-1: not chosen yet), and who
+#: was first; its plans in the order of choice, where the last of them is from, and its number there.
+_PartialChoice = tuple[float, tuple[int, ...], int, tuple[Plan, ...], Sequence[int] | None, int]
+
+
+class BestFirstJoin:
+    """All combinations of some parts that fit, the cheapest first; of equal cost that with the better parts.
+
+    The parts that are `distinct` have no agent in common. Raises SearchBudgetExceeded when `effort` is spent.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[PlanStream],
+        cost: Callable[[Iterable[float]], float],
+        effort: SearchBudget,
+        joins: Sequence[Join] = (),
+        checks: Sequence[PartCheck] = (),
+        distinct: frozenset[int] = frozenset(),
+    ) -> None:
+        self._cost, self._budget, self._joins, self._distinct = cost, effort, joins, distinct
+        self._parts = list(parts)
+        self._waiting: list[_PartialChoice] = []
+        self._numbers = count()
+        if joins:
+            self._reduce()
+        self._least = [part.at(0) for part in self._parts]
+        self._order = self._in_order() if all(self._least) else []
+        self._checks = [self._due(checks, level) for level in range(len(self._order))]
+        self._lookups = [self._lookup(level) for level in range(len(self._order))]
+
+    def __iter__(self) -> Iterator[tuple[Plan, ...]]:
+        if not self._order:
+            return
+        self._choose_next((-1,) * len(self._parts), (), None, 0)
+        waiting = self._waiting
+        while waiting:
+            if not self._budget.spend():
+                raise SearchBudgetExceeded
+            _, numbers, _, chosen, source, index = heapq.heappop(waiting)
+            level = len(chosen) - 1
+            self._choose_next(_without(numbers, self._order[level]), chosen[:-1], source, index + 1)
+            if not self._fits(chosen):
+                if not self._budget.fail():
+                    raise SearchBudgetExceeded
+            elif len(chosen) == len(self._order):
+                yield self._in_needs(chosen)
+            else:
+                self._choose_next(numbers, chosen, self._candidates(chosen), 0)
+
+    # --- choosing -------------------------------------------------------------------------------------
+
+    def _choose_next(
+        self, numbers: tuple[int, ...], chosen: tuple[Plan, ...], source: Sequence[int] | None, index: int
+    ) -> None:
+        """Choose the next part: that with this index in the source (None: any), where there is one."""
+        part = self._order[len(chosen)]
+        if source is not None:
+            if index >= len(source):
+                return
+            number = source[index]
+        else:
+            number = index
+        plan = self._parts[part].at(number)
+        if plan is None:
+            return
+        numbers = (*numbers[:part], number, *numbers[part + 1 :])
+        chosen = (*chosen, plan)
+        entry = (self._bound(numbers, chosen), numbers, next(self._numbers), chosen, source, index)
+        heapq.heappush(self._waiting, entry)
+
+    def _bound(self, numbers: Sequence[int], chosen: Sequence[Plan]) -> float:
+        """The least that a combination can cost which begins so."""
+        costs = [0.0 if plan is None else plan.cost for plan in self._least]
+        for part, plan in zip(self._order, chosen, strict=False):
+            costs[part] = plan.cost
+        if self._distinct and len(chosen) < len(self._order):
+            self._spread(numbers, costs)
+        return self._cost(costs)
+
+    def _spread(self, numbers: Sequence[int], costs: list[float]) -> None:
+        """Parts that are distinct and of the same kind cannot all be the cheapest one."""
+        used: dict[int, set[int]] = {}
+        for part in self._distinct:
+            if numbers[part] >= 0:
+                used.setdefault(id(self._parts[part]), set()).add(numbers[part])
+        for part in sorted(self._distinct):
+            if numbers[part] < 0:
+                taken = used.setdefault(id(self._parts[part]), set())
+                number = next(n for n in count() if n not in taken)
+                taken.add(number)
+                if (plan := self._parts[part].at(number)) is not None:
+                    costs[part] = plan.cost
+
+    def _fits(self, chosen: Sequence[Plan]) -> bool:
+        """Whether the part that was chosen last fits to those before it."""
+        level = len(chosen) - 1
+        part, plan = self._order[level], chosen[level]
+        if part in self._distinct:
+            agents = plan.agents
+            for other, before in zip(self._order, chosen[:-1], strict=False):
+                if other in self._distinct and not agents.isdisjoint(before.agents):
+                    return False
+        for judge, looked_at in self._checks[level]:
+            facts = {
+                name: value
+                for name, place, attribute in looked_at
+                if (value := chosen[place].values.get(attribute)) is not None
+            }
+            if judge(facts) is not True:
+                return False
+        return True
+
+    def _in_needs(self, chosen: Sequence[Plan]) -> tuple[Plan, ...]:
+        by_part = dict(zip(self._order, chosen, strict=True))
+        return tuple(by_part[part] for part in range(len(chosen)))
+
+    def _in_order(self) -> list[int]:
+        """The parts as they are chosen: those that are joined to one another follow each other."""
+        rest = list(range(len(self._parts)))
+        found: list[int] = []
+        while rest:
+            tied = [part for part in rest if any(_ties(join, part, found) for join in self._joins)]
+            part = (tied or rest)[0]
+            rest.remove(part)
+            found.append(part)
+        return found
+
+    def _due(self, checks: Sequence[PartCheck], level: int) -> list[tuple[Judge, list[tuple[str, int, str]]]]:
+        """The checks whose last part is chosen on this level, with the levels of what they look at."""
+        level_of = {part: number for number, part in enumerate(self._order)}
+        return [
+            (check.judge, [(name, level_of[part], attribute) for name, part, attribute in check.inputs])
+            for check in checks
+            if max((level_of[part] for part in check.parts), default=0) == level
+        ]
+
+    # --- joins ----------------------------------------------------------------------------------------
+
+    def _lookup(self, level: int) -> list[tuple[int, Judge, dict[Value, list[int]]]]:
+        """For each join of the part of a level to one before: the level of that, its value, and an index."""
+        part, before = self._order[level], self._order[:level]
+        found = []
+        for join in self._joins:
+            if _ties(join, part, before):
+                left = join.left == part
+                own, judge = (
+                    (join.left_value, join.right_value) if left else (join.right_value, join.left_value)
+                )
+                other = join.right if left else join.left
+                found.append((before.index(other), judge, _index(self._parts[part].all(), own)))
+        return found
+
+    def _candidates(self, chosen: Sequence[Plan]) -> Sequence[int] | None:
+        """The numbers of the plans for the next part that have values in common with those chosen."""
+        candidates: set[int] | None = None
+        for level, judge, index in self._lookups[len(chosen)]:
+            found = {
+                number for value in _members(judge(chosen[level].values)) for number in index.get(value, ())
+            }
+            candidates = found if candidates is None else candidates & found
+        return None if candidates is None else sorted(candidates)
+
+    def _reduce(self) -> None:
+        """Leave out of joined parts what has no counterpart, until nothing more can be left out."""
+        changed = True
+        while changed:
+            changed = False
+            for join in self._joins:
+                for part, own, other, value in (
+                    (join.left, join.left_value, join.right, join.right_value),
+                    (join.right, join.right_value, join.left, join.left_value),
+                ):
+                    there = {v for plan in self._parts[other].all() for v in _members(value(plan.values))}
+                    plans = self._parts[part].all()
+                    kept = [plan for plan in plans if not there.isdisjoint(_members(own(plan.values)))]
+                    if len(kept) < len(plans):
+                        self._parts[part] = PlanStream(kept)
+                        changed = True
+
+
+def _without(numbers: tuple[int, ...], part: int) -> tuple[int, ...]:
+    return (*numbers[:part], -1, *numbers[part + 1 :])
+
+
+def _ties(join: Join, part: int, others: Sequence[int]) -> bool:
+    """Whether a join ties a part to one of others."""
+    return (join.left == part and join.right in others) or (join.right == part and join.left in others)
+
+
+def _index(plans: Iterable[Plan], value: Judge) -> dict[Value, list[int]]:
+    found: dict[Value, list[int]] = {}
+    for number, plan in enumerate(plans):
+        for member in _members(value(plan.values)):
+            found.setdefault(member, []).append(number)
+    return found
+
+
+def _members(value: Value | None) -> Iterable[Value]:
+    """What a value has in common with an equal one: itself, or members of a set; nothing if unknown."""
+    if value is None:
+        return ()
+    return value if isinstance(value, frozenset) else (value,)
+
+
+def teams(
+    members: PlanStream, size: int, cost: Callable[[Iterable[float]], float], effort: SearchBudget
+) -> Iterator[tuple[Plan, ...]]:
+    """All teams of so many members that have no agent in common, the cheapest first; each once.
+
+    Of equal cost goes that with the better first member first, then the second. Raises SearchBudgetExceeded.
+    """
+    waiting: list[tuple[float, tuple[int, ...], tuple[Plan, ...]]] = []
+
+    def push_team(numbers: tuple[int, ...], chosen: tuple[Plan, ...]) -> None:
+        first, wanted = numbers[-1], size - len(chosen)
+        if members.at(first + wanted - 1) is not None:
+            following = members.all_of(first, wanted)
+            bound = cost([plan.cost for plan in (*chosen, *following)])
+            heapq.heappush(waiting, (bound, numbers, (*chosen, following[0])))
+
+    push_team((0,), ())
+    while waiting:
+        if not effort.spend():
+            raise SearchBudgetExceeded
+        _, numbers, chosen = heapq.heappop(waiting)
+        push_team((*numbers[:-1], numbers[-1] + 1), chosen[:-1])
+        agents = chosen[-1].agents
+        if any(not agents.isdisjoint(other.agents) for other in chosen[:-1]):
+            if not effort.fail():
+                raise SearchBudgetExceeded
+        elif len(chosen) == size:
+            yield chosen
+        else:
+            push_team((*numbers, numbers[-1] + 1), chosen)

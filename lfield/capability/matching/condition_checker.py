@@ -1,0 +1,304 @@
+"""Conditions and values over attributes, in L's own syntax: `payload >= 2.0 && environment == aerial`.
+
+Operators are && || ! == != < <= > >= + - * / with L's precedence, functions are min, max and abs. A name is
+an attribute, or a member that a set or text attribute may have (`aerial`, which can be written as text too);
+of every offer `agent`, `robot` and `host` are text attributes as well. In the rule of a composition names
+are `need.attribute`, and `distance(need, need)` is in metres. Equality with a set means a common member.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.capability import condition_tree
+from lfield.capability.condition_tree import Mistake
+from lfield.capability.model import Attribute, Expression
+from lfield.text.source_text import Span
+from lfield.text.suggestions import did_you_mean, listed
+
+#: Text attributes that every offer has: who it is, and on which robot (a robot is a host).
+IDENTITY = ("agent", "robot", "host")
+
+#: The attributes from which `distance` is computed: metres from the team's common origin.
+POSITION = ("north", "east", "down")
+
+#: Functions of numbers with the least and the most arguments they take.
+FUNCTIONS: Mapping[str, tuple[int, int]] = {"min": (2, 16), "max": (2, 16), "abs": (1, 1)}
+
+Sort = Literal["number", "boolean", "text", "set", "part", "nothing"]
+Expectation = Literal["boolean", "number", "text", "set", "any"]
+
+#: What an expression for the value of an attribute has to be, by the type of the attribute.
+EXPECTATIONS: Mapping[str, Expectation] = {
+    "real": "number",
+    "int": "number",
+    "boolean": "boolean",
+    "text": "text",
+    "set": "set",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ValueKind:
+    """What an expression is worth: its sort, with all members or texts it may have (() for any).
+
+    The sort of an erroneous part is 'nothing', which is not reported again.
+    """
+
+    sort: Sort
+    values: tuple[str, ...] = ()
+
+
+_NUMBER, _BOOLEAN, _TEXT = ValueKind("number"), ValueKind("boolean"), ValueKind("text")
+_PART, _NOTHING = ValueKind("part"), ValueKind("nothing")
+
+
+@dataclass(frozen=True, slots=True)
+class NameScope:
+    """What names mean: bare `names`, and for each of the `needs` of a composition its `members`."""
+
+    names: Mapping[str, ValueKind]
+    needs: Collection[str] = ()
+    members: Mapping[str, ValueKind] = field(default_factory=dict)
+
+    @staticmethod
+    def of_offer(attributes: Mapping[str, Attribute]) -> NameScope:
+        """In a constraint, or the `when` of a rule: the attributes of one offer."""
+        return NameScope(_kinds(attributes))
+
+    @staticmethod
+    def of_parts(
+        attributes: Mapping[str, Attribute], needs: Collection[str], whole: Collection[str] = ()
+    ) -> NameScope:
+        """In the `where` and `attributes` of a composition: its needs by name.
+
+        A `where` may also name attributes of the `whole`.
+        """
+        kinds = _kinds(attributes)
+        return NameScope({name: kinds[name] for name in whole if name in kinds}, needs, kinds)
+
+
+def _kinds(attributes: Mapping[str, Attribute]) -> dict[str, ValueKind]:
+    kinds = {name: _kind(attribute) for name, attribute in attributes.items()}
+    return kinds | dict.fromkeys(IDENTITY, _TEXT)
+
+
+def _kind(attribute: Attribute) -> ValueKind:
+    match attribute.type:
+        case "real" | "int":
+            return _NUMBER
+        case sort:
+            return ValueKind(sort, attribute.values)
+
+
+# --- meaning ------------------------------------------------------------------------------------------
+
+
+def check_expression(expression: Expression, scope: NameScope, expected: Expectation) -> list[Mistake]:
+    """What is wrong with the names and types of an expression that shall be `expected`.
+
+    The bare name of a member is replaced in the tree by its text.
+    """
+    checker = _Checker(scope)
+    kind = checker.kind(expression.tree)
+    if not checker.found and kind.sort != expected and (expected != "any" or kind.sort == "part"):
+        should = "a value" if expected == "any" else _sort_text(expected)
+        hint = "compare it, as in payload >= 2.0" if expected == "boolean" else ""
+        checker.report(expression.tree.span, f"this is {_sort_text(kind.sort)}, not {should}", hint)
+    return checker.found
+
+
+def _sort_text(sort: str) -> str:
+    """A sort as text."""
+    return {"boolean": "true or false", "text": "text", "nothing": "nothing"}.get(sort, f"a {sort}")
+
+
+class _Checker:
+    """One walk over one tree."""
+
+    def __init__(self, scope: NameScope) -> None:
+        self._scope = scope
+        self.found: list[Mistake] = []
+
+    def report(self, place: Span, message: str, hint: str | None = None) -> ValueKind:
+        """Add a mistake; returns the kind of an erroneous part."""
+        self.found.append(Mistake(place.start, place.end, message, hint or ""))
+        return _NOTHING
+
+    def kind(self, tree: condition_tree.ConditionExpr) -> ValueKind:
+        """What the tree is worth."""
+        match tree:
+            case condition_tree.ConditionLiteral(value=value):
+                return self._literal(value, tree.span)
+            case condition_tree.ConditionName(name=name):
+                return self._name(name, tree.span)
+            case condition_tree.ConditionMember():
+                return self._member(tree)
+            case condition_tree.ConditionUnary(operator=operator, operand=operand):
+                return self._all([operand], _BOOLEAN if operator == "!" else _NUMBER, operator)
+            case condition_tree.ConditionBinary():
+                return self._binary(tree)
+            case condition_tree.ConditionCall():
+                return self._call(tree)
+            case _:
+                return self.report(tree.span, "this is not allowed in a condition over attributes")
+
+    def _literal(self, value: bool | int | float | str | None, place: Span) -> ValueKind:
+        match value:
+            case None:
+                return self.report(place, "null is not a value of an attribute")
+            case bool():
+                return _BOOLEAN
+            case str():
+                return _TEXT
+            case _:
+                return _NUMBER
+
+    # --- names ----------------------------------------------------------------------------------------
+
+    def _name(self, name: str, place: Span) -> ValueKind:
+        scope = self._scope
+        if name in scope.names:
+            return scope.names[name]
+        if name in scope.needs:
+            return _PART
+        if name in scope.members:
+            parts = listed(f"{need}.{name}" for need in scope.needs)
+            return self.report(place, f"'{name}' is ambiguous: several parts have it", f"write {parts}")
+        hint = did_you_mean(name, [*scope.names, *scope.needs])
+        return self.report(place, f"there is no attribute '{name}'", hint or "text is in double quotes")
+
+    def _member(self, tree: condition_tree.ConditionMember) -> ValueKind:
+        scope, owner = self._scope, tree.object
+        if not scope.needs:
+            return self.report(tree.span, "an attribute has no members", "write its name alone")
+        if not isinstance(owner, condition_tree.ConditionName):
+            return self.report(tree.span, "this is not a part", "write need.attribute")
+        if owner.name not in scope.needs:
+            hint = did_you_mean(owner.name, scope.needs) or f"the parts are {listed(scope.needs)}"
+            return self.report(owner.span, f"there is no part '{owner.name}'", hint)
+        if tree.name not in scope.members:
+            message = f"there is no attribute '{tree.name}'"
+            return self.report(tree.place, message, did_you_mean(tree.name, scope.members))
+        return scope.members[tree.name]
+
+    # --- operators and functions ----------------------------------------------------------------------
+
+    def _binary(self, tree: condition_tree.ConditionBinary) -> ValueKind:
+        operands = [tree.left, tree.right]
+        match tree.operator:
+            case "&&" | "||":
+                return self._all(operands, _BOOLEAN, tree.operator)
+            case "<" | "<=" | ">" | ">=":
+                kind = self._all(operands, _NUMBER, tree.operator)
+                return _BOOLEAN if kind is _NUMBER else kind
+            case "+" | "-" | "*" | "/":
+                return self._all(operands, _NUMBER, tree.operator)
+            case "==" | "!=":
+                return self._equality(tree)
+            case operator:
+                return self.report(tree.sign, f"'{operator}' is not an operator of conditions")
+
+    def _all(self, operands: list[condition_tree.ConditionExpr], expected: ValueKind, what: str) -> ValueKind:
+        """The kind wanted, which all operands must have."""
+        good = True
+        for operand in operands:
+            kind = self.kind(operand)
+            good = good and kind.sort == expected.sort
+            if kind.sort not in (expected.sort, "nothing"):
+                need = "numbers" if expected is _NUMBER else "booleans"
+                self.report(operand.span, f"'{what}' takes {need}; this is {_sort_text(kind.sort)}")
+        return expected if good else _NOTHING
+
+    def _equality(self, tree: condition_tree.ConditionBinary) -> ValueKind:
+        left = self._or_member(tree.left, tree.right, lambda text: setattr(tree, "left", text))
+        right = self._or_member(tree.right, tree.left, lambda text: setattr(tree, "right", text))
+        sorts = {left.sort, right.sort}
+        if "nothing" in sorts:
+            return _NOTHING
+        if "part" in sorts:
+            return self.report(tree.span, "parts cannot be compared", "compare their agent or robot")
+        if len(sorts) > 1 and sorts != {"text", "set"}:
+            message = f"'{tree.operator}' compares {_sort_text(left.sort)} with {_sort_text(right.sort)}"
+            return self.report(tree.span, message)
+        return _BOOLEAN
+
+    def _or_member(
+        self,
+        tree: condition_tree.ConditionExpr,
+        other: condition_tree.ConditionExpr,
+        replace: Callable[[condition_tree.ConditionLiteral], None],
+    ) -> ValueKind:
+        """The kind of one side of a comparison, which may be a member of what the `other` may have."""
+        values = self._declared(other)
+        match tree:
+            case condition_tree.ConditionName(name=name) if name in values or (
+                values and not self._known(name)
+            ):
+                pass
+            case condition_tree.ConditionLiteral(value=str(name)) if values:
+                pass
+            case _:
+                return self.kind(tree)
+        if name not in values:
+            hint = did_you_mean(name, values) or f"its values are {listed(values)}"
+            return self.report(tree.span, f"'{other.span.text}' is never '{name}'", hint)
+        replace(condition_tree.ConditionLiteral(tree.span, 1, name))
+        return _TEXT
+
+    def _declared(self, tree: condition_tree.ConditionExpr) -> tuple[str, ...]:
+        """All that an attribute may be; () when it may be anything, or this is none."""
+        match tree:
+            case condition_tree.ConditionName(name=name) if name in self._scope.names:
+                return self._scope.names[name].values
+            case condition_tree.ConditionMember(name=name) if name in self._scope.members:
+                return self._scope.members[name].values
+            case _:
+                return ()
+
+    def _known(self, name: str) -> bool:
+        return name in self._scope.names or name in self._scope.needs
+
+    def _call(self, tree: condition_tree.ConditionCall) -> ValueKind:
+        name = tree.function.span.text
+        if name == "distance":
+            return self._distance(tree)
+        if name not in FUNCTIONS:
+            hint = did_you_mean(name, [*FUNCTIONS, "distance"]) or "the functions are min, max and abs"
+            return self.report(tree.function.span, f"there is no function '{name}' here", hint)
+        least, most = FUNCTIONS[name]
+        if not least <= len(tree.arguments) <= most:
+            count = "1 argument" if least == most else f"{least} to {most} arguments"
+            return self.report(tree.span, f"{name}() takes {count}, not {len(tree.arguments)}")
+        return self._all(tree.arguments, _NUMBER, f"{name}()")
+
+    def _distance(self, tree: condition_tree.ConditionCall) -> ValueKind:
+        scope = self._scope
+        if not scope.needs:
+            return self._distance_to(tree)
+        if lacking := [name for name in POSITION if name not in scope.members]:
+            return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
+        parts = [
+            a for a in tree.arguments if isinstance(a, condition_tree.ConditionName) and a.name in scope.needs
+        ]
+        if len(parts) != 2 or len(tree.arguments) != 2:
+            return self.report(tree.span, "distance() takes two parts", f"these are {listed(scope.needs)}")
+        return _NUMBER
+
+    def _distance_to(self, tree: condition_tree.ConditionCall) -> ValueKind:
+        """From an offer to a place."""
+        if lacking := [name for name in POSITION if name not in self._scope.names]:
+            return self.report(tree.span, f"distance() needs the attributes {listed(lacking)}")
+        if len(tree.arguments) not in (2, 3):
+            message = "distance() here takes a place: north, east and optionally down"
+            return self.report(tree.span, message, "such as distance(12.0, 4.0), in metres")
+        for argument in tree.arguments:
+            if not isinstance(argument, condition_tree.ConditionLiteral):
+                return self.report(
+                    argument.span,
+                    "the coordinates of a place are number literals",
+                    "such as distance(12.0, 4.0)",
+                )
+        return self._all(tree.arguments, _NUMBER, "distance()")

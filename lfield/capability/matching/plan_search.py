@@ -1,0 +1,341 @@
+"""The cheapest plans first, made one by one as they are asked for.
+
+Plans form an AND/OR graph: a primitive is served by this or that way, a composition by all of its parts.
+Every node is a lazy stream of plans in the order of their costs. A primitive merges those of its ways by a
+heap in which a way waits with the least it can cost, so that hopeless ones are never begun; a composition
+tries combinations of its parts by their sum, beginning with the cheapest of each. Nodes are shared: each
+is computed once for a primitive and the number of rules that may still be chained.
+"""
+
+from __future__ import annotations
+
+import heapq
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import chain as joined
+from itertools import islice
+
+from lfield.capability.matching.assembly import Assembly
+from lfield.capability.matching.best_first_join import (
+    BestFirstJoin,
+    PlanStream,
+    SearchBudget,
+    SearchBudgetExceeded,
+)
+from lfield.capability.matching.condition_evaluator import Judge, conjuncts, evaluator, fact_names
+from lfield.capability.matching.plan import Plan, Rank, satisfying, substitute
+from lfield.capability.matching.provider_plans import CostContext
+from lfield.capability.matching.pushdown import PushedDown
+from lfield.capability.matching.rule_index import Chain, RuleIndex, least_costs
+from lfield.capability.model import Expression, Need
+from lfield.capability.offer import AgentSource, Candidate
+
+#: Conditions that must all be true of a plan.
+Conditions = tuple[Expression, ...]
+#: The compositions that something is part of.
+Used = frozenset[str]
+
+NOTHING: Used = frozenset()
+
+
+@dataclass(frozen=True, slots=True)
+class SearchLimits:
+    """What a search does at most.
+
+    depth           rules on top of one another
+    per_rule        offers of each composition
+    combinations    combinations of parts that are tried in vain for one composition
+    tried           combinations that are tried in vain in all
+    steps           parts that are chosen in all
+    offers          offers that are given, the best of all
+    """
+
+    depth: int = 4
+    per_rule: int = 16
+    combinations: int = 1_000
+    failures: int = 2_000
+    steps: int = 20_000
+    offers: int = 32
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """A chain of one-to-one rules, at its end agents or a composition; it costs at least `bound`."""
+
+    chain: Chain
+    assembly: Assembly | None
+    bound: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Its rules, as they count in ties."""
+        whole = () if self.assembly is None else (self.assembly.rule.name,)
+        return (*(rule.name for rule in self.chain), *whole)
+
+
+class Search:
+    """One query for a primitive, on what the team is now.
+
+    Attributes that are `also_named` count for the age of an agent as those of the constraint do.
+    """
+
+    def __init__(
+        self,
+        rules: RuleIndex,
+        team: AgentSource,
+        limits: SearchLimits,
+        primitive: str,
+        constraint: Expression | None,
+        also_named: Iterable[str] = (),
+    ) -> None:
+        self.rules, self.limits = rules, limits
+        self.primitive, self.constraint = primitive, constraint
+        self.conditions: Conditions = () if constraint is None else conjuncts(constraint)
+        #: What of the question counts for the cost of an agent.
+        self.context = CostContext(attributes_of(constraint).union(also_named), team.here())
+        #: Compositions of which not all combinations were tried.
+        self.cut: set[str] = set()
+        #: Compositions of which only the best are offered.
+        self.full: set[str] = set()
+        self._team = team
+        self._budget = SearchBudget(limits.failures, limits.steps)
+        self._candidates: dict[str, Sequence[Candidate]] = {}
+        self._agents: dict[str, list[Plan]] = {}
+        self._streams: dict[tuple[str, int, Used, Conditions], PlanStream] = {}
+        self._composed: dict[tuple[str, int, Used, Conditions], PlanStream] = {}
+        self._least = least_costs(rules, primitive, self._cheapest)
+
+    def candidates(self, resource: str) -> Sequence[Candidate]:
+        """The agents of a resource type, asked for once."""
+        if resource not in self._candidates:
+            self._candidates[resource] = self._team.candidates(resource)
+        return self._candidates[resource]
+
+    def agents(self, primitive: str) -> list[Plan]:
+        """The agents that serve a primitive themselves, the best first."""
+        if primitive not in self._agents:
+            found = [
+                provided.plans(self.candidates(provided.type), self.context)
+                for provided in self.rules.providers(primitive)
+            ]
+            # In the order of the deployment first: of equal cost that counts, and types are in it already.
+            plans = found[0] if len(found) == 1 else sorted(joined(*found), key=_number)
+            self._agents[primitive] = sorted(plans, key=_cost)
+        return self._agents[primitive]
+
+    def plans(self) -> Iterator[Plan]:
+        """All plans that fulfil the constraint, the best first; of each composition the best."""
+        given: Counter[str] = Counter()
+        found = []
+        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
+            plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.conditions)
+            if way.assembly is not None:
+                plans = self._capped(plans, way.assembly, given)
+            found.append((way.bound, plans))
+        for plan in _merged(found):
+            if not plan.composition:
+                yield plan
+            elif given[plan.composition] < self.limits.per_rule:
+                given[plan.composition] += 1
+                yield plan
+
+    def count(self) -> int:
+        """How many there are of `plans`, without making those of single agents."""
+        wholes: dict[str, list[Iterator[Plan]]] = {}
+        found = 0
+        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
+            if way.assembly is None:
+                agents, asked = self.agents(_end(way.chain, self.primitive)), _asked(way.chain)
+                plans = satisfying(agents, judges((*asked, *self.conditions)))
+                found += sum(1 for _ in plans) if asked or self.conditions else len(agents)
+            else:
+                plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.conditions)
+                wholes.setdefault(way.assembly.rule.name, []).append(plans)
+        most = self.limits.per_rule
+        return found + sum(len(list(islice(joined(*plans), most))) for plans in wholes.values())
+
+    def every_plan(self) -> Iterator[Plan]:
+        """All plans that fulfil the constraint, of compositions as many as may be tried; in no order."""
+        for way in self._ways(self.primitive, self.limits.depth, NOTHING):
+            plans = self._plans(way, self.primitive, self.limits.depth, NOTHING, self.conditions)
+            if way.assembly is None:
+                yield from plans
+                continue
+            yield from islice(plans, self.limits.combinations)
+            if next(plans, None) is not None:
+                self.cut.add(way.assembly.rule.name)
+
+    def _capped(self, plans: Iterator[Plan], assembly: Assembly, given: Counter[str]) -> Iterator[Plan]:
+        """The plans, until enough of the composition were given, here or by other chains."""
+        while given[assembly.rule.name] < self.limits.per_rule:
+            plan = next(plans, None)
+            if plan is None:
+                return
+            yield plan
+        if next(plans, None) is not None:
+            self.full.add(assembly.rule.name)
+
+    def has_plan(self, primitive: str, chain: Chain, depth: int, used: Used, wishes: Conditions) -> bool:
+        """Whether there is any plan by a chain that begins with this one."""
+        found = (way for way in self._ways(primitive, depth, used) if way.chain[: len(chain)] == chain)
+        plans = (self._plans(way, primitive, depth, used, wishes) for way in found)
+        return next(joined.from_iterable(plans), None) is not None
+
+    def plan_stream(self, primitive: str, depth: int, used: Used, wishes: Conditions = ()) -> PlanStream:
+        """All plans for a primitive that fulfil the wishes; `used` are the compositions it is part of."""
+        # What cannot occur below makes no difference: without it the node is shared.
+        used &= self.rules.inside(primitive)
+        node = (primitive, depth, used, wishes)
+        if node not in self._streams:
+            found = self._ways(primitive, depth, used)
+            plans = _merged([(way.bound, self._plans(way, primitive, depth, used, wishes)) for way in found])
+            self._streams[node] = PlanStream(plans)
+        return self._streams[node]
+
+    def composed(self, assembly: Assembly, depth: int, used: Used, wishes: Conditions = ()) -> PlanStream:
+        """The combinations of parts that fit, with so many rules below the composition's own."""
+        used &= self.rules.inside(assembly.rule.serves)
+        node = (assembly.rule.name, depth, used, wishes)
+        if node not in self._composed:
+            self._composed[node] = PlanStream(self._fitting(assembly, depth, used, wishes))
+        return self._composed[node]
+
+    def plans_for_need(self, assembly: Assembly, need: Need, depth: int, used: Used) -> PlanStream:
+        """The plans for one part of a composition, independent of the conditions on the whole."""
+        wishes = () if need.when is None else conjuncts(need.when)
+        return self.plan_stream(need.primitive, depth, used | {assembly.rule.name}, wishes)
+
+    def combinations(self, assembly: Assembly, depth: int, used: Used) -> Iterator[tuple[Plan, ...]]:
+        """Every choice of parts, the cheapest first, whether they fit together or not."""
+        streams = [self.plans_for_need(assembly, need, depth, used) for need in assembly.rule.needs.values()]
+        return iter(
+            BestFirstJoin(streams, assembly.cost, SearchBudget(self.limits.combinations, self.limits.steps))
+        )
+
+    def _cheapest(self, primitive: str) -> float | None:
+        found = self.agents(primitive)
+        return found[0].cost if found else None
+
+    def _fitting(self, assembly: Assembly, depth: int, used: Used, wishes: Conditions) -> Iterator[Plan]:
+        """The wholes that fulfil the wishes, the best first."""
+        effort = SearchBudget(self.limits.combinations, self.limits.steps, self._budget)
+        branches = [
+            (0.0, self._branch(assembly, narrowed, depth, used | {assembly.rule.name}, effort))
+            for narrowed in assembly.pushed_down(wishes)
+        ]
+        yield from _merged(branches)
+
+    def _branch(
+        self, assembly: Assembly, narrowed: PushedDown, depth: int, used: Used, effort: SearchBudget
+    ) -> Iterator[Plan]:
+        needs = assembly.rule.needs.values()
+        streams = [
+            self.plan_stream(need.primitive, depth, used, wishes)
+            for need, wishes in zip(needs, narrowed.parts, strict=True)
+        ]
+        whole = judges(narrowed.whole)
+        try:
+            for parts in assembly.combinations(streams, narrowed, effort):
+                plan = assembly.plan(parts)
+                if all(judge(plan.values) is True for judge in whole):
+                    yield plan
+                elif not effort.fail():
+                    raise SearchBudgetExceeded
+        except SearchBudgetExceeded:
+            self.cut.add(assembly.rule.name)
+
+    def _ways(self, primitive: str, depth: int, used: Used) -> list[_Way]:
+        """All ways to a primitive, in the order in which they win ties."""
+        found = []
+        for chain in self.rules.chains(primitive):
+            if len(chain) > depth:
+                break
+            end = _end(chain, primitive)
+            if own := self.agents(end):
+                found.append(_Way(chain, None, self._by_chain(chain, own[0].cost)))
+            for assembly in self.rules.compositions(end) if len(chain) < depth else ():
+                least = assembly.least_cost(self._least)
+                if least is not None and assembly.rule.name not in used:
+                    found.append(_Way(chain, assembly, self._by_chain(chain, least)))
+        return sorted(found, key=lambda way: (len(way.names), way.names))
+
+    def _by_chain(self, chain: Chain, cost: float) -> float:
+        """What an offer by a chain costs, from the cost at its end."""
+        for rule in reversed(chain):
+            cost = self.rules.ranking.by_rule(cost, rule.loss)
+        return cost
+
+    def _plans(self, way: _Way, primitive: str, depth: int, used: Used, wishes: Conditions) -> Iterator[Plan]:
+        """The plans of one way that fulfil what its rules ask and what is wished."""
+        asked = (*_asked(way.chain), *wishes)
+        behind: Iterable[Plan]
+        if way.assembly is None:
+            behind = satisfying(self.agents(_end(way.chain, primitive)), judges(asked))
+        else:
+            behind = _each(self.composed(way.assembly, depth - len(way.chain) - 1, used, asked))
+        for plan in behind:
+            for rule in reversed(way.chain):
+                plan = substitute(rule, plan, self.rules.ranking)
+            yield plan
+
+
+def judges(conditions: Iterable[Expression]) -> list[Judge]:
+    """One function for each condition."""
+    return [evaluator(condition) for condition in conditions]
+
+
+def attributes_of(condition: Expression | None) -> frozenset[str]:
+    """The attributes that a condition looks at."""
+    return frozenset() if condition is None else frozenset(fact_names(condition))
+
+
+def _asked(chain: Chain) -> Conditions:
+    """The conditions of the rules of a chain on the agent at its end."""
+    return tuple(c for rule in chain if rule.when is not None for c in conjuncts(rule.when))
+
+
+def _end(chain: Chain, primitive: str) -> str:
+    """The primitive at the end of a chain."""
+    return chain[-1].by if chain else primitive
+
+
+def _cost(plan: Plan) -> float:
+    return plan.rank[0]
+
+
+def _number(plan: Plan) -> int:
+    number: int = plan.rank[3][0]
+    return number
+
+
+def _each(stream: PlanStream) -> Iterator[Plan]:
+    """The plans of a stream, as they are asked for."""
+    number = 0
+    while (plan := stream.at(number)) is not None:
+        yield plan
+        number += 1
+
+
+def _merged(streams: Iterable[tuple[float, Iterator[Plan]]]) -> Iterator[Plan]:
+    """The plans of ordered streams in the order of their ranks; of equal ones the earlier stream's first.
+
+    A stream that is not begun waits with the least that its plans can cost.
+    """
+    started = list(streams)
+    if len(started) == 1:
+        yield from started[0][1]
+        return
+    waiting: list[tuple[Rank | tuple[float], int, Plan | None]] = [
+        ((bound,), number, None) for number, (bound, _) in enumerate(started)
+    ]
+    heapq.heapify(waiting)
+    while waiting:
+        _, number, plan = waiting[0]
+        if plan is not None:
+            yield plan
+        following = next(started[number][1], None)
+        if following is None:
+            heapq.heappop(waiting)
+        else:
+            heapq.heapreplace(waiting, (following.rank, number, following))

@@ -1,0 +1,378 @@
+"""What is asked of a whole, as far as it can be asked of its parts before they are combined.
+
+    fork.agent == "f39"                 is asked of the fork alone
+    payload >= 400                      of each part, where payload is min(fork.payload, cart.payload)
+    agent == "f39"                      of the whole: the fork is f39, or else the cart is
+    fork.slot == cart.slot              a join: each fork is put to the carts of its slot only
+    fork.slot == cart.slot || far < 9   a choice: two searches, by the join, and without it
+    fork.payload + cart.payload >= 3    a check: tried, the cheapest first
+
+A condition is rewritten with the rule's attributes of the whole, split, and each part is assigned to
+the parts that it names. Nothing changes in what is true: unknown stays unknown, and only what is true counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from lfield.capability import condition_tree
+from lfield.capability.matching.condition_checker import IDENTITY
+from lfield.capability.matching.condition_evaluator import (
+    Facts,
+    Judge,
+    conjuncts,
+    facts_of,
+    is_between_parts,
+    value_of,
+)
+from lfield.capability.model import Composition, Expression, Value
+
+#: The most alternatives of a part's identity that are followed one by one; the rest is searched.
+MAX_BRANCHES = 16
+
+_MIRRORED: Mapping[str, str] = {"<": ">", "<=": ">=", ">": "<", ">=": "<="}
+_OPPOSITE: Mapping[str, str] = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", "<=": ">", ">": "<="}
+
+
+@dataclass(frozen=True, slots=True)
+class Join:
+    """Two parts, by their numbers, that must have a value in common; each judge looks at its own part."""
+
+    left: int
+    left_value: Judge
+    right: int
+    right_value: Judge
+
+
+@dataclass(frozen=True, slots=True)
+class PartCheck:
+    """A condition over several parts; `inputs` are its facts: the name, the part, its attribute."""
+
+    judge: Judge
+    inputs: tuple[tuple[str, int, str], ...]
+    parts: frozenset[int]
+
+
+@dataclass(frozen=True, slots=True)
+class PushedDown:
+    """All that is asked of a whole: of the `parts` by their numbers, between them, and of itself."""
+
+    parts: tuple[tuple[Expression, ...], ...]
+    joins: tuple[Join, ...] = ()
+    checks: tuple[PartCheck, ...] = ()
+    whole: tuple[Expression, ...] = ()
+
+
+@dataclass(slots=True)
+class _Collected:
+    """What was found while conditions were taken apart.
+
+    An alternative is a condition for each part, of a choice at least one side is true.
+    """
+
+    parts: list[list[Expression]]
+    joins: list[Join] = field(default_factory=list)
+    checks: list[PartCheck] = field(default_factory=list)
+    whole: list[Expression] = field(default_factory=list)
+    alternatives: list[tuple[Expression, Expression]] = field(default_factory=list)
+    choices: list[tuple[condition_tree.ConditionExpr, condition_tree.ConditionExpr]] = field(
+        default_factory=list
+    )
+
+
+def push_down(rule: Composition, asked: Sequence[Expression]) -> list[PushedDown]:
+    """The `where` of a rule and what is asked of the whole; no two of the answers have a whole in common."""
+    return _PushDown(rule).run(asked)
+
+
+class _PushDown:
+    """Takes apart what is asked of the wholes of one rule."""
+
+    def __init__(self, rule: Composition) -> None:
+        self._rule = rule
+        self._needs = list(rule.needs)
+        self._found = _Collected([[*_conjuncts(need.when)] for need in rule.needs.values()])
+        #: How many searches there will be.
+        self._searches = 1
+
+    def run(self, asked: Sequence[Expression]) -> list[PushedDown]:
+        """One for each alternative of the part that is meant; none if no whole can satisfy the condition."""
+        for conjunct in (c for where in self._rule.where for c in conjuncts(where)):
+            self._of_whole(conjunct)
+        for conjunct in asked:
+            if self._is_unknown(conjunct.tree):
+                return []
+            self._of_whole(conjunct)
+        found = self._found
+        branches = self._grown(PushedDown(((),) * len(self._needs)), found)
+        for is_it, is_not in found.alternatives:
+            branches = [
+                _with(branch, [*([is_not] * number), is_it])
+                for branch in branches
+                for number in range(len(self._needs))
+            ]
+        return branches
+
+    def _grown(self, branch: PushedDown, found: _Collected) -> list[PushedDown]:
+        """A branch in which what was found is asked, too: one for each way to choose."""
+        parts = tuple((*had, *new) for had, new in zip(branch.parts, found.parts, strict=True))
+        joins, checks = (*branch.joins, *found.joins), (*branch.checks, *found.checks)
+        branches = [PushedDown(parts, joins, checks, (*branch.whole, *found.whole))]
+        for one, other in found.choices:
+            # What both sides are true of is found by the first.
+            first, second = self._collect(one), self._collect(other)
+            second.checks.append(self._check(one, lambda judge, facts: judge(facts) is not True))
+            branches = [more for b in branches for side in (first, second) for more in self._grown(b, side)]
+        return branches
+
+    def _collect(self, tree: condition_tree.ConditionExpr) -> _Collected:
+        """The condition of one side of a disjunction."""
+        before, self._found = self._found, _Collected([[] for _ in self._needs])
+        for piece in _pieces(tree):
+            self._on_part_condition(piece)
+        found, self._found = self._found, before
+        return found
+
+    def _has_budget_for(self, times: int) -> bool:
+        """Whether there may be so many times the searches; then there are."""
+        if self._searches * times > MAX_BRANCHES:
+            return False
+        self._searches *= times
+        return True
+
+    def _of_whole(self, conjunct: Expression) -> None:
+        """A condition on the whole, or on parts by name."""
+        if (who := _identity(conjunct.tree)) is not None:
+            self._on_identity(conjunct, *who)
+            return
+        tree = _replaced(conjunct.tree, self._definition_of)
+        if any("." not in name for name in facts_of(tree)):
+            self._found.whole.append(conjunct)
+            return
+        for piece in _pieces(tree):
+            self._on_part_condition(piece)
+
+    def _is_unknown(self, tree: condition_tree.ConditionExpr) -> bool:
+        """Whether a condition on a whole is always unknown, since the rule lacks an attribute in it."""
+        match tree:
+            case condition_tree.ConditionUnary(operand=operand):
+                return self._is_unknown(operand)
+            case condition_tree.ConditionBinary(operator="&&" | "||", left=left, right=right):
+                return self._is_unknown(left) and self._is_unknown(right)
+        return any(name not in self._rule.attributes and name not in IDENTITY for name in facts_of(tree))
+
+    def _definition_of(
+        self, tree: condition_tree.ConditionName | condition_tree.ConditionMember
+    ) -> condition_tree.ConditionExpr:
+        """The rule's expression for an attribute of the whole."""
+        known = (
+            self._rule.attributes.get(tree.name) if isinstance(tree, condition_tree.ConditionName) else None
+        )
+        return tree if known is None else known.tree
+
+    def _on_identity(
+        self,
+        conjunct: Expression,
+        name: condition_tree.ConditionName,
+        sign: str,
+        literal: condition_tree.ConditionLiteral,
+    ) -> None:
+        """`agent == "f39"`: one of the parts is; `agent != "f39"`: none is."""
+        is_it, is_not = (_expression(_compared(conjunct, name, s, literal)) for s in ("==", "!="))
+        if sign == "!=":
+            for asked in self._found.parts:
+                asked.append(is_not)
+        elif self._has_budget_for(len(self._needs)):
+            self._found.alternatives.append((is_it, is_not))
+        else:
+            self._found.whole.append(conjunct)
+
+    def _on_part_condition(self, tree: condition_tree.ConditionExpr) -> None:
+        """A condition over parts, given to those that it names."""
+        parts = self._parts_of(tree)
+        if len(parts) == 1:
+            (part,) = parts
+            self._found.parts[part].append(_expression(_replaced(tree, _alone)))
+        elif (join := self._join(tree)) is not None:
+            self._found.joins.append(join)
+        elif (
+            isinstance(tree, condition_tree.ConditionBinary) and tree.operator == "||" and self._divides(tree)
+        ):
+            self._found.choices.append((tree.left, tree.right))
+        else:
+            self._found.checks.append(self._check(tree, lambda judge, facts: judge(facts)))
+
+    def _check(
+        self, tree: condition_tree.ConditionExpr, verdict: Callable[[Judge, Facts], Value | None]
+    ) -> PartCheck:
+        looked_at = tuple((name, *self._place(name)) for name in dict.fromkeys(facts_of(tree)))
+        return PartCheck(partial(verdict, value_of(tree)), looked_at, self._parts_of(tree))
+
+    def _divides(self, tree: condition_tree.ConditionBinary) -> bool:
+        """Whether two searches, one for each side, would try less than one."""
+        sides = [piece for side in (tree.left, tree.right) for piece in _pieces(side)]
+        prunes = any(len(self._parts_of(piece)) == 1 or self._join(piece) is not None for piece in sides)
+        return prunes and self._has_budget_for(2)
+
+    def _join(self, tree: condition_tree.ConditionExpr) -> Join | None:
+        match tree:
+            case condition_tree.ConditionBinary(operator="==", left=left, right=right):
+                first, second = self._parts_of(left), self._parts_of(right)
+                if len(first) == len(second) == 1 and first != second:
+                    (one,), (other,) = first, second
+                    return Join(
+                        one, value_of(_replaced(left, _alone)), other, value_of(_replaced(right, _alone))
+                    )
+        return None
+
+    def _parts_of(self, tree: condition_tree.ConditionExpr) -> frozenset[int]:
+        return frozenset(self._place(name)[0] for name in facts_of(tree))
+
+    def _place(self, name: str) -> tuple[int, str]:
+        """Which part, and which of its attributes, `need.attribute` is."""
+        need, _, attribute = name.partition(".")
+        return self._needs.index(need), attribute
+
+
+def _with(branch: PushedDown, asked: Sequence[Expression]) -> PushedDown:
+    """The same with one more condition on each of the first parts."""
+    more = [(one,) for one in asked] + [()] * (len(branch.parts) - len(asked))
+    parts = tuple((*had, *new) for had, new in zip(branch.parts, more, strict=True))
+    return replace(branch, parts=parts)
+
+
+def _conjuncts(when: Expression | None) -> Iterator[Expression]:
+    for conjunct in () if when is None else conjuncts(when):
+        yield _expression(conjunct.tree)
+
+
+def _identity(
+    tree: condition_tree.ConditionExpr,
+) -> tuple[condition_tree.ConditionName, str, condition_tree.ConditionLiteral] | None:
+    """The sides of `agent == "f39"` and the like."""
+    match tree:
+        case condition_tree.ConditionBinary(
+            operator="==" | "!=" as sign,
+            left=condition_tree.ConditionName(name=name) as left,
+            right=condition_tree.ConditionLiteral() as right,
+        ) if name in IDENTITY:
+            return left, sign, right
+        case condition_tree.ConditionBinary(
+            operator="==" | "!=" as sign,
+            left=condition_tree.ConditionLiteral() as left,
+            right=condition_tree.ConditionName(name=name) as right,
+        ) if name in IDENTITY:
+            return right, sign, left
+    return None
+
+
+def _compared(
+    conjunct: Expression,
+    name: condition_tree.ConditionName,
+    sign: str,
+    literal: condition_tree.ConditionLiteral,
+) -> condition_tree.ConditionBinary:
+    span = conjunct.tree.span
+    return condition_tree.ConditionBinary(span, 2, sign, span, name, literal)
+
+
+def _alone(
+    tree: condition_tree.ConditionName | condition_tree.ConditionMember,
+) -> condition_tree.ConditionExpr:
+    """`fork.payload` from the view of the fork: `payload`."""
+    return condition_tree.ConditionName(tree.span, 1, tree.name)
+
+
+def _replaced(
+    tree: condition_tree.ConditionExpr,
+    leaf: Callable[
+        [condition_tree.ConditionName | condition_tree.ConditionMember], condition_tree.ConditionExpr
+    ],
+) -> condition_tree.ConditionExpr:
+    """A tree with other names at its ends; parts between which a distance is are none of them."""
+    match tree:
+        case condition_tree.ConditionName() | condition_tree.ConditionMember():
+            return leaf(tree)
+        case condition_tree.ConditionUnary(operand=operand):
+            return replace(tree, operand=_replaced(operand, leaf))
+        case condition_tree.ConditionBinary(left=left, right=right):
+            return replace(tree, left=_replaced(left, leaf), right=_replaced(right, leaf))
+        case condition_tree.ConditionCall(arguments=arguments) if not is_between_parts(tree):
+            return replace(tree, arguments=[_replaced(argument, leaf) for argument in arguments])
+    return tree
+
+
+def _pieces(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.ConditionExpr]:
+    """What must all be true so that the tree is: `min(a, b) >= 2` is `a >= 2` and `b >= 2`."""
+    match tree:
+        case condition_tree.ConditionUnary(operator="!", operand=operand) if (
+            inner := _negated(operand)
+        ) is not None:
+            yield from _pieces(inner)
+        case condition_tree.ConditionBinary(operator="&&", left=left, right=right):
+            yield from _pieces(left)
+            yield from _pieces(right)
+        case condition_tree.ConditionBinary(operator="<" | "<=" | ">" | ">=" as sign, left=left, right=right):
+            if isinstance(right, condition_tree.ConditionCall):
+                left, right, sign = right, left, _MIRRORED[sign]  # type: ignore[assignment]
+            least = "min" if sign in (">", ">=") else "max"
+            if isinstance(left, condition_tree.ConditionCall) and left.function.span.text == least:
+                for argument in left.arguments:
+                    yield from _pieces(replace(tree, operator=sign, left=argument, right=right))
+            else:
+                yield tree
+        case _:
+            yield tree
+
+
+def _negated(tree: condition_tree.ConditionExpr) -> condition_tree.ConditionExpr | None:
+    """What is true where the tree is false, and unknown where it is; None where that is only its negation."""
+    match tree:
+        case condition_tree.ConditionUnary(operator="!", operand=operand):
+            return operand
+        case condition_tree.ConditionBinary(operator=sign) if sign in _OPPOSITE:
+            return replace(tree, operator=_OPPOSITE[sign])
+        case condition_tree.ConditionBinary(operator="&&" | "||" as sign, left=left, right=right):
+            not_left, not_right = (
+                condition_tree.ConditionUnary(side.span, side.height + 1, "!", side) for side in (left, right)
+            )
+            return replace(tree, operator="||" if sign == "&&" else "&&", left=not_left, right=not_right)
+    return None
+
+
+# --- equal texts are equal conditions ------------------------------------------------------------------
+
+
+def _expression(tree: condition_tree.ConditionExpr) -> Expression:
+    """A condition on one part, by a text of its own: parts of which the same is asked are found once."""
+    return TextCondition(_written(tree), tree)
+
+
+class TextCondition(Expression):
+    """A condition that is known by its text alone."""
+
+    __slots__ = ()
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, TextCondition) and self.text == other.text
+
+    def __hash__(self) -> int:
+        return hash(self.text)
+
+
+def _written(tree: condition_tree.ConditionExpr) -> str:
+    """A tree as text, with all its parentheses."""
+    match tree:
+        case condition_tree.ConditionLiteral(value=value):
+            return repr(value)
+        case condition_tree.ConditionName(name=name):
+            return name
+        case condition_tree.ConditionUnary(operator=operator, operand=operand):
+            return f"({operator}{_written(operand)})"
+        case condition_tree.ConditionBinary(operator=operator, left=left, right=right):
+            return f"({_written(left)} {operator} {_written(right)})"
+        case condition_tree.ConditionCall(function=function, arguments=arguments):
+            return f"{function.name}({', '.join(map(_written, arguments))})"
+    raise ValueError(f"this is not a condition on one part: {tree.span.text}")

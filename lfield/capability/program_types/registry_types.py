@@ -1,0 +1,72 @@
+"""The registry as the compiler's front end sees it: capabilities are types of L (lang.capabilities)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+from lfield.capability.condition_compiler import read_query
+from lfield.capability.condition_tree import Mistake
+from lfield.capability.model import Registry
+from lfield.capability.program_types.class_generator import UsableWays, class_text, prelude
+from lfield.capability.program_types.program_check import check_against, check_classes, satisfied
+from lfield.capability.registry_reader.registry_files import is_shipped
+from lfield.capability.registry_reader.unit_signatures import Signature, signatures_of
+from lfield.lang import syntax
+from lfield.lang.capability_port import GeneratedClasses
+from lfield.text.source_text import Diagnostic, Diagnostics, Source
+
+
+class RegistryTypes:
+    """The capabilities of a registry that is read when the first of them is asked for.
+
+    Reading raises what `read` raises, ProgramError for one. `own` is the file with what a mission adds.
+    """
+
+    def __init__(self, read: Callable[[], Registry], *, own: Path | None = None) -> None:
+        self._read, self.own = read, own
+
+    @cached_property
+    def registry(self) -> Registry:
+        """The registry."""
+        return self._read()
+
+    def names(self) -> Collection[str]:
+        """The capabilities that can be called."""
+        return self.registry.primitives.keys()
+
+    def generate(self, requested: Collection[str], files: Sequence[syntax.ParsedFile]) -> GeneratedClasses:
+        """The classes of some capabilities and of all they refer to, for a program of these files."""
+        served = _served(self.registry, signatures_of(files))
+        names = served.reached(requested)
+        rules = [rule for name in names for rule in served.compositions(name)]
+        return GeneratedClasses(
+            {name: Source(f"{name}.L", class_text(served, name)) for name in names},
+            common=(prelude(),),
+            files=tuple(dict.fromkeys(rule.source for rule in rules)),
+        )
+
+    def registry_problems(
+        self, used: Collection[str], files: Sequence[syntax.ParsedFile]
+    ) -> Sequence[Diagnostic]:
+        """Where a mission's registry does not fit the units of its program, or the classes of rules."""
+        units, found = signatures_of(files), Diagnostics()
+        served = _served(self.registry, units)
+        rules = {rule.name: rule for name in used for rule in served.compositions(name)}
+        check_against(self.registry, units, found)
+        promised = [mistake for mistake in found.found if not is_shipped(mistake)]
+        of_rules = Diagnostics()
+        check_classes(replace(self.registry, compositions=rules), of_rules)
+        return [*promised, *of_rules.found]
+
+    def mistakes(self, constraint: str) -> Sequence[Mistake]:
+        """What is wrong with the text of a condition over attributes."""
+        return read_query(constraint, self.registry.attributes)[1]
+
+
+def _served(registry: Registry, units: Mapping[str, Signature]) -> UsableWays:
+    """The ways that a program with these units can have."""
+    resources = {name for name, unit in units.items() if unit.kind == "resource"}
+    return UsableWays(satisfied(registry, units), resources, units.keys())

@@ -1,0 +1,87 @@
+"""The sections `attributes` and `ranking`: what offers differ in, and what makes a good one.
+
+```yaml
+attributes:
+  payload: {type: real, unit: kg, better: more, typical: 2.0, meaning: what it can carry or lift}
+  environment: {type: set, values: [aerial, aquatic, terrestrial], meaning: where it can work}
+  battery: {type: real, better: more, live: true, max_age: 10.0, meaning: charge from 0 to 1}
+ranking: {weights: {loss: 2.0, hop: 0.1}, attributes: {payload: 2.0}, nearby: 20.0}
+```
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields as fields_of
+from dataclasses import replace
+from typing import cast, get_args
+
+from lfield.capability.model import Attribute, AttributeType, Better, Weights
+from lfield.capability.registry_reader import messages
+from lfield.capability.registry_reader.attribute_values import check_unit
+from lfield.capability.registry_reader.registry_builder import NAME, RegistryBuilder
+from lfield.text.yaml_fields import YamlFields
+from lfield.text.yaml_source import YamlEntry
+
+#: What conditions call something of their own.
+RESERVED_ATTRIBUTES = frozenset({"agent", "robot", "host", "distance", "min", "max", "abs"})
+
+#: The terms of the cost that have a weight, besides those of single attributes.
+_TERMS = tuple(f.name for f in fields_of(Weights) if f.name not in ("attributes", "nearby"))
+_HEAVIEST = 1e6
+
+
+def read_attributes(draft: RegistryBuilder) -> None:
+    """All attributes of all files."""
+    for file, entry, fields in draft.entries("attributes"):
+        draft.define(
+            draft.attributes, _attribute(draft, entry, fields), "the attribute", mission=file.mission
+        )
+
+
+def _attribute(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> Attribute:
+    name, span = entry.key, entry.key_span
+    draft.check_name(name, NAME, "an attribute", span)
+    if name in RESERVED_ATTRIBUTES:
+        draft.report(messages.RESERVED_ATTRIBUTE, span, name=name)
+    kind = fields.text("type", "real", required=True, choices=get_args(AttributeType))
+    attribute = Attribute(
+        name=name,
+        type=cast(AttributeType, kind),
+        span=span,
+        unit=fields.text("unit"),
+        better=cast(Better, fields.text("better", "none", choices=get_args(Better))),
+        typical=fields.number("typical", 1.0, minimum=1e-9),
+        values=fields.texts("values"),
+        live=fields.flag("live"),
+        max_age=fields.number("max_age", 10.0, minimum=0.1, maximum=86400.0),
+        meaning=fields.text("meaning"),
+    )
+    fields.report_unread()
+    check_unit(draft, attribute.unit, kind, f"'{name}'", fields.value_span("unit"))
+    if attribute.values and kind not in ("set", "text"):
+        draft.report(messages.VALUES_OF_NUMBER, fields.value_span("values"), name=name, type=kind)
+    return attribute
+
+
+def read_ranking(draft: RegistryBuilder) -> None:
+    """The weights: a later file counts before an earlier one, a mission's before all."""
+    for file in draft.files:
+        section = file.top.section("ranking")
+        stated = section.section("weights")
+        known = draft.weights
+        weights = {
+            term: stated.number(term, getattr(known, term), minimum=0.0, maximum=_HEAVIEST) for term in _TERMS
+        }
+        stated.report_unread()
+        attributes = {**draft.weights.attributes, **_attribute_weights(draft, section.section("attributes"))}
+        nearby = section.number("nearby", draft.weights.nearby, minimum=0.1, maximum=_HEAVIEST)
+        draft.set_weights(replace(draft.weights, attributes=attributes, nearby=nearby, **weights))
+        section.report_unread()
+
+
+def _attribute_weights(draft: RegistryBuilder, section: YamlFields) -> dict[str, float]:
+    weights = {}
+    for entry in section.named():
+        if draft.attribute(entry.key, entry.key_span) is not None:
+            weights[entry.key] = section.number(entry.key, minimum=0.0, maximum=_HEAVIEST)
+    return weights

@@ -1,0 +1,172 @@
+"""The sections `providers` and `agents`: what resource types serve and state, and single agents besides.
+
+```yaml
+providers:
+  Winch:
+    include: can/winch.L
+    attributes: {environment: [terrestrial]}
+    nominal: {payload: 50.0, speed: 0.2}   # usual values, unless stated for a single robot
+    live: {battery: fc.battery, north: "fc.position[0]", heat: {from: drive.temperature, unit: degC},
+           load: load(), level: {from: level(), unit: mm, every: 5}}      # portals that only query
+    serves:
+      Lift:
+        when: "tools == winch"             # not every one of the type can
+        attributes: {accuracy: 0.01}       # count before those of the type
+        portals: {lift: {portal: lift, arguments: [height]}}
+agents: {arm2: {payload: 1.2}}           # those of the mission
+```
+A mission may extend a shipped provider: its entries for an attribute or a primitive replace the shipped ones.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection
+from dataclasses import replace
+
+from lfield.capability.matching.condition_checker import NameScope
+from lfield.capability.model import LiveAttribute, Provider, ServedPrimitive, Value
+from lfield.capability.registry_reader import messages
+from lfield.capability.registry_reader.attribute_values import read_conversion, read_expression, read_values
+from lfield.capability.registry_reader.portal_mapping import read_portals
+from lfield.capability.registry_reader.registry_builder import TYPE_NAME, RegistryBuilder
+from lfield.text.source_text import Span
+from lfield.text.suggestions import listed
+from lfield.text.yaml_fields import YamlFields
+from lfield.text.yaml_source import YamlEntry, YamlMapping
+
+_NAME = r"[a-z][A-Za-z0-9_]*"
+_SOURCE = re.compile(
+    rf"((?P<device>{_NAME})\.(?P<quantity>{_NAME})|(?P<portal>{_NAME})\(\))(\[(?P<index>[0-9]{{1,4}})\])?"
+)
+#: Seconds between two questions to a portal.
+_EVERY, _RAREST = 1.0, 3600.0
+
+
+def read_providers(draft: RegistryBuilder) -> None:
+    """All providers of all files."""
+    scope = NameScope.of_offer(draft.attributes)
+    for file, entry, fields in draft.entries("providers"):
+        provider = _provider(draft, entry, fields, scope)
+        first = draft.providers.get(entry.key)
+        if first is None:
+            draft.providers[entry.key] = provider
+        elif not file.mission:
+            draft.report_duplicate("the provider", entry.key, entry.key_span, first.span)
+        else:
+            draft.providers[entry.key] = _joined(first, provider)
+
+
+def _provider(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields, scope: NameScope) -> Provider:
+    name, span = entry.key, entry.key_span
+    draft.check_name(name, TYPE_NAME, "a resource type", span)
+    if name in draft.primitives:
+        draft.report(messages.TYPE_IN_USE, span, name=name, what="a provider")
+    attributes, nominal = _values(draft, fields)
+    provider = Provider(
+        type=name,
+        include=fields.text("include"),
+        meaning=fields.text("meaning"),
+        attributes=attributes,
+        nominal=nominal,
+        live=_live_attributes(draft, fields.section("live")),
+        serves=_serves(draft, fields.section("serves"), scope),
+        span=span,
+    )
+    fields.report_unread()
+    return provider
+
+
+def _values(draft: RegistryBuilder, fields: YamlFields) -> tuple[dict[str, Value], frozenset[str]]:
+    """What `attributes` states and `nominal` holds to be usual, and which of all these values are so."""
+    stated, usual = fields.section("attributes"), fields.section("nominal")
+    values, nominal = read_values(draft, stated), read_values(draft, usual)
+    for name in values.keys() & nominal.keys():
+        draft.report(messages.STATED_AND_NOMINAL, usual.key_span(name), name=name)
+    return {**nominal, **values}, frozenset(nominal.keys() - values.keys())
+
+
+def _joined(ours: Provider, mission: Provider) -> Provider:
+    """A provider with the entries of a mission, which take precedence over the shipped ones."""
+    return replace(
+        ours,
+        include=mission.include or ours.include,
+        meaning=mission.meaning or ours.meaning,
+        attributes={**ours.attributes, **mission.attributes},
+        nominal=mission.nominal | (ours.nominal - mission.attributes.keys()),
+        live={**ours.live, **mission.live},
+        serves={**ours.serves, **mission.serves},
+    )
+
+
+def _serves(draft: RegistryBuilder, section: YamlFields, scope: NameScope) -> dict[str, ServedPrimitive]:
+    serves = {}
+    for entry, fields in section.entries():
+        primitive = draft.primitive(entry.key, entry.key_span)
+        if primitive is None:
+            continue
+        attributes, nominal = _values(draft, fields)
+        serves[entry.key] = ServedPrimitive(
+            primitive=entry.key,
+            portals=read_portals(draft, fields, primitive, entry.key_span),
+            attributes=attributes,
+            nominal=nominal,
+            when=read_expression(draft, fields.node("when"), scope, "boolean"),
+            span=entry.key_span,
+        )
+        fields.report_unread()
+    return serves
+
+
+def read_agents(draft: RegistryBuilder, deployed: Collection[str] | None) -> None:
+    """The values of single agents; when the `deployed` ones are given, any other name is a mistake."""
+    for _, entry, fields in draft.entries("agents"):
+        if deployed is not None and entry.key not in deployed:
+            hint = draft.similar_name(entry.key, deployed)
+            known = listed(sorted(deployed))
+            draft.report(messages.UNKNOWN_AGENT, entry.key_span, hint=hint, name=entry.key, agents=known)
+        draft.agents.setdefault(entry.key, {}).update(read_values(draft, fields))
+
+
+# --- live attributes ----------------------------------------------------------------------------------
+
+
+def _live_attributes(draft: RegistryBuilder, section: YamlFields) -> dict[str, LiveAttribute]:
+    lives = {}
+    for entry in section.named():
+        live = _live(draft, entry)
+        if live is not None:
+            lives[entry.key] = live
+    return lives
+
+
+def _live(draft: RegistryBuilder, entry: YamlEntry) -> LiveAttribute | None:
+    """`fc.battery`, `fc.position[0]`, `{from: fc.battery, unit: "%"}`, or a portal as `load()`."""
+    attribute = draft.attribute(entry.key, entry.key_span)
+    text, place, unit, every = _source(draft, entry)
+    match = _SOURCE.fullmatch(text)
+    if match is None:
+        draft.report(messages.BAD_LIVE, place, text=text[:80])
+        return None
+    if attribute is None:
+        return None
+    factor, offset = read_conversion(draft, unit, attribute.unit, place) if unit else (1.0, 0.0)
+    index = int(match["index"]) if match["index"] else None
+    if match["portal"] and attribute.live and every > attribute.max_age:
+        draft.report(
+            messages.TOO_RARE, place, name=entry.key, every=f"{every:g}", age=f"{attribute.max_age:g}"
+        )
+    device, quantity = match["device"] or "", match["quantity"] or match["portal"]
+    return LiveAttribute(entry.key, device, quantity, place, factor, offset, index, unit, every)
+
+
+def _source(draft: RegistryBuilder, entry: YamlEntry) -> tuple[str, Span, str, float]:
+    """The source of a live value, its place, its unit if given, and its polling interval."""
+    section = YamlFields(YamlMapping({entry.key: entry}, entry.key_span), draft.found, "'live'")
+    if not isinstance(entry.value, YamlMapping):
+        return section.text(entry.key), entry.value.span, "", _EVERY
+    fields = section.section(entry.key)
+    text, unit = fields.text("from", required=True), fields.text("unit")
+    every = fields.number("every", _EVERY, minimum=_EVERY, maximum=_RAREST)
+    fields.report_unread()
+    return text, fields.value_span("from"), unit, every

@@ -1,0 +1,14 @@
+"""A question that only 'yes' agrees to."""
+
+from __future__ import annotations
+
+from lfield.text.terminal_escape import escape
+
+
+def confirm(question: str) -> bool:
+    """Ask in the terminal. Whoever leaves it without a word (Ctrl-D) has not agreed."""
+    try:
+        return input(escape(question)).strip().lower() == "yes"
+    except EOFError:
+        print()
+        return False

@@ -1,0 +1,70 @@
+"""`lfield check FILE`: all errors and warnings of programs, deployments and their devices; sound bundles."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+
+if TYPE_CHECKING:
+    from lfield.errors import ReportableFinding
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument(
+        "files",
+        metavar="FILE.L",
+        nargs="+",
+        type=Path,
+        help="programs, deployments (.dL) and bundles (.lfm)",
+    )
+    parser.add_argument("--json", action="store_true", help="print the findings as a JSON array")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when there are no errors, else 65."""
+    from lfield.text.message_tables import render_findings, tally
+
+    found = _without_duplicates(finding for path in args.files for finding in _findings(path))
+    errors = sum(finding.severity == "error" for finding in found)
+    if args.json:
+        print(json.dumps([finding.as_data() for finding in found], indent=2))
+    elif found:
+        print(render_findings(found), file=sys.stderr)
+        print(f"lfield: {tally(errors, len(found) - errors)}", file=sys.stderr)
+    return exit_status.DATA if errors else exit_status.DONE
+
+
+def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[ReportableFinding]:
+    """Each finding once: a deployment leads to its program, which may be named beside it, and otherwise."""
+    found: dict[str, ReportableFinding] = {}
+    for finding in findings:
+        data = finding.as_data()
+        if data.get("file"):
+            data["file"] = os.path.realpath(str(data["file"]))
+        found.setdefault(json.dumps(data, sort_keys=True), finding)
+    return list(found.values())
+
+
+def _findings(path: Path) -> list[ReportableFinding]:
+    """What is found in a file.
+
+    A bundle has the warnings with which it was built. Raises BundleError for one that is not sound.
+    """
+    from lfield.mission import bundle
+    from lfield.mission.loader import check_file, mission_problems
+    from lfield.text.source_text import PlainFinding
+
+    if path.suffix == bundle.SUFFIX:
+        return [PlainFinding(warning, "warning", "bundle-warning") for warning in bundle.read(path).warnings]
+    found = list(check_file(path))
+    if path.suffix == ".dL" and not any(finding.severity == "error" for finding in found):
+        found += mission_problems(path)
+    return found

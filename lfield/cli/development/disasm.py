@@ -1,0 +1,37 @@
+"""`lfield disasm FILE`: lists a program: of a program file, of L text, of a deployment or bundle.
+
+With `--wasm` it is what the engine in WebAssembly is given, set in, with the instructions above their text.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="program, deployment or bundle",
+    )
+    parser.add_argument(
+        "--wasm", action="store_true", help="print WebAssembly text, with byte code as comments"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the listing."""
+    from lfield.bytecode.disassembler import disassemble
+    from lfield.mission.loader import load_program
+
+    program = load_program(args.file)
+    if args.wasm:
+        from lfield.vm.wasm.wasm_listing import listing
+
+        print(listing(program), end="")
+    else:
+        print(disassemble(program), end="")
+    return 0

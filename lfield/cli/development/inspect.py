@@ -1,0 +1,166 @@
+"""`lfield inspect FILE`: a dumped agent with its L stack and heap; a journal; or the parts of a mission."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import KeysError
+
+if TYPE_CHECKING:
+    from lfield.mission.bundle import BundleContents
+    from lfield.vm.inspection.block_view import BlockView
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument(
+        "file",
+        metavar="FILE",
+        type=Path,
+        help="dump from 'lfield up --dump DIR', journal or its directory, bundle, or deployment",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print what the file says."""
+    from lfield.journal.journal import FILE_NAME
+    from lfield.mission import bundle
+
+    if os.path.isdir(args.file) and args.file.name != FILE_NAME:
+        return _show_folder(args.file)
+    # What was moved aside is called after it.
+    if FILE_NAME in args.file.name:
+        return _show_journal(args.file)
+    if args.file.suffix in (bundle.SUFFIX, ".dL"):
+        return _show_mission(args.file)
+    return _show_dump(args.file)
+
+
+def _show_dump(file: Path) -> int:
+    from lfield.cli.views.journal_view import interval_line, thread_lines
+    from lfield.errors import BlockError
+    from lfield.text.input_files import read_bytes
+    from lfield.text.terminal_escape import escape
+    from lfield.vm.inspection import dump_file
+    from lfield.vm.inspection.block_view import view
+
+    try:
+        record, program, block = dump_file.decode(read_bytes(file, dump_file.MAX_SIZE))
+    except BlockError as error:
+        raise BlockError(f"{file}: {error.reason}", word=error.word) from None
+    shown = view(block, program, record.members)
+    trail = " → ".join(record.hosts[n] if 0 <= n < len(record.hosts) else str(n) for n in shown.trail)
+    print(f"agent     {shown.id} ({shown.kind} {shown.type})")
+    print(f"on        {record.host}, after {shown.hops} hop(s): {trail}")
+    if shown.interval:
+        print(interval_line(shown.interval))
+    print(f"program   {program.digest.hex()[:16]}")
+    if record.reason:
+        print("why       " + escape(record.reason).replace("\n", "\n          "))
+    for thread in shown.threads:
+        print("\n" + "\n".join(thread_lines(thread)))
+    _print_state(shown, record.limit)
+    return 0
+
+
+def _print_state(shown: BlockView, limit: int) -> None:
+    print(f"\nfields of {shown.id}")
+    for name, value in shown.fields:
+        print(f"       {name} = {value}")
+    print(f"\nheap: {shown.used} of {limit} bytes")
+    for name, count, size in shown.heap:
+        print(f"  {size:>9} bytes  {count:>6} × {name}")
+
+
+def _show_folder(folder: Path) -> int:
+    """The journal of a host, by its folder. Raises InputFileError when there is none."""
+    from lfield.errors import InputFileError
+    from lfield.journal.journal import FILE_NAME
+    from lfield.text.input_files import error_reason
+
+    file = folder / FILE_NAME
+    try:
+        file.lstat()
+    except FileNotFoundError:
+        raise InputFileError(str(folder), f"it is a folder without a {FILE_NAME}") from None
+    except OSError as error:
+        raise InputFileError(str(folder), error_reason(error)) from None
+    return _show_journal(file)
+
+
+def _show_journal(file: Path) -> int:
+    """All that can be read; only then what cannot."""
+    from lfield.cli.views.journal_view import journal_lines
+    from lfield.errors import DamagedFileError
+    from lfield.journal.readonly_view import open_read_only
+    from lfield.text.terminal_escape import escape
+
+    seen = open_read_only(file)
+    for line in journal_lines(seen):
+        print(escape(line))
+    if seen.fault:
+        raise DamagedFileError(str(file), f"it is damaged, this is what is left of it: {seen.fault}")
+    if seen.damaged:
+        count = len(seen.damaged)
+        raise DamagedFileError(str(file), f"{count} page{'s' * (count > 1)} of it cannot be believed")
+    return 0
+
+
+def _show_mission(file: Path) -> int:
+    """What is in a bundle, or would be in that of a deployment."""
+    from lfield.mission import bundle
+    from lfield.mission.loader import load_mission
+    from lfield.text.suggestions import listed
+    from lfield.wire.fields import short_digest
+
+    if file.suffix == bundle.SUFFIX:
+        data = bundle.read_file(file)
+        mission = bundle.read(file)
+    else:
+        mission = load_mission(file)
+        data = bundle.encode(mission)
+    found = bundle.contents(data)
+    print(f"bundle    {short_digest(found.digest)} of {mission.name}")
+    if file.suffix == bundle.SUFFIX:
+        print(f"signed    {_signed(found)}")
+    for part in found.table:
+        print(f"          {part.name:<9}{part.size:>9} bytes  {part.digest.hex()[:16]}")
+    for number, host in enumerate(mission.team.hosts):
+        agents = mission.team.members_on(number)
+        print(f"\nhost {host} at {mission.team.addresses[number]}{'' if agents else ', a witness'}")
+        for member in agents:
+            print(f"  {member.kind} {member.id} ({member.type})")
+            for device in mission.bindings.of([member.id]):
+                print(f"    {device.field} = {device.type} by {device.driver} at {device.endpoint}")
+    if mission.fenced:
+        print(f"\nrecovery of {listed(sorted(mission.fenced))} by {mission.recovery}")
+    if mission.access.file:
+        whom = [person.name for person in mission.access.people]
+        whom += [caller.name for caller in mission.access.callers]
+        print(f"\n{mission.access.file} says what they may do: {listed(dict.fromkeys(whom))}")
+    for name, driver in mission.drivers.by_driver.items():
+        print(f"\ndriver {name} of {driver.to_install}")
+    return 0
+
+
+def _signed(found: BundleContents) -> str:
+    """Who has signed a bundle, as far as keys of this computer can tell."""
+    from lfield.authority.keystore import local_folders, read_trusted
+    from lfield.authority.peer_verification import format_time
+
+    if not found.signature:
+        return "by nobody"
+    here = local_folders(os.environ)
+    if not here:
+        return "by somebody: there are no keys here to see by whom"
+    # cryptography takes a moment, and nothing that is not signed needs it.
+    from lfield.authority.bundle_signature import verify_bundle
+
+    try:
+        who, at = verify_bundle(found.digest, found.signature, read_trusted(here[0]))
+    except KeysError as error:
+        return f"by nobody of ours: {error}"
+    return f"by {who}, {format_time(at)}"

@@ -1,0 +1,289 @@
+"""`lfield keys`: the authority of a team, and the keys that it makes for hosts and persons."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shlex
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.errors import KeysError, UsageError
+from lfield.text.number_arguments import whole_between
+
+if TYPE_CHECKING:
+    from lfield.authority.identity import Identity, Right
+    from lfield.authority.ledger import LedgerKeys
+    from lfield.authority.web_ca.web_certificates import IssuedWebKeys
+
+#: How many days keys last: an authority longer than all that it makes.
+_AUTHORITY_DAYS, _DAYS, _MAX_DAYS = 3650, 365, 36500
+#: Browsers take nothing of a page that lasts longer.
+_MAX_PAGE_DAYS = 398
+#: Where the authority is, when it is not in the usual folder.
+_VARIABLE = "LFIELD_AUTHORITY"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    init = actions.add_parser("init", help="create the certificate authority of a team")
+    init.add_argument(
+        "folder",
+        metavar="DIR",
+        nargs="?",
+        type=Path,
+        help="directory of the authority (default: as for --authority)",
+    )
+    _add_days(init, _AUTHORITY_DAYS)
+    host = actions.add_parser("host", help="create the keys of hosts, named as in the deployment")
+    host.add_argument("names", metavar="NAME", nargs="+", help="names of hosts")
+    person = actions.add_parser("person", help="create the keys of a person")
+    person.add_argument("names", metavar="NAME", nargs=1, help="name of the person")
+    person.add_argument(
+        "--may",
+        metavar="RIGHT,...",
+        required=True,
+        help="observe; stop, which brings observe; operate, which brings both; command: sign bundles",
+    )
+    page = actions.add_parser(
+        "page", help="create the keys of a web page on a network (lfield watch --listen)"
+    )
+    page.add_argument(
+        "names", metavar="ADDRESS", nargs="+", help="addresses or names under which the page is opened"
+    )
+    renew = actions.add_parser("renew", help="renew keys; the old certificate stays valid until it expires")
+    renew.add_argument("what", choices=("host", "person", "authority"), help="kind of the keys")
+    renew.add_argument("names", metavar="NAME", nargs="*", help="names of hosts or persons")
+    renew.add_argument(
+        "--new-key", action="store_true", help="also create a new private key, which must be copied again"
+    )
+    revoke = actions.add_parser("revoke", help="add keys to the revocation list")
+    revoke.add_argument("what", choices=("host", "person", "serial"), help="kind of NAME")
+    revoke.add_argument("names", metavar="NAME", nargs=1, help="name, or serial number of one certificate")
+    listed = actions.add_parser("list", help="list all certificates that the authority has issued")
+    show = actions.add_parser("show", help="show the owner, rights and validity of keys")
+    show.add_argument(
+        "folder", metavar="DIR", nargs="?", type=Path, help="directory (default: all keys on this computer)"
+    )
+    for each in (host, person, renew):
+        _add_days(each, _DAYS)
+    _add_days(page, _DAYS, _MAX_PAGE_DAYS)
+    for each in (host, person, page, renew, revoke, listed):
+        each.add_argument(
+            "--authority",
+            metavar="DIR",
+            type=Path,
+            help=f"directory of the authority (default: ${_VARIABLE}, or ~/.config/lfield/authority)",
+        )
+
+
+def _add_days(parser: argparse.ArgumentParser, default: int, most: int = _MAX_DAYS) -> None:
+    parser.add_argument(
+        "--days",
+        metavar="N",
+        type=whole_between(1, most, "days"),
+        help=f"validity in days (default: {default})",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; `show` gives 69 when some of the keys cannot be used."""
+    match args.action:
+        case "init":
+            return _init(args)
+        case "host" | "person":
+            return _make(args)
+        case "page":
+            return _make_page(args)
+        case "renew":
+            return _renew(args)
+        case "revoke":
+            return _revoke(args)
+        case "list":
+            return _list(args)
+        case _:
+            return _show(args)
+
+
+def _authority(named: Path | None) -> Path:
+    from lfield.text.user_dirs import config_dir
+
+    if named is not None:
+        return named
+    said = os.environ.get(_VARIABLE, "")
+    return Path(said) if said else config_dir() / "authority"
+
+
+def _ends(args: argparse.Namespace, at: float, default: int = _DAYS) -> float:
+    return at + (args.days or default) * 86400.0
+
+
+# --- making -----------------------------------------------------------------------------------------------
+
+
+def _init(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import KEY, create_ledger
+    from lfield.authority.peer_verification import format_time
+
+    at = time.time()
+    ledger = create_ledger(_authority(args.folder), at, _ends(args, at, _AUTHORITY_DAYS))
+    made = ledger.authority
+    print(f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {format_time(made.valid_until)}")
+    print(f"{KEY} can issue keys with every right: keep its directory private, and back it up")
+    print("next: 'lfield keys host NAME ...' for the hosts, 'lfield keys person NAME --may ...' for yourself")
+    return 0
+
+
+def _make(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import open_ledger
+
+    may = _rights(args.may) if args.action == "person" else ()
+    at = time.time()
+    with open_ledger(_authority(args.authority)) as ledger:
+        for name in args.names:
+            _print_made(ledger.make(args.action, name, may, at, _ends(args, at)))
+    return 0
+
+
+def _rights(names: str) -> tuple[Right, ...]:
+    from lfield.authority.identity import Right
+    from lfield.text.suggestions import did_you_mean, listed
+
+    named = [word for word in (part.strip() for part in names.split(",")) if word]
+    for word in named:
+        if word not in list(Right):
+            hint = did_you_mean(word, list(Right))
+            raise UsageError(f"--may {word}: rights are {listed(Right)}" + (f"; {hint}" if hint else ""))
+    if not named:
+        raise UsageError(f"--may names no right: rights are {listed(Right)}")
+    return tuple(map(Right, named))
+
+
+def _print_made(made: LedgerKeys) -> None:
+    """What was made, and where it goes."""
+    from lfield.authority.identity import sorted_rights
+    from lfield.authority.keystore import OWN
+    from lfield.authority.peer_verification import format_time
+
+    who, path = made
+    may = f", may {sorted_rights(who.may)}" if who.kind == "person" else ""
+    print(f"{who}: until {format_time(who.valid_until)}{may}")
+    there = who.name if who.kind == "host" else OWN
+    words = shlex.quote(str(path))
+    if who.kind == "host":
+        print(f"  on {there}, for a user:      ~/.config/lfield/keys/{there}   a copy of {words}")
+        print(f"  on {there}, for the service: /etc/lfield/keys/{there}, owned by the service's user")
+    else:
+        print(f"  on the computer of {who}: ~/.config/lfield/keys/{there}, a copy of {words}")
+
+
+def _make_page(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import open_ledger
+    from lfield.authority.web_ca.web_certificates import issue_web_keys
+
+    at = time.time()
+    with open_ledger(_authority(args.authority)) as ledger:
+        _print_page(issue_web_keys(ledger, args.names, at, _ends(args, at)))
+    return 0
+
+
+def _print_page(made: IssuedWebKeys) -> None:
+    """What was made, how it is used, and what browsers must be told."""
+    from lfield.authority.peer_verification import format_time
+
+    words = shlex.quote(str(made.folder))
+    print(f"page {', '.join(made.keys.names)}: until {format_time(made.keys.valid_until)}")
+    print(f"  lfield watch --listen {made.keys.names[0]} --page-keys {words} --deploy MISSION")
+    root = shlex.quote(str(made.root))
+    print(f"  once for each browser: import {root} as an authority for web sites")
+    print("  on a phone: install that file as a CA certificate (iOS: as a profile, and then trust it)")
+
+
+def _renew(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import open_ledger
+    from lfield.authority.peer_verification import format_time
+
+    if bool(args.names) == (args.what == "authority"):
+        raise UsageError("say whom to renew: host NAME ..., person NAME ..., or authority without a name")
+    at = time.time()
+    with open_ledger(_authority(args.authority)) as ledger:
+        if args.what == "authority":
+            ledger.renew_authority(at, _ends(args, at, _AUTHORITY_DAYS))
+            print(
+                f"the authority {ledger.authority.fingerprint[:12]}: until "
+                f"{format_time(ledger.authority.valid_until)}"
+            )
+            print("  nothing has to be copied: what it has made, and all that trust it, stay as they are")
+            return 0
+        for name in args.names:
+            _print_made(ledger.renew(args.what, name, at, _ends(args, at), new_key=args.new_key))
+    return 0
+
+
+def _revoke(args: argparse.Namespace) -> int:
+    from lfield.authority.key_material import REVOKED
+    from lfield.authority.ledger import open_ledger
+
+    (name,), at = args.names, time.time()
+    with open_ledger(_authority(args.authority)) as ledger:
+        if args.what == "serial":
+            revoked = ledger.revoke_serial(name, at)
+        else:
+            revoked = ledger.revoke(args.what, name, at)
+        for who in revoked:
+            print(f"{who}: certificate {who.serial[:12]} is revoked")
+        path = shlex.quote(str(ledger.folder / REVOKED))
+        print(f"list {ledger.revoked.number} is {path}: copy it into your own keys, or those of a host,")
+        print("and it goes from link to link; a host that is cut off cannot know of it")
+    return 0
+
+
+# --- looking ----------------------------------------------------------------------------------------------
+
+
+def _list(args: argparse.Namespace) -> int:
+    from lfield.authority.ledger import open_ledger
+    from lfield.authority.peer_verification import format_time
+
+    at = time.time()
+    with open_ledger(_authority(args.authority)) as ledger:
+        made = ledger.authority
+        print(
+            f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {format_time(made.valid_until)}"
+        )
+        rows = ledger.rows(at)
+        if ledger.revoked.number:
+            print(f"revoked: {ledger.revoked}")
+    for who, state in rows:
+        print(f"  {state:<8}{who.serial[:12]:<14}until {format_time(who.valid_until)}  {_described(who)}")
+    return 0
+
+
+def _described(who: Identity) -> str:
+    from lfield.authority.identity import sorted_rights
+
+    return f"{who}, may {sorted_rights(who.may) or 'nothing'}" if who.kind == "person" else str(who)
+
+
+def _show(args: argparse.Namespace) -> int:
+    from lfield import exit_status
+    from lfield.authority.keystore import local_folders
+    from lfield.operator.key_health import health
+
+    found = local_folders(os.environ) if args.folder is None else [args.folder]
+    if not found:
+        raise KeysError(
+            "there are no keys on this computer: 'lfield keys init' begins, or copy a folder here"
+        )
+    findings = [finding for folder in found for finding in health(folder, time.time())]
+    for finding in findings:
+        print(f"{finding.what}" + (f"\n  -> {finding.cure}" if finding.cure else ""))
+        for line in finding.details:
+            print(f"  {line}")
+    return (
+        exit_status.UNAVAILABLE
+        if any(finding.state == "problem" for finding in findings)
+        else exit_status.DONE
+    )

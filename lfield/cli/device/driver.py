@@ -1,0 +1,58 @@
+"""`lfield driver`: what is installed, and the skeleton of a new driver."""
+
+from __future__ import annotations
+
+import argparse
+import re
+from pathlib import Path
+
+from lfield.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
+    actions.add_parser("list", help="list the installed drivers and their device types")
+    new = actions.add_parser(
+        "new", help="create a driver project that passes the conformance tests with its own simulated device"
+    )
+    new.add_argument("name", metavar="NAME", help="name of the driver: lower-case letters and digits")
+    new.add_argument("--sensor", action="store_true", help="sensor only, without a safe state")
+    new.add_argument("--serial", action="store_true", help="on a serial port (default: on a TCP port)")
+    new.add_argument("--into", metavar="DIR", type=Path, help="directory to create (default: lfield_NAME)")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; the exit status tells nothing more."""
+    if args.action == "list":
+        return _list()
+    folder = args.into or Path(f"lfield_{args.name}")
+    return _new(args.name, folder, sensor=args.sensor, serial=args.serial)
+
+
+def _list() -> int:
+    from lfield.driver.plugins import discover
+
+    plugins = discover()
+    for name, installed in sorted(plugins.by_driver.items()):
+        for device_type, manifest in sorted(installed.manifests.items()):
+            print(f"{name}: {device_type}: {manifest.device.meaning}")
+    for problem in plugins.problems:
+        print(problem)
+    return 0
+
+
+def _new(name: str, folder: Path, *, sensor: bool, serial: bool) -> int:
+    from lfield.driver.plugins import discover
+    from lfield.driver.skeleton import write
+
+    if not re.fullmatch(r"[a-z][a-z0-9]{0,30}", name):
+        raise UsageError(f"'{name}' cannot be a driver's name; use small letters and digits, as in winch")
+    if name in discover().by_driver:
+        raise UsageError(f"a driver '{name}' is installed already")
+    if folder.exists():
+        raise UsageError(f"{folder} exists already; nothing was written")
+    for path in write(name, folder, sensor=sensor, serial=serial):
+        print(path)
+    print(f"\nnext: pip install -e {folder}, then what {folder}/README.md says")
+    return 0

@@ -1,0 +1,188 @@
+"""`lfield setup`: writes the settings that bindings need to their devices, after a confirmation.
+
+It commands no motion. The old values are in a file before anything is written; `--apply FILE` restores them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import AsyncIterator, Sequence
+from contextlib import AsyncExitStack, asynccontextmanager
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.confirmation import confirm
+from lfield.cli.device.device_argument import add_devices, named_devices, named_driver
+from lfield.errors import DevicesError, UsageError
+
+if TYPE_CHECKING:
+    from lfield.devices.device_setup import FoundDevice
+    from lfield.devices.parameter_backup import BackupEntry
+    from lfield.driver.binding import DeviceBinding
+    from lfield.driver.driver_index import DriverLookup
+    from lfield.driver.plugins import Plugins
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument(
+        "driver", metavar="DRIVER", nargs="?", default="", help="driver, to set up a single device"
+    )
+    parser.add_argument(
+        "--deploy", metavar="MISSION", type=Path, help="set up the devices of this deployment or bundle"
+    )
+    parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
+    add_devices(parser)
+    parser.add_argument(
+        "--sim", action="store_true", help="use the simulated devices of the deployment, as a trial"
+    )
+    parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
+    parser.add_argument(
+        "--apply", metavar="FILE", type=Path, help="restore the old parameters from this file"
+    )
+    # The newest file: the option of lfield 0.3.
+    parser.add_argument("--back", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--state", metavar="DIR", type=Path, help="directory for files with old parameters")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when all is as it must be, 1 when nobody agreed to it."""
+    from lfield import event_loop
+    from lfield.devices.parameter_backup import backup_folder, newest_backup, read_backup
+    from lfield.driver.plugins import discover
+
+    if bool(args.driver) and args.deploy is not None:
+        raise UsageError("name a mission by --deploy, or a driver; not both")
+    plugins, file = discover(), args.apply
+    if args.back and file is None:
+        file = newest_backup(backup_folder(args.state))
+        if file is None:
+            print(f"nothing to restore: {backup_folder(args.state)} has no file of 'lfield setup'")
+            return exit_status.DONE
+    if file is not None:
+        return event_loop.run(_restore(args, plugins, read_backup(file)))
+    if not args.driver and args.deploy is None:
+        raise UsageError("whose devices? give --deploy MISSION, or DRIVER --endpoint E")
+    drivers, devices = _selected(args, plugins)
+    return event_loop.run(_set_up(args, drivers, devices, backup_folder(args.state)))
+
+
+def _selected(args: argparse.Namespace, plugins: Plugins) -> tuple[DriverLookup, list[DeviceBinding]]:
+    """The devices that were named, and the drivers to reach them by."""
+    from lfield.driver.driver_index import installed_drivers
+    from lfield.mission.loader import open_mission
+
+    if args.driver:
+        if args.sim or args.host:
+            raise UsageError("--sim and --host are for the devices of a mission: name it by --deploy")
+        return plugins, named_devices(args, named_driver(args.driver, plugins), plugins)
+    if args.endpoint or args.type or args.settings:
+        raise UsageError("--endpoint, --type and --set are for one device: name its driver")
+    mission = open_mission(args.deploy, devices=args.devices)
+    mission = mission.on_fakes() if args.sim else mission
+    hosts = [mission.team.find_host(args.host)] if args.host else mission.team.hosts
+    devices = [device for host in hosts for device in mission.devices_of(host)]
+    return installed_drivers(mission.drivers, {device.driver for device in devices}), devices
+
+
+async def _set_up(
+    args: argparse.Namespace, drivers: DriverLookup, devices: Sequence[DeviceBinding], folder: Path
+) -> int:
+    from lfield.clock import SystemClock
+    from lfield.devices.device_setup import open_devices, write_settings
+
+    async with (
+        _reachable_devices(devices) as placed,
+        open_devices(drivers, placed, SystemClock(), _print) as found,
+    ):
+        if not any(each.mismatched for each in found):
+            print("nothing to do: every device keeps what its binding needs")
+            return exit_status.DONE
+        _show(found)
+        if args.sim:
+            print("nothing was written: a fake forgets it when it ends")
+            return exit_status.FAILED
+        if not (args.yes or _confirmed()):
+            print("nothing was written")
+            return exit_status.FAILED
+        now = datetime.now().astimezone().isoformat(" ", "seconds")
+        await write_settings(found, folder, now, _print)
+        print("done: every device keeps what its binding needs")
+    return exit_status.DONE
+
+
+async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[BackupEntry]) -> int:
+    from lfield.clock import SystemClock
+    from lfield.devices.device_setup import open_devices
+    from lfield.devices.parameter_restore import apply_restore, plan_restore
+    from lfield.driver.binding import by_bus
+
+    if args.driver or args.deploy is not None:
+        named = {device.bus for device in _selected(args, plugins)[1]}
+        entries = [entry for entry in entries if entry.binding.bus in named]
+    for driver in {entry.binding.driver for entry in entries}:
+        named_driver(driver, plugins)
+    by_name, found, problems = {entry.binding.name: entry for entry in entries}, [], list[str]()
+    async with AsyncExitStack() as stack:
+        for bus in by_bus([entry.binding for entry in entries]).values():
+            try:
+                found += await stack.enter_async_context(open_devices(plugins, bus, SystemClock(), _print))
+            except DevicesError as error:
+                problems += error.problems
+        plans = [plan_restore(by_name[device.name], device) for device in found]
+        for plan in plans:
+            print(*plan.lines(), sep="\n")
+        if any(plan.writes for plan in plans) and not (args.yes or _confirmed()):
+            print("nothing was written")
+            return exit_status.FAILED
+        for plan in plans:
+            problems += await apply_restore(plan, _print)
+    if problems:
+        raise DevicesError(problems)
+    print("done: all settings are as before")
+    return exit_status.DONE
+
+
+@asynccontextmanager
+async def _reachable_devices(devices: Sequence[DeviceBinding]) -> AsyncIterator[list[DeviceBinding]]:
+    """The devices, those of a simulated mission on fakes that run as long as the block."""
+    from lfield.devices.fake_processes import FakeProcess, bind_to_fakes
+
+    running, problems = list[FakeProcess](), list[str]()
+    try:
+        placed = await bind_to_fakes(devices, running, problems)
+        if problems:
+            raise DevicesError(problems)
+        yield placed
+    finally:
+        for fake in running:
+            await fake.stop()
+
+
+def _show(found: Sequence[FoundDevice]) -> None:
+    from rich.table import Table
+
+    from lfield.cli.views.trees import plain_console
+
+    shown = Table(box=None, pad_edge=False)
+    for column in ("DEVICE", "SETTING", "IS", "MUST BE", "WHY"):
+        shown.add_column(column, overflow="fold")
+    for each in found:
+        for setting in each.mismatched:
+            values = (f"{setting.present:.9g}", f"{setting.wanted:.9g}")
+            shown.add_row(each.name, setting.name, *values, setting.why)
+    plain_console().print(shown)
+
+
+def _confirmed() -> bool:
+    """Ask; whoever cannot be asked has not agreed. Raises UsageError then."""
+    if not sys.stdin.isatty():
+        raise UsageError("nothing was written: no terminal to confirm on; confirm with --yes")
+    return confirm("Type 'yes' to write that: ")
+
+
+def _print(line: str) -> None:
+    print(line, flush=True)

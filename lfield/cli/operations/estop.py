@@ -1,0 +1,210 @@
+"""`lfield estop`: emergency stop of every device, with confirmation and the progress to rest."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from lfield import exit_status
+from lfield.cli.mission_argument import add_running_mission, named_mission, selected_runs, selected_teams
+from lfield.text.terminal_escape import escape_line, truncate
+
+if TYPE_CHECKING:
+    from lfield.errors import LfieldError
+    from lfield.operator.observer_link import Request
+    from lfield.operator.runs import Run
+    from lfield.operator.targets import HostRef, TargetTeam
+    from lfield.wire.observer_messages import EmergencyStopResult
+
+    Stopped = Mapping[HostRef, EmergencyStopResult | LfieldError]
+
+#: Time to come to rest, in seconds, for devices of hosts without a run here: as most bindings say.
+DEFAULT_REST_TIME = 120.0
+#: The longest line that lists hosts, in characters.
+_MAX_LINE = 4000
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument("--reason", metavar="TEXT", default="", help="reason, for the logs of the hosts")
+    parser.add_argument(
+        "--lift", action="store_true", help="end the emergency stop: programs may release their devices again"
+    )
+    parser.add_argument(
+        "--no-wait", action="store_true", help="exit when all devices have confirmed, before they are at rest"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when every device has confirmed and is at rest, else 3; 69 when nothing is running."""
+    with nonblocking_command_output():
+        return _run(args)
+
+
+def nonblocking_command_output() -> AbstractContextManager[None]:
+    """Output that is not read (Ctrl-S, a full pipe) does not delay the orders that are sent to hosts.
+
+    The command still ends only when its output has been read: the output names the devices that are not safe.
+    """
+    from lfield.text.nonblocking_output import nonblocking_output
+
+    return nonblocking_output("lfield: ", content="output", drain_timeout=None)
+
+
+def _run(args: argparse.Namespace) -> int:
+    from lfield.operator.client import emergency_stop
+    from lfield.operator.targets import display_names
+
+    parties = selected_teams(args, selected_runs(args))
+    names = display_names(parties)
+    if named_mission(args) is None:
+        _print_targets(parties, "lifting" if args.lift else "stopping")
+    reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
+    word = "may be released" if args.lift else "safe"
+    try:
+        told = ask_and_print(parties, emergency_stop(reason, lift=args.lift), args.keys, names, word)
+    except KeyboardInterrupt:
+        return exit_status.UNSAFE
+    return exit_status_of(parties, told, names, args.keys, waits_for_rest=not (args.lift or args.no_wait))
+
+
+def _print_targets(parties: Sequence[TargetTeam], doing: str) -> None:
+    from lfield.operator.run_dirs import unreadable_hint
+
+    for party in parties:
+        print(truncate(escape_line(f"{doing} {party.id}: {', '.join(party.addresses)}"), _MAX_LINE))
+    if unreadable_hint():
+        _print(f"lfield: {unreadable_hint()}")
+
+
+class StopReport(NamedTuple):
+    """The answers of hosts, and whether every device and host has confirmed."""
+
+    answers: Stopped
+    is_confirmed: bool
+    is_complete: bool
+
+
+def ask_and_print(
+    teams: Sequence[TargetTeam],
+    request: Request[EmergencyStopResult],
+    keys: Path | None,
+    names: Mapping[HostRef, str],
+    state: str,
+) -> StopReport:
+    """Send the order and print each answer as it comes; devices are then in the `state`.
+
+    Raises KeyboardInterrupt after it has named the hosts whose answers were not printed.
+    """
+    from lfield.operator.client import ask_in_turn
+
+    answers: dict[HostRef, EmergencyStopResult | LfieldError] = {}
+    confirmed = everybody = True
+    try:
+        for some in ask_in_turn(teams, request, keys):
+            confirmed &= _all_confirmed(some, names, state)
+            _print_not_persisted(some, names)
+            everybody &= _all_reached(some, names)
+            answers |= some
+    except KeyboardInterrupt:
+        left = ", ".join(name for place, name in names.items() if place not in answers)
+        _print(truncate(f"interrupted: no answer yet from {left}; run the command again", _MAX_LINE))
+        raise
+    return StopReport(answers, confirmed, everybody)
+
+
+def exit_status_of(
+    teams: Sequence[TargetTeam],
+    report: StopReport,
+    names: Mapping[HostRef, str],
+    keys: Path | None,
+    *,
+    waits_for_rest: bool,
+) -> int:
+    """The exit status, after the devices came to rest if `waits_for_rest`; 69 when nothing
+    runs.
+    """
+    from lfield.operator.client import is_reached
+
+    if not (teams[0].runs or any(is_reached(answer) for answer in report.answers.values())):
+        return exit_status.UNAVAILABLE
+    if not waits_for_rest:
+        return exit_status.DONE if report.is_confirmed and report.is_complete else exit_status.UNSAFE
+    down = watch_safe_states(teams, report.answers, names, keys)
+    return exit_status.most_severe((exit_status.DONE if report.is_complete else exit_status.UNSAFE, down))
+
+
+def _all_reached(answers: Stopped, names: Mapping[HostRef, str]) -> bool:
+    """Whether every host has answered; prints a line to stderr for each that has not."""
+    from lfield.operator.client import print_unanswered, unanswered_by_name
+
+    unreached = unanswered_by_name(answers, names)
+    print_unanswered(unreached, "NOT REACHED, its devices have not confirmed: ")
+    return not unreached
+
+
+def _all_confirmed(answers: Stopped, names: Mapping[HostRef, str], state: str) -> bool:
+    """Print a line for each device, failures to stderr; returns whether all have confirmed."""
+    well = True
+    for place, answer in answers.items():
+        if isinstance(answer, Exception):
+            continue
+        if not answer.devices:
+            print(f"{names[place]}: has no devices that move")
+        for device, problem in answer.devices.items():
+            well = well and not problem
+            said = f"{names[place]}: {device}: {f'NOT CONFIRMED: {problem}' if problem else state}"
+            print(escape_line(said), file=sys.stderr if problem else sys.stdout, flush=True)
+    return well
+
+
+def _print_not_persisted(answers: Stopped, names: Mapping[HostRef, str]) -> None:
+    for place, answer in answers.items():
+        if not isinstance(answer, Exception) and answer.trouble:
+            _print(f"{names[place]}: {answer.trouble}")
+
+
+def watch_safe_states(
+    parties: Sequence[TargetTeam], answers: Stopped, names: Mapping[HostRef, str], keys: Path | None
+) -> int:
+    """Watch the devices until they are at rest, and print those that are not; returns the exit status."""
+    from lfield.cli.views.safe_state_view import watch_progress
+    from lfield.clock import SystemClock
+    from lfield.operator.client import observer_transport, own_keys
+    from lfield.operator.safe_state_progress import SafeStateProgress
+
+    within = max((_rest_time(run) for party in parties for run in party.runs), default=DEFAULT_REST_TIME)
+    descent = SafeStateProgress(within, SystemClock().monotonic())
+    for place, answer in answers.items():
+        if not isinstance(answer, Exception):
+            descent.on_stopped(place, answer)
+    try:
+        known = {place: at for party in parties for place, at in party.host_refs.items()}
+        places = {
+            place: known[place] for place, answer in answers.items() if not isinstance(answer, Exception)
+        }
+        watch_progress(descent, observer_transport(own_keys(places.values(), keys)), places, names)
+        interrupted = False
+    except KeyboardInterrupt:
+        _print("stopped watching; the order is unchanged: 'lfield ps' shows the devices")
+        interrupted = True
+    wrong = descent.verdicts()
+    for device, sentence in wrong:
+        _print(f"{names[device.host_ref]}: {device.name}: {sentence}")
+    if interrupted:
+        return exit_status.INTERRUPTED
+    return exit_status.UNSAFE if wrong else exit_status.DONE
+
+
+def _rest_time(run: Run) -> float:
+    """Time for the devices of a run to come to rest, bounded for runs of other users."""
+    return min(run.manifest.rest_within, DEFAULT_REST_TIME) if run.user else run.manifest.rest_within
+
+
+def _print(text: str) -> None:
+    print(escape_line(text), file=sys.stderr)

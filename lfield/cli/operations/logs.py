@@ -1,0 +1,35 @@
+"""`lfield logs`: the log of the programs and hosts of a mission, in order of time."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from lfield.cli.mission_argument import add_running_mission
+from lfield.cli.operations.events import print_events
+
+if TYPE_CHECKING:
+    from lfield.operator.dashboard.event_feed import FeedNotice
+    from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument("-f", "--follow", action="store_true", help="follow the log until Ctrl-C")
+    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only this host")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0, or 69 when a host did not answer; with -f 130, after a Ctrl-C."""
+    from lfield.cli.views.event_view import LogLineView
+    from lfield.operator.dashboard.event_feed import FeedNotice
+
+    view = LogLineView()
+
+    def lines(told: DatedEvent | FeedNotice) -> Iterator[str]:
+        if not isinstance(told, FeedNotice):
+            yield from view.lines(told)
+
+    return print_events(args, lines, since=0, follow=args.follow, only=args.host)

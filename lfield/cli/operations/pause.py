@@ -1,0 +1,28 @@
+"""`lfield pause`: pause a mission and put its devices in their safe states, until `lfield resume`."""
+
+from __future__ import annotations
+
+import argparse
+
+from lfield.cli.mission_argument import add_running_mission, selected_runs, selected_teams
+from lfield.cli.operations.estop import ask_and_print, exit_status_of, nonblocking_command_output
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument(
+        "--no-wait", action="store_true", help="exit when all devices have confirmed, before they are at rest"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when every host is paused and every device is at rest, else 3; 69 when nothing is running."""
+    from lfield.operator.client import pause
+    from lfield.operator.targets import display_names
+
+    with nonblocking_command_output():
+        parties = selected_teams(args, selected_runs(args))
+        names = display_names(parties)
+        told = ask_and_print(parties, pause(), args.keys, names, "safe")
+        return exit_status_of(parties, told, names, args.keys, waits_for_rest=not args.no_wait)

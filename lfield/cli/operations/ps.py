@@ -1,0 +1,72 @@
+"""`lfield ps`: the hosts and agents of running missions."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.mission_argument import (
+    add_running_mission,
+    mission_path,
+    named_mission,
+    selected_runs,
+    selected_teams,
+)
+from lfield.errors import AddressError, NoMissionRunning
+
+if TYPE_CHECKING:
+    from lfield.operator.targets import HostRef
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument("--json", action="store_true", help="print the answers of the hosts as JSON")
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when every host answered, 69 when one or more did not. Raises NoMissionRunning."""
+    from lfield.cli.views import run_table, team_status_view
+    from lfield.operator.client import SNAPSHOT, ask_teams, by_host, print_unanswered, unanswered_by_name
+    from lfield.operator.run_dirs import unreadable_hint
+    from lfield.operator.targets import display_names
+    from lfield.operator.team_model.host_model import host_states
+
+    runs = selected_runs(args)
+    parties = selected_teams(args, runs)
+    answers = ask_teams(parties, SNAPSHOT, args.keys)
+    if named_mission(args) is not None and not any(party.runs for party in parties):
+        _require_running(mission_path(args), answers)
+    names = display_names(parties)
+    hosts = host_states(answers)
+    silent = unanswered_by_name(answers, names)
+    if named_mission(args) is None and unreadable_hint():
+        print(f"lfield: {unreadable_hint()}", file=sys.stderr)
+    if args.json:
+        named = {names[place]: host for place, host in hosts.items()}
+        print(team_status_view.as_json(named) if named_mission(args) else run_table.as_json(parties, hosts))
+        return exit_status.UNAVAILABLE if silent else exit_status.DONE
+    if named_mission(args) is None:
+        run_table.show(runs)
+    for party in parties:
+        if named_mission(args) is None or len(parties) > 1:
+            print(f"\n{party.id}")
+        shown = by_host(hosts, party)
+        if party.user:
+            shown = {name: host for name, host in shown.items() if host.linked}
+        team_status_view.show(shown)
+    print_unanswered(silent)
+    return exit_status.UNAVAILABLE if silent else exit_status.DONE
+
+
+def _require_running(mission: Path, answers: Mapping[HostRef, object]) -> None:
+    """Raise NoMissionRunning when no host of a mission that has no run on this computer can be reached."""
+    if all(isinstance(answer, AddressError) for answer in answers.values()):
+        reason = next(iter(answers.values()))
+        raise NoMissionRunning(
+            f"{mission} is not running: no run on this computer, no host reached: {reason}"
+        )

@@ -1,0 +1,87 @@
+"""`lfield start`: start waiting coordinators without the hosts that are missing."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.mission_argument import add_running_mission, selected_runs, selected_teams
+from lfield.errors import LfieldError, UsageError
+from lfield.text.suggestions import did_you_mean, listed
+from lfield.text.terminal_escape import escape_line
+
+if TYPE_CHECKING:
+    from lfield.operator.targets import TargetTeam
+    from lfield.wire.observer_messages import StartResponse, StartStatus
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument(
+        "--without",
+        metavar="HOST",
+        action="append",
+        default=[],
+        help="host to start without (repeatable)",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when no coordinator waits on the hosts that answer, 1 when one does.
+
+    69 when a host did not answer that is not left out: coordinators may still wait there.
+    """
+    from lfield.operator.client import ask_teams, print_unanswered, unanswered_by_name
+    from lfield.operator.observer_link import Request
+    from lfield.operator.targets import display_names
+    from lfield.wire.observer_messages import StartRequest, StartResponse
+
+    parties = selected_teams(args, selected_runs(args))
+    _check_hosts(args.without, parties)
+    names = display_names(parties)
+    # The answer comes when the disks of the hosts have the start; a repeated request has no effect.
+    request = Request(StartRequest(args.without), StartResponse, 8.0, is_retried=True)
+    answers = ask_teams(parties, request, args.keys)
+    waits = [place for place, answer in answers.items() if _print_start(names[place], answer)]
+    left_out = {place: answer for place, answer in answers.items() if place.host not in args.without}
+    unreached = unanswered_by_name(left_out, names)
+    print_unanswered(unreached, "NOT REACHED, still waiting there: ")
+    if waits:
+        return exit_status.FAILED
+    return exit_status.UNAVAILABLE if unreached else exit_status.DONE
+
+
+def _check_hosts(without: list[str], parties: list[TargetTeam]) -> None:
+    """Raises UsageError for a host that no team has."""
+    hosts = sorted({place.host for party in parties for place in party.host_refs})
+    for host in without:
+        if host not in hosts:
+            hint = did_you_mean(host, hosts) or f"its hosts: {', '.join(hosts)}"
+            raise UsageError(f"--without {host}: the mission has no host '{host}': {hint}")
+
+
+def _print_start(host: str, answer: StartResponse | LfieldError) -> bool:
+    """Print what a host has started, and to stderr what still waits there; returns whether any waits."""
+    if isinstance(answer, LfieldError):
+        return False
+    if answer.started:
+        print(escape_line(f"{host}: {listed(answer.started)} started"))
+    if answer.trouble:
+        print(escape_line(f"{host}: nothing was done: {answer.trouble}"), file=sys.stderr)
+    if answer.waiting is not None:
+        print(escape_line(f"{host}: {_waiting(answer.waiting)}"), file=sys.stderr)
+    if not (answer.started or answer.trouble or answer.waiting):
+        print(escape_line(f"{host}: no coordinator waits to be started"))
+    return bool(answer.trouble or answer.waiting)
+
+
+def _waiting(start: StartStatus) -> str:
+    who = f"{listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
+    if start.held:
+        return f"{who}: {start.held}"
+    if not start.hosts:
+        return f"{who} yet: waiting for the landed state of vehicles on other hosts"
+    return f"{who}: waiting for {listed(start.hosts)}; 'lfield ps' says why"

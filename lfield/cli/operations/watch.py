@@ -1,0 +1,173 @@
+"""`lfield watch`: a web page that shows a running team, with an emergency stop."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import signal
+import time
+from collections.abc import Sequence
+from contextlib import closing, nullcontext
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.mission_argument import (
+    add_running_mission,
+    named_mission,
+    selected_runs,
+    selected_team,
+    selected_teams,
+)
+from lfield.errors import KeysError, PluginError, UsageError
+from lfield.text.suggestions import listed
+
+if TYPE_CHECKING:
+    from lfield.authority.web_ca.web_keys import WebKeys
+    from lfield.mission.team import Team
+    from lfield.operator.targets import TargetTeam
+    from lfield.operator.web.mbtiles import MbtilesSource
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_running_mission(parser)
+    parser.add_argument(
+        "--port",
+        metavar="N",
+        type=_port,
+        default=0,
+        help="port of the page (default: any free port)",
+    )
+    parser.add_argument(
+        "--listen",
+        metavar="ADDRESS",
+        type=_address,
+        help="serve the page on a network at this address, with HTTPS",
+    )
+    parser.add_argument(
+        "--page-keys",
+        metavar="DIR",
+        type=Path,
+        help="keys of the page, from 'lfield keys page ADDRESS'",
+    )
+    parser.add_argument(
+        "--tiles", metavar="FILE", type=Path, help="background of the map: a raster MBTiles file"
+    )
+
+
+def _port(text: str) -> int:
+    if not text.isdecimal() or not 1 <= int(text[:9]) <= 65535:
+        raise argparse.ArgumentTypeError(f"a port is a number from 1 to 65535, not '{text}'")
+    return int(text)
+
+
+def _address(text: str) -> str:
+    from lfield.authority.web_ca.web_names import normalised
+
+    try:
+        return normalised(text)
+    except KeysError as error:
+        raise argparse.ArgumentTypeError(str(error)) from None
+
+
+def run(args: argparse.Namespace) -> int:
+    """130, after a Ctrl-C."""
+    from lfield.text.nonblocking_output import nonblocking_output
+
+    # The process that prints also sends the STOP of the page.
+    with nonblocking_output("lfield: ", content="output"):
+        return _run(args)
+
+
+def _run(args: argparse.Namespace) -> int:
+    from lfield.operator.targets import open_team, running_mission
+    from lfield.operator.web.mbtiles import MbtilesSource
+
+    page_keys = _page_keys(args)
+    _need_nicegui()
+    with closing(MbtilesSource(args.tiles)) if args.tiles else nullcontext() as tiles:
+        path = named_mission(args) or running_mission(selected_runs(args))
+        team = open_team(path)
+        party = selected_team(args)
+        try:
+            asyncio.run(_serve_page(args, path, team, party, tiles, page_keys))
+        except (KeyboardInterrupt, asyncio.CancelledError):
+            print("stopped watching; the mission is unchanged")
+            return exit_status.INTERRUPTED
+    return exit_status.DONE
+
+
+def _page_keys(args: argparse.Namespace) -> WebKeys | None:
+    """Certificate and keys of a page on a network, else None. Raises UsageError, KeysError."""
+    if args.listen is None:
+        if args.page_keys is not None:
+            raise UsageError("--page-keys is for a page on a network: say where with --listen ADDRESS")
+        return None
+    if args.page_keys is None:
+        raise UsageError(
+            "--listen needs --page-keys DIR: without TLS others on the network could press the buttons: "
+            f"'lfield keys page {args.listen}' makes them"
+        )
+    from lfield.authority.web_ca.web_keys import read_web_keys
+
+    keys = read_web_keys(args.page_keys)
+    if refusal := keys.refusal(args.listen, time.time()):
+        raise KeysError(refusal)
+    return keys
+
+
+def _need_nicegui() -> None:
+    """Raises PluginError when nicegui is not installed."""
+    from importlib.util import find_spec
+
+    if find_spec("nicegui") is None:
+        raise PluginError("'lfield watch' needs nicegui on this computer: pip install 'lfield[watch]'")
+
+
+def _cancel_on_ctrl_c() -> None:
+    """Ctrl-C cancels the running task once: a second one would interrupt the shutdown."""
+    loop, task = asyncio.get_running_loop(), asyncio.current_task()
+    # A shell ignores it for background processes.
+    if task is None or signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        return
+
+    def end() -> None:
+        loop.add_signal_handler(signal.SIGINT, lambda: None)
+        task.cancel()
+
+    loop.add_signal_handler(signal.SIGINT, end)
+
+
+async def _serve_page(
+    args: argparse.Namespace,
+    path: Path,
+    team: Team,
+    party: TargetTeam,
+    tiles: MbtilesSource | None,
+    page_keys: WebKeys | None,
+) -> None:
+    from lfield.clock import SystemClock
+    from lfield.operator.dashboard.team_watch import watch_team
+    from lfield.operator.web.page_server import ServedPage, serve
+    from lfield.operator.web.page_site import local_site, network_site
+
+    def found() -> Sequence[TargetTeam]:
+        return selected_teams(args, selected_runs(args))
+
+    def print_line(line: str) -> None:
+        print(line, flush=True)
+
+    if page_keys is None:
+        site = await local_site(args.port, print_line)
+    else:
+        site = await network_site(args.listen, args.port, page_keys, print_line)
+    _cancel_on_ctrl_c()
+    if not party.runs:
+        where = listed([f"{host} at {address}" for host, address in party.addresses.items()])
+        print_line(f"{path} is not running on this computer: the page waits for {where}")
+    async with watch_team(path, team, party, found, args.keys) as shown:
+        served = ServedPage(
+            f"{path.absolute().parent.name}/{path.stem}", shown, shown.actions, SystemClock(), tiles
+        )
+        await serve(served, site, lambda link: print_line(f"open this link: {link}"))

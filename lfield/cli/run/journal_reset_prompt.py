@@ -1,0 +1,94 @@
+"""`lfield up --fresh`: prints what would be discarded, asks for confirmation, and closes the previous run."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield.cli.confirmation import confirm
+from lfield.errors import CoordinatorAlive, LfieldError, UsageError
+
+if TYPE_CHECKING:
+    from lfield.authority.key_material import Keys
+    from lfield.journal.journal_loader import JournalOwner
+    from lfield.journal.records import CoordinatorRecord
+    from lfield.operator.client import HostAnswers
+    from lfield.operator.journal_reset import ResetPlan
+    from lfield.wire.observer_messages import ForgetResponse
+
+
+def reset_journal(
+    file: Path,
+    owner: JournalOwner,
+    others: Mapping[str, str],
+    report: Callable[[str], None],
+    keys: Keys | None,
+    *,
+    yes: bool,
+) -> bool:
+    """Whether the journal was made ready for a new run; False without confirmation.
+
+    `others` are the addresses of the other hosts by name, who are asked with `keys`; `report` takes lines for
+    people. Raises JournalError, CoordinatorAlive, UsageError.
+    """
+    import asyncio
+
+    from lfield import event_loop
+    from lfield.clock import SystemClock
+    from lfield.journal.file_journal import FileJournal
+    from lfield.operator.client import SNAPSHOT, ask_all, forget, observer_transport
+    from lfield.operator.journal_reset import departed, plan_reset
+    from lfield.operator.team_model.host_model import host_states
+
+    journal = FileJournal(file, owner, report, SystemClock())
+    try:
+        pages = journal.records()
+        answers = asyncio.run(ask_all(observer_transport(keys), others, SNAPSHOT)) if departed(pages) else {}
+        found = plan_reset(owner.host, pages, host_states(answers))
+        if found.departed:
+            raise CoordinatorAlive(_live_elsewhere(found.departed))
+        if found.discarded and not _confirmed(owner.host, found, yes=yes):
+            return False
+        # First: nothing is discarded here before it is given up there.
+        for page, where in found.parked.items():
+            word = ask_all(observer_transport(keys), {where: others[where]}, forget(page.agent))
+            _require_answer(page.agent, asyncio.run(word))
+        event_loop.run(journal.persist(found.pages))
+        return True
+    finally:
+        journal.close()
+
+
+def _require_answer(agent: str, answers: HostAnswers[ForgetResponse]) -> None:
+    for where, answer in answers.items():
+        if isinstance(answer, LfieldError):
+            raise CoordinatorAlive(
+                f"--fresh is refused: {where} stores {agent} for another mission, and has not given it up: "
+                f"{answer}"
+            )
+
+
+def _live_elsewhere(away: Sequence[CoordinatorRecord]) -> str:
+    page = away[0]
+    return (
+        f"--fresh is refused: {page.agent}, start {page.generation}, left for {page.target} (transfer "
+        f"{page.sequence}) and may continue there; start {page.target} and try again, or end {page.agent} "
+        "where it is"
+    )
+
+
+def _confirmed(host: str, found: ResetPlan, *, yes: bool) -> bool:
+    """Print what is discarded and ask for confirmation. Raises UsageError without a terminal."""
+    print(f"--fresh discards these coordinators of {host}, which could continue:")
+    for page in found.discarded:
+        where = f", parked at {found.parked[page]}" if page in found.parked else ""
+        print(
+            f"  {page.agent}, start {page.generation}, after {page.hops} hop{'s' * (page.hops != 1)}{where}"
+        )
+    if yes:
+        return True
+    if not sys.stdin.isatty():
+        raise UsageError("nothing was deleted: no terminal to confirm on; confirm with --yes")
+    return confirm("Type 'yes' to discard them: ")

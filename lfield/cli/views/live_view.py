@@ -1,0 +1,73 @@
+"""The table below the log lines of `lfield up --all` in a terminal, redrawn twice a second."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Mapping
+
+from rich.live import Live
+
+from lfield.cli.views.console import PlainConsole
+from lfield.cli.views.team_state_view import table
+from lfield.clock import SystemClock
+from lfield.mission.mission import Mission
+from lfield.operator.client import observer_transport
+from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
+from lfield.operator.dashboard.team_watch import TeamWatch
+from lfield.operator.team_model.inventory import build_inventory
+from lfield.text.terminal_escape import unescaped_stream
+
+INTERVAL = 0.5
+#: A host that has not answered after so many seconds is shown as missing, with the reason.
+OVERDUE = 20.0
+
+
+class LiveView:
+    """Table of agents and devices, from the events of the hosts at the control sockets `addresses`."""
+
+    def __init__(self, mission: Mission, addresses: Mapping[str, str]) -> None:
+        self._addresses = addresses
+        self._live = Live(
+            console=PlainConsole(file=unescaped_stream(sys.stderr), markup=False, emoji=False),
+            auto_refresh=False,
+            transient=True,
+        )
+        self._state = TeamWatch(build_inventory(mission.name, mission.team, mission), SystemClock())
+        self._tasks: list[asyncio.Task[None]] = []
+
+    def start(self) -> None:
+        """Start to draw, in the running loop. Lines for this terminal then go through `print`."""
+        self._live.start()
+        follower = EventFollower(
+            observer_transport(connect_timeout=INTERVAL),
+            list(self._addresses),
+            self._locate,
+            self._state,
+            SystemClock(),
+            FollowOptions(telemetry=1.0 / INTERVAL),
+        )
+        self._tasks = [asyncio.create_task(follower.run()), asyncio.create_task(self._draw())]
+
+    async def _locate(self, host: str) -> str:
+        return self._addresses[host]
+
+    async def _draw(self) -> None:
+        loop = asyncio.get_running_loop()
+        overdue = loop.time() + OVERDUE
+        while True:
+            self._live.update(table(self._state.snapshot(), starting=loop.time() < overdue), refresh=True)
+            await asyncio.sleep(INTERVAL)
+
+    def print(self, line: str) -> None:
+        """Print a line above the table."""
+        self._live.console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+    async def stop(self) -> None:
+        """Erase the table."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        # Rich draws the last picture in full, and cannot erase more lines than the terminal has.
+        self._live.update("", refresh=True)
+        self._live.stop()

@@ -1,0 +1,295 @@
+"""The state of a team after one snapshot of each host: as tables, and as JSON."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from msgspec.structs import asdict
+from rich.console import Group
+from rich.table import Table
+
+from lfield.cli.views.team_state_view import add_row, device_table, new_table
+from lfield.cli.views.trees import plain_console
+from lfield.mission.access.signed_bundle import BundleId
+from lfield.operator.coordinator_location import doubt_advice
+from lfield.operator.team_model.team_state import HostState
+from lfield.text.suggestions import listed
+from lfield.text.terminal_escape import escape_line
+from lfield.text.value_text import byte_count_text, duration_text, percentage_text
+from lfield.wire.coordinator_messages import CoordinatorState
+from lfield.wire.fields import short_digest
+from lfield.wire.observer_messages import (
+    BundleStatus,
+    DirectoryEntry,
+    JournalStatus,
+    ParkedStatus,
+    StartStatus,
+)
+
+#: So many missing hosts are named in the command that leaves them out.
+MAX_NAMED = 8
+
+
+def show(hosts: Mapping[str, HostState]) -> None:
+    """Print the tables."""
+    plain_console().print(team_tables(hosts))
+
+
+def team_tables(hosts: Mapping[str, HostState]) -> Group:
+    """The agents of all hosts with the coordinators that have ended or are in doubt, what can be done about
+    those that nobody has, then the devices.
+
+    Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs;
+    and their links.
+    """
+    linked = {name: host for name, host in hosts.items() if host.linked}
+    devices = device_table(device for host in linked.values() for device in host.devices.values())
+    further = [table for table in (devices, _hosts(linked), _links(linked)) if table.row_count]
+    waits = [*_starts(linked), *_refused(linked)]
+    hints = map(escape_line, [*_paused(linked), *waits, *_not_persisted(linked), *doubt_advice(linked)])
+    bundles = ["", *map(escape_line, _bundles(linked))] if _bundles(linked) else []
+    return Group(_agents(hosts), *hints, *(part for table in further for part in ("", table)), *bundles)
+
+
+def _bundles(linked: Mapping[str, HostState]) -> list[str]:
+    """Which bundles run, and where: one, unless somebody has forgotten a host."""
+    found: dict[str, list[str]] = {}
+    for name, host in linked.items():
+        if (run := host.report.bundle) is not None:
+            found.setdefault(str(BundleId(run.digest, by=run.by, at=run.at)), []).append(name)
+    return [f"bundle {release}: {', '.join(hosts)}" for release, hosts in found.items()]
+
+
+def _paused(linked: Mapping[str, HostState]) -> list[str]:
+    hosts = [name for name, host in linked.items() if host.paused]
+    return [f"paused: {', '.join(hosts)}; 'lfield resume' resumes the mission"] if hosts else []
+
+
+def _starts(linked: Mapping[str, HostState]) -> list[str]:
+    """What the coordinators wait for that are not started yet, and what can be done about it."""
+    lines = []
+    for host, told in linked.items():
+        if (start := told.report.start) is None:
+            continue
+        who = f"{host}: {listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
+        if start.held:
+            lines.append(f"{who}: {start.held}; 'lfield start' starts what waits")
+        elif start.hosts:
+            options = " ".join(f"--without {missing}" for missing in start.hosts[:MAX_NAMED])
+            lines.append(
+                f"{who}: waiting for {listed(start.hosts)}; start them, or start the mission without "
+                f"them: 'lfield start {options}'"
+            )
+    return lines
+
+
+def _refused(linked: Mapping[str, HostState]) -> list[str]:
+    """The hosts that no link can be made with. Both sides say so; one line for each reason is enough."""
+    found: dict[tuple[str, str], str] = {}
+    for name, host in linked.items():
+        for peer, reason in host.refused.items():
+            found.setdefault((peer, reason), f"{name} refuses {peer}: {reason}")
+    return list(found.values())
+
+
+def _not_persisted(linked: Mapping[str, HostState]) -> list[str]:
+    return [f"{name} is failing: {host.report.unkept}" for name, host in linked.items() if host.report.unkept]
+
+
+def _hosts(linked: Mapping[str, HostState]) -> Table:
+    right = "LATE", "SILENCE", "LEASE"
+    shown = new_table("HOST", *right, "JOURNAL", right=right)
+    for name, host in linked.items():
+        report = host.report
+        late = f"{host.late:.3f} s" if host.late is not None else ""
+        silence = f"{report.silence:g} s" if report.silence is not None else ""
+        lease = "" if report.lease is None else f"{report.lease:.1f} s" if report.lease else "none"
+        add_row(shown, name, late, silence, lease, _journal(report.journal))
+    return shown
+
+
+def _links(linked: Mapping[str, HostState]) -> Table:
+    """A row for each end of each link: what is lost on the way there may arrive on the way back."""
+    right = "ROUND TRIP", "LOSS", "SENT", "RECEIVED"
+    shown = new_table("HOST", "LINK WITH", *right, right=right)
+    for name, host in linked.items():
+        for peer, link in host.links.items():
+            took = "" if link.round_trip is None else duration_text(link.round_trip)
+            loss = "" if link.loss is None else percentage_text(link.loss)
+            both = ("" if count is None else byte_count_text(count) for count in (link.sent, link.received))
+            add_row(shown, name, peer, took, loss, *both)
+        for peer, seconds in host.away.items():
+            add_row(shown, name, peer, f"none for {seconds:.0f} s", "", "", "")
+    return shown
+
+
+def _journal(journal: JournalStatus | None) -> str:
+    if journal is None:
+        return "not saved"
+    commits = f"{journal.commits} commit{'s' * (journal.commits != 1)} in the last minute"
+    return f"{commits}; failing: {journal.trouble}" if journal.trouble else commits
+
+
+#: What becomes of a call that was begun.
+_PENDING_CALL = {
+    "running": "has begun {0}",
+    "done": "{0} has ended, to be fetched",
+    "thrown": "{0} has thrown, to be fetched",
+    "lost": "{0} was lost in a restart",
+}
+
+
+def _agents(hosts: Mapping[str, HostState]) -> Table:
+    right = "HOPS", "SERVED", "HEAP"
+    shown = new_table("HOST", "AGENT", "TYPE", "STATE", *right, right=right)
+    newest = _newest_starts(hosts)
+    for host, told in hosts.items():
+        if not told.linked:
+            add_row(shown, host, "-", "", "no answer", "", "", "")
+            continue
+        before, report = shown.row_count, told.report
+        for agent in report.agents:
+            hops = str(agent.hops) if agent.kind == "coordinator" else ""
+            served = str(agent.served) if agent.kind == "resource" else ""
+            add_row(shown, host, agent.id, agent.type, agent.state, hops, served, _size(agent.heap))
+        for known in report.coordinators:
+            is_past = known.generation < newest[known.agent]
+            over = known.state == "EXITED" and known.where == host and not is_past
+            if known.state == "IN DOUBT" or known.unreadable or over:
+                state = f"{known.outcome or 'in doubt'}: {known.detail}".splitlines()[0].rstrip(": ")
+                add_row(shown, host, known.agent, "", state, str(known.hops), "", "")
+        for waiting in report.start.agents if report.start is not None else ():
+            add_row(shown, host, waiting, "", _waiting(report.start), "", "", "")
+        for begun in report.pending_calls:
+            state = _PENDING_CALL[begun.state].format(f"{begun.resource}.{begun.portal}")
+            add_row(shown, host, begun.agent, "", state, "", "", "")
+        for reserved in report.reserved:
+            state = (
+                f"has reserved {reserved.resource} for {reserved.held:.0f} s, and {reserved.left:.0f} s yet"
+            )
+            add_row(shown, host, reserved.agent, "", state, "", "", "")
+        for parked in report.journal.parked if report.journal is not None else ():
+            if parked.state != "MOVED":
+                add_row(shown, host, parked.agent, "", _parked(parked), str(parked.hops), "", "")
+        if shown.row_count == before:
+            add_row(shown, host, "-", "", "up, no agents", "", "", "")
+    return shown
+
+
+def _waiting(start: StartStatus | None) -> str:
+    if start is None or not (start.hosts or start.held):
+        return "is being started"
+    return "not started: held" if start.held else f"waits for {listed(start.hosts)} to start"
+
+
+def _newest_starts(hosts: Mapping[str, HostState]) -> Mapping[str, int]:
+    """The newest start of each coordinator that gave way to no earlier one: how others ended is past."""
+    newest: dict[str, int] = defaultdict(int)
+    for host in hosts.values():
+        for known in host.report.coordinators if host.linked else ():
+            if known.outcome != "superseded":
+                newest[known.agent] = max(newest[known.agent], known.generation)
+    return newest
+
+
+def _parked(parked: ParkedStatus) -> str:
+    left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
+    return (
+        f"parked: it is of another mission ({parked.program.hex()[:16]}){left}, and goes on when that is "
+        "started here"
+    )
+
+
+def _size(count: int) -> str:
+    return f"{count} B" if count < 1024 else f"{count / 1024:.1f} KiB"
+
+
+# --- as JSON ------------------------------------------------------------------------------------------
+
+
+def as_json(hosts: Mapping[str, HostState]) -> str:
+    """The state of every host, or the error where it did not answer."""
+    return json.dumps(as_data(hosts), indent=2)
+
+
+def as_data(hosts: Mapping[str, HostState]) -> dict[str, Any]:
+    """The same as data that JSON can hold."""
+    return {
+        name: host.error.as_data() if host.error is not None else _host_data(host)
+        for name, host in hosts.items()
+    }
+
+
+def _host_data(host: HostState) -> dict[str, Any]:
+    status, devices = host.report, host.devices.values()
+    return {
+        "host": status.host,
+        "address": status.address,
+        "up": status.up,
+        "program": status.program.hex()[:16],
+        "deployment": status.deployment.hex()[:16],
+        "bundle": _bundle(status.bundle),
+        "agents": [asdict(agent) for agent in status.agents],
+        "coordinators": [_coordinator(known) for known in status.coordinators],
+        "linked": list(host.links),
+        "away": dict(host.away),
+        "links": {peer: dataclasses.asdict(link) for peer, link in host.links.items()},
+        "devices": {device.name: device.telemetry for device in devices},
+        "silences": {device.name: device.silent for device in devices if device.silent is not None},
+        "latched": {device.name: device.latched for device in devices if device.latched},
+        "late": host.late,
+        "silence": status.silence,
+        "paused": host.paused,
+        "stopped": host.stopped,
+        "unkept": status.unkept,
+        "lease": status.lease,
+        "journal": _journal_data(status.journal),
+        "begun": [asdict(begun) for begun in status.pending_calls],
+        "refused": [
+            {"host": one.host, "reason": one.reason, "bundle": short_digest(one.bundle)}
+            for one in status.refused
+        ],
+        "start": None if status.start is None else asdict(status.start),
+        "reserved": [asdict(reserved) for reserved in status.reserved],
+        "moving": {device.name: device.motion for device in devices if device.motion},
+        "directory": _directory(status.directory),
+    }
+
+
+def _bundle(run: BundleStatus | None) -> dict[str, Any] | None:
+    return (
+        None if run is None else {"digest": short_digest(run.digest), "signed_by": run.by, "signed": run.at}
+    )
+
+
+_PARKED = ("generation", "hops", "state", "where")
+
+
+def _journal_data(journal: JournalStatus | None) -> dict[str, Any] | None:
+    if journal is None:
+        return None
+    parked = [
+        {"id": one.agent, **{n: getattr(one, n) for n in _PARKED}, "program": one.program.hex()[:16]}
+        for one in journal.parked
+    ]
+    return {"commits": journal.commits, "trouble": journal.trouble, "parked": parked}
+
+
+def _coordinator(known: CoordinatorState) -> dict[str, Any]:
+    said = asdict(known)
+    return {"id": said.pop("agent"), **said}
+
+
+def _directory(agents: Sequence[DirectoryEntry]) -> dict[str, Any]:
+    return {
+        told.agent: {
+            "refusal": told.refusal,
+            "facts": {name: [fact.value, fact.age] for name, fact in told.facts.items()},
+            "unknown": told.unknown,
+        }
+        for told in agents
+    }

@@ -1,0 +1,79 @@
+"""Side-effect analysis: pauses, output, calls of portals and devices, and methods that lead to any.
+
+The calls that a `together` has collected start before a side effect, so that they run meanwhile. Pure
+computation takes no observable time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import cached_property
+
+from lfield.lang.tree import (
+    Call,
+    DeviceCall,
+    Expr,
+    LibraryCall,
+    Method,
+    New,
+    PortalCall,
+    Reserve,
+    Together,
+    Within,
+)
+from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
+
+_BLOCKING = frozenset({"sleep", "yield"})
+_OUTPUT = ("print_", "write_")
+
+
+class EffectAnalysis:
+    """The methods of a program, and which of them have side effects."""
+
+    def __init__(self, methods: Iterable[Method]) -> None:
+        self._methods = list(methods)
+
+    def has_effects(self, expr: Expr) -> bool:
+        """Whether an expression has side effects."""
+        return any(_has_effect(one) for one in descendants(expr)) or not self._effectful.isdisjoint(
+            _called(expr)
+        )
+
+    @cached_property
+    def _effectful(self) -> frozenset[Method]:
+        expressions = {method: list(_expressions(method)) for method in self._methods}
+        calls = {method: {c for e in found for c in _called(e)} for method, found in expressions.items()}
+        working = {
+            method
+            for method, found in expressions.items()
+            if any(isinstance(one, Together | Within | Reserve) for one in all_statements(method.body))
+            or any(_has_effect(one) for expr in found for one in descendants(expr))
+        }
+        before = -1
+        while before != len(working):
+            before = len(working)
+            working |= {method for method, callees in calls.items() if not working.isdisjoint(callees)}
+        return frozenset(working)
+
+
+def _expressions(method: Method) -> Iterator[Expr]:
+    for one in all_statements(method.body):
+        yield from statement_expressions(one)
+
+
+def _called(expr: Expr) -> Iterator[Method]:
+    """The methods and constructors that an expression itself calls."""
+    for one in descendants(expr):
+        if isinstance(one, Call):
+            yield one.method
+        elif isinstance(one, New) and one.constructor is not None:
+            yield one.constructor
+
+
+def _has_effect(one: Expr) -> bool:
+    match one:
+        case PortalCall() | DeviceCall():
+            return True
+        case LibraryCall():
+            return one.operation in _BLOCKING or one.operation.startswith(_OUTPUT)
+    return False

@@ -1,0 +1,151 @@
+"""Processes of fakes for `--sim`, which end with the host in every case."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import msgspec
+
+from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
+from lfield.driver.sims import Sims, sims_of
+from lfield.errors import PluginError
+
+#: Seconds for a fake to be ready; seconds to end on request.
+READY_TIMEOUT, END_TIMEOUT = 20.0, 3.0
+#: Characters of a fake's output at startup that are kept (the last ones).
+MAX_OUTPUT = 1 << 16
+
+
+@dataclass(frozen=True, slots=True)
+class FakeProcess:
+    """A running fake and its endpoint."""
+
+    endpoint: str
+    process: asyncio.subprocess.Process
+    output: FakeOutput
+
+    async def stop(self) -> None:
+        """Ends it."""
+        if self.process.stdin is not None:
+            self.process.stdin.close()
+        try:
+            async with asyncio.timeout(END_TIMEOUT):
+                await self.process.wait()
+        except TimeoutError:
+            self.process.kill()
+            await self.process.wait()
+        await self.output.end()
+
+
+def fault_options(bus: Sequence[DeviceBinding]) -> list[str]:
+    """Faults of the bindings as options: `--fault NAME@DEVICE=VALUE`."""
+    options = []
+    for device in bus:
+        for setting in device.sim:
+            name, equals, value = setting.partition("=")
+            options += ["--fault", f"{name}@{device.name}{equals}{value}" if "@" not in name else setting]
+    return options
+
+
+async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
+    """Starts the fake of all devices of one bus on a free port. Raises PluginError.
+
+    The fake ends when its stdin closes, also when this process is killed. It has its own session: a Ctrl-C
+    must not end it while devices are still being made safe.
+    """
+    names, driver = ", ".join(device.name for device in bus), bus[0].driver
+    sim = sims.get(driver)
+    if sim is None:
+        known = ", ".join(sorted(sims)) or "none"
+        raise PluginError(f"{names}: there is no fake for driver '{driver}' (fakes installed: {known})")
+    reference, options = sims.references[sim.name], [*sim.arguments(bus), *fault_options(bus)]
+    process = await asyncio.create_subprocess_exec(
+        *(sys.executable, "-P", "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
+        stdin=asyncio.subprocess.PIPE,
+        stdout=asyncio.subprocess.PIPE,
+        stderr=asyncio.subprocess.PIPE,
+        start_new_session=True,
+    )
+    assert process.stdout is not None
+    assert process.stderr is not None
+    words = FakeOutput(process.stderr)
+    try:
+        async with asyncio.timeout(READY_TIMEOUT):
+            line = (await process.stdout.readline()).decode("utf-8", "replace")
+    except TimeoutError:
+        line = ""
+    fake = FakeProcess(next(iter(line.split()[1:2]), ""), process, words)
+    if not line.startswith("ready ") or not fake.endpoint:
+        await fake.stop()
+        raise PluginError(words.exit_reason(f"{names}: the fake '{sim.name}' did not start", line))
+    words.flush()
+    return fake
+
+
+async def bind_to_fakes(
+    devices: Sequence[DeviceBinding], running: list[FakeProcess], problems: list[str]
+) -> list[DeviceBinding]:
+    """The same devices, with the simulated ones bound to the endpoints of started fakes.
+
+    The fakes are added to `running`, and a sentence to `problems` for each that does not start.
+    """
+    simulated = by_bus(device for device in devices if device.endpoint.startswith(SIMULATED))
+    if not simulated:
+        return list(devices)
+    sims = sims_of({driver for driver, _ in simulated})
+    fakes = (start_fake(sims, bus) for bus in simulated.values())
+    started = await asyncio.gather(*fakes, return_exceptions=True)
+    running += [fake for fake in started if isinstance(fake, FakeProcess)]
+    endpoints: dict[tuple[str, str], str] = {}
+    for bus, fake in zip(simulated, started, strict=True):
+        if isinstance(fake, FakeProcess):
+            endpoints[bus] = fake.endpoint
+        elif isinstance(fake, PluginError):
+            problems.append(str(fake))
+        else:
+            raise fake
+    return [msgspec.structs.replace(d, endpoint=endpoints.get(d.bus, d.endpoint)) for d in devices]
+
+
+class FakeOutput:
+    """Output of a fake on stderr: buffered while it starts, since it may explain a failure, then passed
+    on.
+    """
+
+    def __init__(self, stream: asyncio.StreamReader) -> None:
+        self._kept: str | None = ""
+        self._reading = asyncio.create_task(self._read(stream))
+
+    async def _read(self, stream: asyncio.StreamReader) -> None:
+        while data := await stream.read(1 << 16):
+            text = data.decode("utf-8", "replace")
+            if self._kept is None:
+                sys.stderr.write(text)
+                sys.stderr.flush()
+            else:
+                self._kept = (self._kept + text)[-MAX_OUTPUT:]
+
+    def flush(self) -> None:
+        """Passes on the buffered output, and all that follows."""
+        kept, self._kept = self._kept, None
+        sys.stderr.write(kept or "")
+
+    def exit_reason(self, what: str, said: str) -> str:
+        """`what` with the output of a fake that has ended, on stderr or in `said`; the last line of a
+        traceback.
+        """
+        lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
+        if any(line.startswith("Traceback") for line in lines):
+            lines = lines[-1:]
+        return f"{what}; it said: {' '.join(lines)}" if lines else f"{what}, without output"
+
+    async def end(self) -> None:
+        """Waits for the last output, but not for a child process that still has the stream."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(END_TIMEOUT):
+                await self._reading
+        self._reading.cancel()

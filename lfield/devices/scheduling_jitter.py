@@ -1,0 +1,162 @@
+"""Scheduling jitter of this computer, and the limit for its bindings. Pure: samples in, figures and sentences
+out.
+
+A guard treats its host as dead when the last heartbeat is older than `silence`. The time between two
+heartbeats is HEARTBEAT_INTERVAL plus the delay of the host's loop plus the delay of the guard's read; both
+run on one computer and may be late at once. A computer with a jitter of L therefore supports a silence of
+
+HEARTBEAT_INTERVAL + 2 L      guards have normal priority
+    HEARTBEAT_INTERVAL + 1.5 L    guards have real-time priority; the half is a reserve, since the measurement
+    is short
+
+A larger jitter is refused at startup and logged as a warning later. A jitter of 20 ms supports the smallest
+silence, 0.1 s; a jitter of 0.12 s does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from lfield.guard.messages import host_silent
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+
+#: Seconds between two heartbeats.
+HEARTBEAT_INTERVAL = 0.05
+#: Weight of the host's jitter: guards may be late too, unless they have real-time priority.
+NORMAL_FACTOR, REALTIME_FACTOR = 2.0, 1.5
+#: The longest silence of a binding, in seconds.
+MAX_SILENCE = 10.0
+#: Window of the figure in `lfield ps`, and interval between two equal warnings, in seconds.
+WINDOW = 60.0
+#: Factor by which a jitter must be worse for another warning within the window.
+REPEAT_WARNING_FACTOR = 1.5
+#: Longest delay of a guard's report of a silence, in seconds.
+MAX_REPORT_DELAY = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class JitterLimit:
+    """The jitter limit of a `silence`; `prompt`: its guards have real-time priority. In seconds."""
+
+    silence: float
+    prompt: bool = False
+
+    @property
+    def max_jitter(self) -> float:
+        """The largest permitted jitter of the host."""
+        return (self.silence - HEARTBEAT_INTERVAL) / self._factor
+
+    @property
+    def _factor(self) -> float:
+        return REALTIME_FACTOR if self.prompt else NORMAL_FACTOR
+
+    def shortest_silence(self, late: float) -> float:
+        """The shortest silence for a jitter, in tenths of a second."""
+        # A multiple of 0.1 must not be rounded up because of its last bits.
+        return max(1, math.ceil(round((HEARTBEAT_INTERVAL + self._factor * late) * 10, 6))) / 10
+
+    def report(self, late: float) -> str:
+        """The measurement, for the user who starts a host."""
+        if late <= self.max_jitter:
+            return (
+                f"this computer was late by {format_jitter(late)}: it supports a silence of {self.silence:g} "
+                "s"
+            )
+        kept = self.shortest_silence(late)
+        could = f"supports {kept:g} s" if kept <= MAX_SILENCE else "supports none"
+        return (
+            f"this computer does not support 'silence: {self.silence:g}': it was late by "
+            f"{format_jitter(late)} and {could}"
+        )
+
+    def remedy(self, late: float) -> str:
+        """The remedy for a jitter that is too large."""
+        ways = ["reduce the load of this computer"]
+        if not self.prompt:
+            ways.append("give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor')")
+        kept = self.shortest_silence(late)
+        if kept <= MAX_SILENCE:
+            ways.append(f"write 'silence: {kept:g}' if the vehicles may move for so long without their host")
+        return " or ".join([", ".join(ways[:-1]), ways[-1]] if len(ways) > 1 else ways)
+
+
+class JitterMonitor:
+    """Jitter of this computer while its host runs."""
+
+    def __init__(self, limit: JitterLimit) -> None:
+        self.limit = limit
+        #: The maximum ever.
+        self.longest = 0.0
+        # Time and jitter of samples within the window, without those that a later one exceeds.
+        self._recent: deque[tuple[float, float]] = deque()
+        self._warned_at, self._warned_of = -math.inf, 0.0
+
+    def sample(self, scheduled: float, actual: float) -> LogLine | None:
+        """Adds a sample; returns a warning for the log, or None."""
+        late = max(0.0, actual - scheduled)
+        self.longest = max(self.longest, late)
+        while self._recent and self._recent[-1][1] <= late:
+            self._recent.pop()
+        self._recent.append((actual, late))
+        while self._recent[0][0] < actual - WINDOW:
+            self._recent.popleft()
+        return self._warning(late, actual)
+
+    def max_since(self, when: float) -> float:
+        """The maximum since `when`, 0 for none; limited to the window."""
+        return next((late for came, late in self._recent if came >= when), 0.0)
+
+    def last_minute(self, now: float) -> float:
+        """The maximum of the last minute."""
+        return self.max_since(now - WINDOW)
+
+    def explain_silence(self, now: float, due: float) -> str:
+        """Why a guard has missed the heartbeat that was `due`: this computer is the cause, not the
+        vehicle.
+        """
+        late = max(self.max_since(now - self.limit.silence - MAX_REPORT_DELAY), now - due)
+        if late > self.limit.max_jitter:
+            return f"this computer was late by {format_jitter(late)}"
+        return "this computer was late to wake its guard"
+
+    def _warning(self, late: float, now: float) -> LogLine | None:
+        if now - self._warned_at >= WINDOW:
+            self._warned_of = 0.0
+        if late <= self.limit.max_jitter or late < REPEAT_WARNING_FACTOR * self._warned_of:
+            return None
+        self._warned_at, self._warned_of = now, late
+        limit = format_jitter(self.limit.silence - HEARTBEAT_INTERVAL)
+        return log_messages.HEARTBEAT_LATE.line(
+            late=format_jitter(late), longest=format_jitter(self.longest), limit=limit
+        )
+
+
+class HeartbeatJitter:
+    """Jitter of the heartbeats to one guard: the interval since the last one, less HEARTBEAT_INTERVAL."""
+
+    def __init__(self, lateness: JitterMonitor) -> None:
+        self._jitter = lateness
+        self._due = math.inf
+
+    def on_heartbeat(self, now: float) -> LogLine | None:
+        """A heartbeat is sent; returns a warning for the log, or None."""
+        due, self._due = self._due, now + HEARTBEAT_INTERVAL
+        return self._jitter.sample(due, now)
+
+    def pause(self) -> None:
+        """No heartbeat is due until the next one is sent."""
+        self._due = math.inf
+
+    def explain(self, reason: str, now: float) -> str:
+        """Why a guard has made a device safe; with the cause if this host was silent."""
+        if reason != host_silent(self._jitter.limit.silence):
+            return reason
+        return f"{reason}, since {self._jitter.explain_silence(now, self._due)}"
+
+
+def format_jitter(seconds: float) -> str:
+    """Formats a jitter for people."""
+    return f"{seconds * 1000:.0f} ms" if seconds < 0.1 else f"{seconds:.2f} s"

@@ -1,0 +1,139 @@
+"""Tracks which devices have come to rest in their safe states, and when a stop is over.
+
+A confirmed safe state is only the beginning: a landing vehicle is still in the air. A latched device is
+checked until it is at rest. A stop is over when every device was confirmed at rest, or its time is over, or
+the operator does not wait; whether the host is still there makes no difference. A muted bus cannot be
+observed: then the stop ends with the safe states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+#: Seconds between two checks of a device, and between two progress reports.
+CHECK_EVERY, REPORT_EVERY = 0.25, 0.5
+
+#: Condition of a device that was not open in time, and of one whose safe state was only commanded.
+UNFINISHED = "opening was not complete"
+UNCONFIRMED = "its safe state was not confirmed"
+
+
+@dataclass(slots=True)
+class _Settling:
+    """A device: its time to come to rest in seconds, and its condition.
+
+    `confirmed_at` is None before its safe state was confirmed, `moving` before the first check in it.
+    `reported` is the last report to the host.
+    """
+
+    bound: float
+    confirmed_at: float | None = None
+    moving: str | None = None
+    check_at: float | None = None
+    reported: str | None = None
+    reported_at: float = 0.0
+
+
+class Standstill:
+    """The progress of a guard's devices to rest; `within` is the time of each to come to rest, in seconds."""
+
+    def __init__(self, within: Mapping[str, float]) -> None:
+        self._devices = {name: _Settling(seconds) for name, seconds in within.items()}
+        self._stopped_at: float | None = None
+        self._is_host_gone = self._muted = self._is_skipped = False
+
+    # --- events ---------------------------------------------------------------------------------------
+
+    def on_latched_or_free(self, name: str) -> None:
+        """The device enters its safe state, or is free: its condition is unknown."""
+        way = self._devices[name]
+        way.confirmed_at, way.moving, way.check_at, way.reported = None, None, None, None
+
+    def on_confirmed(self, name: str, now: float) -> None:
+        """Its safe state is confirmed."""
+        way = self._devices[name]
+        way.confirmed_at, way.check_at = now, now
+
+    def on_motion_report(self, name: str, moving: str, now: float) -> bool:
+        """Records how it still moves, '' for not at all; returns whether the host needs a report."""
+        way = self._devices[name]
+        if way.confirmed_at is None:
+            return False
+        way.moving = moving
+        due = way.reported is None or not moving or now >= way.reported_at + REPORT_EVERY
+        if moving == way.reported or not due:
+            return False
+        way.reported, way.reported_at = moving, now
+        return True
+
+    def on_stop(self, now: float) -> None:
+        """The host stops."""
+        if self._stopped_at is None:
+            self._stopped_at = now
+
+    def on_host_gone(self) -> None:
+        """The host is gone."""
+        self._is_host_gone = True
+
+    def on_muted(self, on: bool) -> None:
+        """The bus was muted or not: devices on a muted bus may fall silent."""
+        self._muted = on
+
+    def skip_wait(self) -> None:
+        """The operator does not wait any longer."""
+        self._is_skipped = True
+
+    # --- questions ------------------------------------------------------------------------------------
+
+    def due_checks(self, now: float) -> list[str]:
+        """The devices to be checked now; each is due again after CHECK_EVERY."""
+        due = [
+            name for name, way in self._devices.items() if way.check_at is not None and now >= way.check_at
+        ]
+        for name in due:
+            self._devices[name].check_at = now + CHECK_EVERY
+        return due
+
+    def is_over(self, now: float) -> bool:
+        """Whether the stop is over."""
+        if self._stopped_at is None:
+            return False
+        return self._is_skipped or all(self._is_settled(way, now) for way in self._devices.values())
+
+    def under_way_until(self) -> float:
+        """When the time of the confirmed devices that are not at rest is over; minus infinity without any."""
+        ends = (
+            way.confirmed_at + way.bound
+            for way in self._devices.values()
+            if way.confirmed_at is not None and way.moving != ""
+        )
+        return max(ends, default=-math.inf)
+
+    def unsafe(self) -> dict[str, str]:
+        """The devices that were not confirmed at rest in their safe states, with their last known
+        condition.
+        """
+        found = {}
+        for name, way in self._devices.items():
+            if way.confirmed_at is None:
+                found[name] = UNCONFIRMED
+            elif not self._is_at_rest(way):
+                found[name] = f"it is in its safe state and not at rest: {way.moving or 'not checked'}"
+        return found
+
+    def due(self) -> float | None:
+        """When the next action is due, on the clock of the events."""
+        times = [way.check_at for way in self._devices.values() if way.check_at is not None]
+        if self._stopped_at is not None:
+            waited = [way.bound for way in self._devices.values() if not self._is_at_rest(way)]
+            times += [self._stopped_at + max(waited)] if waited else []
+        return min(times, default=None)
+
+    def _is_at_rest(self, way: _Settling) -> bool:
+        return way.confirmed_at is not None and (way.moving == "" or (self._is_host_gone and self._muted))
+
+    def _is_settled(self, way: _Settling, now: float) -> bool:
+        assert self._stopped_at is not None
+        return self._is_at_rest(way) or now >= self._stopped_at + way.bound

@@ -1,0 +1,1 @@
+"""Directory updates of a host: sampling of its agents, polling, encoding."""

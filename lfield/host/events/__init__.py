@@ -1,0 +1,1 @@
+"""The event stream of a host: recording, causes, rate limits, subscriptions."""

@@ -1,0 +1,195 @@
+"""One subscription to a host's events: which batches of states and telemetry are sent, and when. Sans-IO.
+
+A subscriber receives every state in order as long as the log has it. One that falls behind is not served from
+the oldest end, where it would lose more with every batch: it receives the rare events and the counts of the
+lost ones, and continues with live events. Telemetry is sent when there is room and no state is pending: only
+the newest value of each device and agent, with a count of the replaced ones. At most WINDOW batches are in
+flight; a subscriber that does not read costs its host only this bookkeeping.
+
+Telemetry leaves most of a slow path to other messages, stop orders above all: at most one batch with
+telemetry is in flight, and after one that was acknowledged late there is a pause of several times the delay
+beyond the round trip.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+
+from lfield.host.events.event_log import EventLog, size_of, stamped_event
+from lfield.wire.events import Event, TelemetryEvent
+from lfield.wire.observer_messages import Status
+from lfield.wire.subscription_messages import MAX_EVENTS, WINDOW, EventBatch, Subscribe
+
+#: Bytes of the events of a batch, unless one alone has more.
+BATCH_BYTES = 48 << 10
+#: Minimum seconds between two batches; and the maximum, after which an empty batch shows that the host lives.
+MIN_INTERVAL, QUIET_INTERVAL = 0.05, 1.0
+#: After telemetry that was acknowledged late, the pause as a multiple of the delay, and its maximum in
+#: seconds. The gain of the smoothed round trip for samples above it.
+REST, LONGEST_REST, CREEP = 8.0, 10.0, 1 / 64
+#: A subscriber that has not acknowledged for so many seconds is dropped.
+READ_TIMEOUT = 60.0
+#: A telemetry sample: by subject, a value that changes with the content, and the content.
+TelemetrySample = Mapping[str, tuple[object, TelemetryEvent]]
+
+
+class EventSubscription:
+    """A subscription by `request`, received `up` seconds after the start of the host.
+
+    `incarnation` is that of the host. All times are seconds since its start.
+    """
+
+    def __init__(self, event_log: EventLog, incarnation: int, request: Subscribe, up: float) -> None:
+        self._event_log, self._incarnation = event_log, incarnation
+        if request.incarnation == 0:
+            self._after = event_log.latest
+        else:
+            self._after = min(request.after, event_log.latest) if request.incarnation == incarnation else 0
+        #: The newest state when it started or fell behind; and the one after which it receives frequent
+        #: events.
+        self._caught_up_at, self._frequent_after = event_log.latest, 0
+        self._snapshot = request.incarnation != incarnation or self._after < event_log.last_dropped
+        #: Whether the last batch was a snapshot.
+        self._last_snapshot = False
+        self._batch = self._acknowledged = 0
+        self._lost: Counter[str] = Counter()
+        self._pending_telemetry: dict[str, Event] = {}
+        self._known: dict[str, object] = {}
+        self._every = 1.0 / request.telemetry if request.telemetry else 0.0
+        #: When telemetry is sampled next for it, None for never.
+        self.sample_due: float | None = up if self._every else None
+        #: When the unacknowledged batches were sent; the one of them with telemetry, 0 for none; the round
+        #: trip in seconds, and when telemetry may be sent again.
+        self._sent: dict[int, float] = {}
+        self._full, self._is_full = 0, False
+        self._round_trip: float | None = None
+        self._rest_until = up
+        #: When the next batch may be sent.
+        self.next_batch_at = up
+        self._last_ack_at = up
+
+    def resume_from(self, before: EventSubscription) -> None:
+        """Continue a subscription that is renewed: its unreported losses are still to be reported."""
+        self._lost.update(before._lost)
+
+    def on_ack(self, batch: int, up: float) -> None:
+        """The subscriber has processed batches up to this one."""
+        if not self._acknowledged < batch <= self._batch:
+            return
+        self._acknowledged, self._last_ack_at = batch, up
+        if self._full and self._full <= batch:
+            self._rest_until, self._full = up + self._rest(up - self._sent[self._full]), 0
+        else:
+            took = up - self._sent[batch]
+            before = took if self._round_trip is None else self._round_trip
+            self._round_trip = min(took, before + CREEP * (took - before))
+        self._sent = {number: at for number, at in self._sent.items() if number > batch}
+
+    def _rest(self, took: float) -> float:
+        """The pause of telemetry after a batch that was acknowledged after so many seconds."""
+        if self._round_trip is not None:
+            return min(LONGEST_REST, REST * max(0.0, took - self._round_trip))
+        # The next batch has no telemetry and measures the round trip.
+        return QUIET_INTERVAL if took > MIN_INTERVAL else 0.0
+
+    def has_gone(self, up: float) -> bool:
+        """Whether the subscriber has stopped reading."""
+        return self._acknowledged < self._batch and up - self._last_ack_at >= READ_TIMEOUT
+
+    @property
+    def due(self) -> float:
+        """When `next_batch` is due if nothing else happens, or `has_gone` becomes true."""
+        if self._is_behind:
+            return self._last_ack_at + READ_TIMEOUT
+        if not self._batch or self._snapshot or self._event_log.latest > self._after:
+            return self.next_batch_at
+        quiet = self.next_batch_at - MIN_INTERVAL + QUIET_INTERVAL
+        return (
+            quiet
+            if self._full or not self._pending_telemetry
+            else min(quiet, max(self.next_batch_at, self._rest_until))
+        )
+
+    @property
+    def _is_behind(self) -> bool:
+        return self._batch - self._acknowledged >= WINDOW
+
+    def on_sample(self, values: TelemetrySample, at: float, up: float, stamp: int = 0) -> None:
+        """Process a telemetry sample with the timestamp `stamp`; changed values are pending from then on."""
+        if self.sample_due is None or up < self.sample_due:
+            return
+        self.sample_due = max(self.sample_due + self._every, up)
+        latest = self._event_log.latest
+        for key, (version, what) in values.items():
+            if self._known.get(key) == version:
+                continue
+            self._known[key] = version
+            event = stamped_event(latest, at, up, 0, what, stamp)
+            if key in self._pending_telemetry:
+                self._lost[event.kind] += 1
+            self._pending_telemetry[key] = event
+
+    def next_batch(self, at: float, up: float, snapshot: Callable[[], Status]) -> EventBatch | None:
+        """The batch to send now, None for none yet."""
+        if self._is_behind or up < self.due:
+            return None
+        if self._acknowledged == self._batch:
+            # The acknowledgement is awaited from here on.
+            self._last_ack_at = up
+        after, told, shown = self._after, list[Event](), None
+        # A subscriber receives something after a snapshot, however slowly it reads.
+        if self._snapshot or (not self._last_snapshot and self._skip_lost()):
+            shown, self._snapshot, self._last_snapshot = snapshot(), False, True
+        else:
+            (after, told), self._last_snapshot = self._next_events(up), False
+        self._batch += 1
+        self._sent[self._batch] = up
+        if self._is_full:
+            self._full, self._is_full = self._batch, False
+        self.next_batch_at = up + MIN_INTERVAL
+        lost, self._lost = dict(self._lost), Counter()
+        return EventBatch(
+            self._incarnation, self._batch, at, up, after, self._event_log.latest, told, lost, shown
+        )
+
+    def final_batch(self, at: float, up: float) -> EventBatch:
+        """The last batch of a dropped subscription: its losses until now."""
+        for event in self._pending_telemetry.values():
+            self._lost[event.kind] += 1
+        lost, self._lost = dict(self._lost), Counter()
+        self._pending_telemetry.clear()
+        self._batch += 1
+        return EventBatch(
+            self._incarnation, self._batch, at, up, self._after, self._event_log.latest, [], lost
+        )
+
+    def _skip_lost(self) -> bool:
+        """Whether the log has dropped the next events: then continue with live events."""
+        stream = self._event_log
+        if stream.last_dropped <= max(self._after, self._caught_up_at):
+            return False
+        self._caught_up_at = self._frequent_after = stream.latest
+        return True
+
+    def _next_events(self, up: float) -> tuple[int, list[Event]]:
+        """The next states, and the number that they follow; telemetry if there is room."""
+        stream, before = self._event_log, self._after
+        told, size = stream.after(before, MAX_EVENTS, BATCH_BYTES, self._frequent_after)
+        self._after = told[-1].number if told else stream.latest
+        if missing := self._after - before - len(told):
+            self._lost["state"] += missing
+        after = told[0].number - 1 if told else self._after
+        if self._after == stream.latest and not self._full and up >= self._rest_until:
+            self._is_full = bool(self._pending_telemetry)
+            self._add_telemetry(told, size)
+        return after, told
+
+    def _add_telemetry(self, batch: list[Event], size: int) -> None:
+        """Add telemetry, as far as there is room."""
+        for key, event in list(self._pending_telemetry.items()):
+            size += size_of(event)
+            if len(batch) >= MAX_EVENTS or (batch and size > BATCH_BYTES):
+                break
+            batch.append(event)
+            del self._pending_telemetry[key]

@@ -1,0 +1,203 @@
+"""Events about the coordinators of a host: migrations, starts and ends. Sans-IO.
+
+A hop appends one tuple with the time to `hops` at each of its steps, and does nothing else then. The events
+are made from these tuples before the next event of another kind, when a subscriber reads the log, and four
+times a second.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any
+
+from msgspec import Struct
+
+from lfield.host.events.event_rate_limit import MIGRATIONS, MIGRATIONS_UNOBSERVED
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.mission.team import Team
+from lfield.replication.transfer import effects as mobile
+from lfield.vm.agent import Agent
+from lfield.vm.machine import Machine
+from lfield.wire import events
+from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState, Transfer
+from lfield.wire.fields import MAX_LABEL, bounded_duration, truncate
+
+
+class _InFlight(Struct):
+    """A hop that was sent and is not confirmed: its name, its event (0: in an earlier incarnation), and the
+    time of sending on the monotonic clock.
+
+    `returned_at` is when the coordinator came back, which is equivalent to a confirmation.
+    """
+
+    to: str
+    generation: int
+    sequence: int
+    event_number: int
+    sent_at: float
+    returned_at: float = 0.0
+
+
+class HopStep(IntEnum):
+    """The steps of a hop, with the fields after the time in the tuple of each.
+
+    Sent: the host, the header, the resource, and the portal or its index. Arrived: the host and the header.
+    Running: name, generation, sequence and a timestamp. Confirmed: the effect and a timestamp.
+    """
+
+    SENT = 0
+    CAME = 1
+    RUNNING = 2
+    CONFIRMED = 3
+
+
+class MigrationEvents:
+    """Records events of the coordinators of a `team` on its host `here`."""
+
+    def __init__(self, recorder: EventRecorder, machine: Machine, here: str, team: Team) -> None:
+        self._recorder, self._machine, self._here, self._hosts = recorder, machine, here, team.hosts
+        self._known = frozenset(member.id for member in team.coordinators)
+        self._limiter = recorder.new_limiter(MIGRATIONS, MIGRATIONS_UNOBSERVED)
+        #: The arrived coordinators that do not run yet: sender and header.
+        self._arriving: dict[str, tuple[str, Transfer]] = {}
+        self._in_flight: dict[str, _InFlight] = {}
+        #: The steps of hops for which no events are made yet, with the time of each on the monotonic clock.
+        self.hops: list[tuple[Any, ...]] = []
+        self._steps = self._on_sent, self._on_arrived, self._on_running, self._on_confirmed
+        recorder.add_source(self.drain)
+
+    # --- a hop ----------------------------------------------------------------------------------------
+
+    def drain(self) -> None:
+        """Make the events of all recorded steps."""
+        if not self.hops:
+            return
+        steps = self.hops.copy()
+        self.hops.clear()
+        for step, *details in steps:
+            self._steps[step](*details)
+
+    def target_of(self, name: str) -> tuple[str, str]:
+        """The resource and the portal that a frozen coordinator calls."""
+        agent = self._machine.agents.get(name)
+        called = self._machine.itinerary.current_target(agent) if agent is not None and agent.frozen else None
+        return (called[0].id, called[1]) if called is not None else ("", "")
+
+    def _on_sent(self, at: float, to: str, header: Transfer, resource: str, portal: str | int) -> None:
+        """A coordinator is sent; a repetition is not recorded."""
+        if not self._limiter.try_acquire("left"):
+            return
+        name, away = header.agent, self._in_flight.get(header.agent)
+        if away is not None and (away.generation, away.sequence) == (header.generation, header.sequence):
+            return
+        if isinstance(portal, int):
+            portal = self._machine.program.core.methods[portal].name
+        generation, sequence = header.generation, header.sequence
+        portal = truncate(portal, MAX_LABEL)
+        what = events.MigrationStarted(name, generation, sequence, to, resource, portal, header.size)
+        self._in_flight[name] = _InFlight(
+            to, generation, sequence, self._recorder.emit_for_agent(name, what, at=at, stamp=header.stamp), at
+        )
+
+    def _on_arrived(self, at: float, host: str, header: Transfer) -> None:
+        """A coordinator arrived; whether it runs is decided later. Unknown ones are ignored."""
+        if header.agent in self._known:
+            self._arriving[header.agent] = host, header
+            if (away := self._in_flight.get(header.agent)) is not None:
+                away.returned_at = at
+
+    def _on_running(self, at: float, name: str, generation: int, sequence: int | None, stamp: int) -> None:
+        """An arrived coordinator runs here, or a stored one is resumed."""
+        came = self._arriving.pop(name, None)
+        if came is None:
+            return
+        is_told, away = self._limiter.try_acquire("came"), self._in_flight.get(name)
+        if not is_told and away is None:
+            return
+        host, header = came
+        # An earlier arrival that was refused does not belong to this one.
+        if (header.generation, header.sequence) != (generation, sequence):
+            return
+        if away is not None and away.generation == generation and away.sequence < header.sequence:
+            # A coordinator that returns at once is its own confirmation: its host sends no other.
+            self._emit_confirmed(name, away, away.returned_at, at, stamp)
+        if is_told:
+            what = events.MigrationArrived(name, generation, header.sequence, host, header.size)
+            self._recorder.emit_for_agent(name, what, cause=0, at=at, stamp=stamp)
+
+    def _on_confirmed(self, at: float, effect: mobile.MarkMigrated, stamp: int) -> None:
+        """The sender has the confirmation: recorded for hops whose departure was."""
+        away = self._in_flight.get(effect.agent)
+        if away is not None and (away.generation, away.sequence) == (effect.generation, effect.sequence):
+            self._emit_confirmed(effect.agent, away, at - effect.held, at, stamp)
+
+    def _emit_confirmed(
+        self, name: str, in_flight: _InFlight, arrived: float, at: float, stamp: int = 0
+    ) -> None:
+        """A hop that arrived at the time `arrived` was confirmed at the time `at`."""
+        del self._in_flight[name]
+        seconds = bounded_duration(arrived - in_flight.sent_at) if in_flight.event_number else None
+        what = events.MigrationConfirmed(
+            name, in_flight.generation, in_flight.sequence, in_flight.to, seconds
+        )
+        self._recorder.emit_at(what, at, in_flight.event_number, stamp)
+
+    def restore_in_flight(self, known: CoordinatorState) -> None:
+        """A hop that was sent in an earlier incarnation of this host."""
+        self.drain()
+        self._in_flight[known.agent] = _InFlight(known.where, known.generation, known.sequence, 0, 0.0)
+
+    # --- other events ---------------------------------------------------------------------------------
+
+    def on_failed(self, agent: Agent, exception: str, reason: str, *, recovered: bool) -> None:
+        """A frozen coordinator is about to resume here with an exception, perhaps since it is `recovered`."""
+        self.drain()
+        self._in_flight.pop(agent.id, None)
+        if recovered:
+            self._recorder.emit_for_agent(agent.id, events.CoordinatorRecovered(agent.id, agent.generation))
+        elif self._limiter.try_acquire("stayed"):
+            to, _, _ = self._call_target(agent)
+            name = agent.id, agent.generation, agent.sequence
+            self._recorder.emit_for_agent(
+                agent.id, events.MigrationFailed(*name, to, exception, truncate(reason))
+            )
+
+    def on_effect(self, effect: mobile.Effect) -> None:
+        """A rare effect is about to be executed."""
+        self.drain()
+        match effect:
+            case mobile.CoordinatorStarted():
+                self._recorder.emit_for_agent(
+                    effect.agent, events.AgentStarted(effect.agent, effect.generation)
+                )
+            case mobile.MarkInDoubt():
+                reason = truncate(effect.reason)
+                what = events.MigrationInDoubt(effect.agent, effect.generation, effect.host, reason)
+                self._recorder.emit_for_agent(effect.agent, what)
+            case mobile.TerminateCopy():
+                agent = self._machine.agents.get(effect.agent)
+                if agent is not None and agent.generation == effect.generation:
+                    reason = truncate(effect.reason)
+                    self._recorder.emit_for_agent(
+                        effect.agent, events.CoordinatorSuperseded(effect.agent, effect.generation, reason)
+                    )
+            case mobile.DropTerminated():
+                self._on_terminated(effect)
+
+    def _on_terminated(self, effect: mobile.DropTerminated) -> None:
+        """A coordinator has ended on another host: unless it was lost, what was sent has arrived there."""
+        away = self._in_flight.get(effect.agent)
+        if away is not None and away.generation == effect.generation:
+            if effect.outcome in TERMINATED:
+                now = self._recorder.now()
+                self._emit_confirmed(effect.agent, away, now, now)
+            else:
+                del self._in_flight[effect.agent]
+        if effect.host == self._here:
+            # Each termination is recorded where it happened; a loss by the host that detects it.
+            self._recorder.on_agent_finished(effect.agent, effect.generation, effect.outcome, effect.detail)
+
+    def _call_target(self, agent: Agent) -> tuple[str, str, str]:
+        """The host, the resource and the portal of a frozen coordinator's call."""
+        called = self._machine.itinerary.current_target(agent) if agent.frozen else None
+        return (self._hosts[called[0].host], called[0].id, called[1]) if called is not None else ("", "", "")

@@ -1,0 +1,1 @@
+"""Which host holds a coordinator, as the other hosts report it. Pure."""

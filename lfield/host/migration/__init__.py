@@ -1,0 +1,1 @@
+"""Coordinators of a host between arrival and call: effects, acknowledgements, init barrier."""

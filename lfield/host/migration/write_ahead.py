@@ -1,0 +1,282 @@
+"""Write-ahead queue of a host: effects wait for the records that they depend on; contents of its journal.
+Sans-IO.
+
+The effects of one coordinator keep their order, so no effect overtakes a record on which it depends; other
+coordinators do not wait. Lazy records are written together with the next ones that are needed.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Collection, Iterable, Mapping
+
+from msgspec import structs
+
+from lfield.bytecode.encoding import encode
+from lfield.clock import Clock
+from lfield.journal.records import (
+    BundleRecord,
+    CoordinatorRecord,
+    EmergencyStopFlag,
+    PauseFlag,
+    PendingCallRecord,
+    ProgramRecord,
+    Record,
+    RecordKey,
+    RunMarker,
+    StartCounter,
+    key_of,
+)
+from lfield.mission.mission import Mission
+from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
+from lfield.replication.transfer.effects import (
+    CoordinatorStarted,
+    DropTerminated,
+    Effect,
+    LogAnomaly,
+    MarkInDoubt,
+    MarkMigrated,
+    PersistRecord,
+    ResumeCopy,
+    ResumeWithException,
+    Send,
+    SendTransfer,
+    TerminateCopy,
+)
+from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState
+
+#: The maximum delay of a lazy record, in seconds.
+LAZY_DELAY = 1.0
+
+
+#: The number of terminations remembered of each coordinator; every run makes one.
+MAX_ENDINGS = 8
+
+
+class WriteAheadQueue:
+    """The waiting records and effects of one host. `first` are written with the first batch."""
+
+    def __init__(self, first: Iterable[Record] = ()) -> None:
+        self._records: dict[RecordKey, Record] = {key_of(page): page for page in first}
+        #: The records to delete.
+        self._deleted: set[RecordKey] = set()
+        #: The number of the batch that is being collected.
+        self._number = 1
+        self._blocked: dict[str, deque[tuple[int, Effect]]] = {}
+        self._urgent = False
+        #: When lazy records are written at the latest, None without any; seconds on the host's clock.
+        self.due: float | None = None
+
+    def put(self, effects: Iterable[Effect], now: float) -> list[Effect]:
+        """Queue effects of mobility, in order; returns those that need not wait."""
+        ready: list[Effect] = []
+        for effect in effects:
+            if isinstance(effect, PersistRecord):
+                self.add_record(effect.record, now, is_lazy=effect.is_lazy)
+                if not effect.is_lazy:
+                    self._blocked.setdefault(effect.agent, deque()).append((self._number, effect))
+            elif isinstance(effect, TerminateCopy | DropTerminated):
+                # Stopping a copy needs no record: it would otherwise run on, although it has ended here.
+                self._discard(effect.agent, effect.generation)
+                ready.append(effect)
+            elif waiting := self._blocked.get(_agent(effect)):
+                waiting.append((waiting[-1][0], effect))
+            else:
+                ready.append(effect)
+        return ready
+
+    def _discard(self, agent: str, generation: int) -> None:
+        """A start is stopped: discard waiting effects that resume or send it; reports about it stay."""
+        if waiting := self._blocked.get(agent):
+            told = (entry for entry in waiting if _generation(entry[1]) != generation)
+            self._blocked[agent] = deque(told)
+
+    def is_pending_durable(self, agent: str) -> bool:
+        """Whether an effect of a coordinator waits for the disk."""
+        return agent in self._blocked
+
+    def durable_states(self, rows: Iterable[CoordinatorState], here: str) -> list[CoordinatorState]:
+        """The states for other hosts: a start that terminated here, on `here`, counts as running until that
+        is on disk.
+
+        After a crash it would be resumed here. If others knew of the termination, a majority could have it on
+        disk by then, and it would be final.
+        """
+        return [self._durable_state(row, here) for row in rows]
+
+    def _durable_state(self, row: CoordinatorState, here: str) -> CoordinatorState:
+        ended = row.state == "EXITED" and row.where == here and row.outcome in TERMINATED
+        if not ended or not self._is_end_pending(row.agent, row.generation):
+            return row
+        return structs.replace(row, state="RUN", where="", outcome="", detail="")
+
+    def _is_end_pending(self, agent: str, generation: int) -> bool:
+        """Whether the record of this start's termination waits for the disk."""
+        waiting = (
+            effect.record for _, effect in self._blocked.get(agent, ()) if isinstance(effect, PersistRecord)
+        )
+        pages = (page for page in waiting if isinstance(page, CoordinatorRecord))
+        return any(page.generation == generation and page.state == "EXITED" for page in pages)
+
+    def add_record(self, record: Record, now: float, *, is_lazy: bool = False) -> int:
+        """Queue a record; returns the number of its batch."""
+        self._records[key_of(record)] = record
+        self._deleted.discard(key_of(record))
+        self._urgent = self._urgent or not is_lazy
+        return self._batch(now)
+
+    def delete_records(self, keys: Iterable[RecordKey], now: float) -> int:
+        """Queue deletions, after the records before; returns the number of their batch."""
+        for key in keys:
+            self._records.pop(key, None)
+            self._deleted.add(key)
+        return self._batch(now)
+
+    def _batch(self, now: float) -> int:
+        if self.due is None:
+            self.due = now + LAZY_DELAY
+        return self._number
+
+    def next_batch(self, now: float) -> tuple[int, list[Record], list[RecordKey]] | None:
+        """The next batch, if one is due: its number, records to write, keys to delete."""
+        if not self._urgent and (self.due is None or now < self.due):
+            return None
+        pages, keys = list(self._records.values()), sorted(self._deleted)
+        self._records, self._deleted = {}, set()
+        number, self._number = self._number, self._number + 1
+        self._urgent, self.due = False, None
+        return number, pages, keys
+
+    def on_durable(self, number: int) -> list[Effect]:
+        """All batches up to this one are on disk: returns the effects that waited for them."""
+        ready: list[Effect] = []
+        for agent, waiting in list(self._blocked.items()):
+            while waiting and waiting[0][0] <= number:
+                _, effect = waiting.popleft()
+                if not isinstance(effect, PersistRecord):
+                    ready.append(effect)
+            if not waiting:
+                del self._blocked[agent]
+        return ready
+
+
+def program_record(mission: Mission, digest: bytes) -> ProgramRecord:
+    """The record that describes the blocks of a mission for readers of the journal."""
+    team = mission.team
+    members, types = tuple(m.id for m in team.members), tuple(m.type for m in team.members)
+    return ProgramRecord(digest, encode(mission.program), members, types, tuple(team.hosts))
+
+
+class JournalContents:
+    """The records of a host's journal; `mission` is the hash of its present mission (`Hello.mission_hash`),
+    and `bundle` the digest of its bundle, b"" without one.
+
+    A coordinator of another mission stays parked: it waits for its own program and deployment.
+    """
+
+    def __init__(self, records: Iterable[Record], mission: bytes, bundle: bytes = b"") -> None:
+        records = list(records)
+        copies = [page for page in records if isinstance(page, CoordinatorRecord)]
+        ended = _outdated_endings(copies)
+        old = {key_of(page) for page in ended}
+        needed = {mission, *(page.program for page in copies)}
+        over = {(page.agent, page.generation) for page in copies if page.state == "EXITED"}
+        #: Outdated terminations, pending calls of terminated starts, and programs without blocks: to be
+        #: deleted.
+        self.outdated: list[Record] = [
+            *ended,
+            *(p for p in records if isinstance(p, PendingCallRecord) and (p.agent, p.generation) in over),
+            *(page for page in records if isinstance(page, ProgramRecord) and page.digest not in needed),
+        ]
+        self.copies = [
+            page for page in copies if key_of(page) not in old and (not page.block or page.program == mission)
+        ]
+        #: The records of other programs or deployments.
+        self.parked = [page for page in copies if page.block and page.program != mission]
+        #: Whether the program of this mission is recorded.
+        self.has_program_record = any(
+            isinstance(page, ProgramRecord) and page.digest == mission for page in records
+        )
+        #: Whether this host is paused.
+        self.paused = any(page.on for page in records if isinstance(page, PauseFlag))
+        #: Why an emergency stop locks the devices here, '' for none.
+        self.stopped = next((page.reason for page in records if isinstance(page, EmergencyStopFlag)), "")
+        #: The last start that was made here, None if none is recorded.
+        self.last_start = next((page.count for page in records if isinstance(page, StartCounter)), None)
+        #: Whether the run that was started here continues.
+        self.is_run_open = any(page.open for page in records if isinstance(page, RunMarker))
+        #: The starts that ended before this bundle was started here.
+        self._earlier = {(page.agent, page.generation) for page in copies if page.state == "EXITED"}
+        if BundleRecord(bundle) in records:
+            self._earlier = set()
+
+    def is_mission_over(self, coordinators: Collection[str], known: Iterable[CoordinatorState]) -> bool:
+        """Whether the mission has ended as far as is known here: every coordinator of the team, in this run.
+
+        One that has not been here yet may be alive all the same, wherever its home is.
+        """
+        rows = [row for row in known if (row.agent, row.generation) not in self._earlier]
+        ended = {row.agent for row in rows if row.state == "EXITED"}
+        return ended.issuperset(coordinators) and all(row.state == "EXITED" for row in rows)
+
+    def restart_blocker(self, agent: str, known: Iterable[CoordinatorState]) -> str:
+        """Why a coordinator of this host is not started again, '' if it may be."""
+        rows = [row for row in known if row.agent == agent]
+        if any(page.agent == agent for page in self.parked):
+            return "waits for the program and deployment that it belongs to"
+        for row in rows:
+            if row.state in ("FROZEN", "PREPARED", "IN DOUBT", "MOVED"):
+                return f"moved to {row.where}" if row.where else "waits for a host that resumes it"
+            if row.state == "RUN":
+                return "goes on"
+        last = max(rows, key=lambda row: row.generation, default=None)
+        # An earlier one ended in an earlier run: the recorded start was not made.
+        if last and self.is_run_open and last.generation >= (self.last_start or 0):
+            return f"has ended ({last.outcome}) in the current run; --fresh starts another one"
+        return ""
+
+
+def _outdated_endings(copies: Iterable[CoordinatorRecord]) -> list[CoordinatorRecord]:
+    """The terminations of each coordinator except the last few."""
+    found: dict[str, list[CoordinatorRecord]] = {}
+    for page in copies:
+        if page.state == "EXITED":
+            found.setdefault(page.agent, []).append(page)
+    return [
+        page
+        for pages in found.values()
+        for page in sorted(pages, key=lambda page: page.generation)[:-MAX_ENDINGS]
+    ]
+
+
+def downtime(times: Mapping[RecordKey, float], clock: Clock, copy: CoordinatorCopy) -> float:
+    """For how many seconds a coordinator was only on disk, according to the wall clock; else 0.
+
+    `times` is when each record was written, in Unix time.
+    """
+    kept = times.get(RecordKey("copy", copy.agent, copy.generation))
+    return 0.0 if kept is None else max(0.0, clock.time() - kept)
+
+
+def _generation(effect: Effect) -> int | None:
+    """The start whose copy in the machine an effect needs; None for any other effect."""
+    match effect:
+        case SendTransfer():
+            return effect.header.generation
+        case CoordinatorStarted() | ResumeCopy() | ResumeWithException() | MarkMigrated() | MarkInDoubt():
+            return effect.generation
+        case _:
+            return None
+
+
+def _agent(effect: Effect) -> str:
+    """The coordinator that an effect is about."""
+    match effect:
+        case Send():
+            return getattr(effect.message, "agent", "")
+        case SendTransfer():
+            return effect.header.agent
+        case LogAnomaly():
+            return ""
+        case _:
+            return effect.agent

@@ -1,0 +1,137 @@
+"""Serves the observers of a host: status, stop and pause orders, `forget`, `recover`, `start`."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+
+from lfield.devices.device_guards import DeviceGuards
+from lfield.errors import AddressError
+from lfield.event_loop import spawn
+from lfield.host.core import HostCore
+from lfield.host.stop_orders.order_executor import OrderExecutor
+from lfield.host.subscriptions.subscription_server import SubscriptionServer
+from lfield.net.link_manager import LinkManager
+from lfield.net.transport import Link
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+from lfield.wire.messages import Control
+from lfield.wire.observer_messages import (
+    EmergencyStop,
+    ForgetRequest,
+    ForgetResponse,
+    Pause,
+    RecoverRequest,
+    StartRequest,
+    StartResponse,
+    Status,
+)
+from lfield.wire.subscription_messages import EventAck, Subscribe
+
+#: Seconds for which the answer to a start request waits for the reports of other hosts' vehicles.
+START_TIMEOUT = 3.0
+#: Seconds between two snapshots for observers that ask for one: requests in between share the next one.
+SNAPSHOT_INTERVAL = 0.05
+#: An observer that asked within so many seconds may be monitoring devices, and gets one more answer in time.
+OBSERVED_WITHIN, LINGER = 3.0, 1.5
+
+
+class ObserverSessions:
+    """The observers of one host.
+
+    `dispatch` passes an event to the core, which `status` describes; `flush` waits until everything is on
+    disk, at most so many seconds, and returns whether it is.
+    """
+
+    def __init__(
+        self,
+        core: HostCore,
+        guards: DeviceGuards,
+        links: LinkManager,
+        dispatch: Callable[[Callable[[], None]], None],
+        status: Callable[[], Status],
+        note: Callable[[LogLine], None],
+        flush: Callable[[float | None], Awaitable[bool]],
+    ) -> None:
+        self._core, self._clock = core, core.context.clock
+        clock = self._clock
+        self._dispatch, self._note, self._flush = dispatch, note, flush
+        self.subscriptions = SubscriptionServer(core, guards, clock, status, links.monitor.latest)
+        self.order_executor = OrderExecutor(core, guards, dispatch, note, flush)
+        #: When the status of the devices was last requested.
+        self._last_request = -OBSERVED_WITHIN
+        #: The links that wait for a snapshot, and when the last one was sent.
+        self._waiting: dict[Link, None] = {}
+        self._last_sent = -SNAPSHOT_INTERVAL
+
+    def on_message(self, message: Control, link: Link) -> None:
+        """A request of an observer. Messages between hosts are not answered."""
+        match message:
+            case Subscribe(once=True):
+                self._send_snapshot(link)
+            case Subscribe():
+                self.subscriptions.subscribe(message, link)
+            case EventAck():
+                self.subscriptions.on_ack(message, link)
+            case EmergencyStop() | Pause():
+                self.order_executor.on_order(
+                    message, str(link.who), lambda answer: self._answer(link, answer)
+                )
+            case ForgetRequest():
+                spawn(
+                    self._answer_when_durable(link, lambda: ForgetResponse(self._core.forget(message.agent)))
+                )
+            case RecoverRequest():
+                spawn(self._answer_when_durable(link, lambda: self._core.recover(message)))
+            case StartRequest():
+                spawn(self._start_coordinators(message, link))
+
+    def _send_snapshot(self, link: Link) -> None:
+        """Send a snapshot, at most one per interval, so that requests cannot keep a host busy."""
+        self._last_request = self._clock.monotonic()
+        waits, self._waiting[link] = bool(self._waiting), None
+        left = self._last_sent + SNAPSHOT_INTERVAL - self._last_request
+        if left <= 0:
+            self._send_snapshot_to_all()
+        elif not waits:
+            asyncio.get_running_loop().call_later(left, self._send_snapshot_to_all)
+
+    def _send_snapshot_to_all(self) -> None:
+        self._last_sent = self._clock.monotonic()
+        asking, self._waiting = self._waiting, {}
+        if asking:
+            batch = self.subscriptions.snapshot_batch()
+            for link in asking:
+                self._answer(link, batch)
+
+    async def linger_for_observers(self) -> None:
+        """After an emergency stop, keep answering observers so that they see its outcome."""
+        if self._core.coordinators.stopped and self._clock.monotonic() - self._last_request < OBSERVED_WITHIN:
+            await asyncio.sleep(LINGER)
+
+    async def _start_coordinators(self, message: StartRequest, link: Link) -> None:
+        """Start the waiting coordinators; answer when they have started, or with what they still wait for."""
+        startup = self._core.startup
+        answers: list[StartResponse] = []
+        self._note(log_messages.START_REQUESTED.line(operator=link.who))
+        self._dispatch(lambda: answers.append(startup.start(message.without)))
+        until = self._clock.monotonic() + START_TIMEOUT
+        while startup.is_settling and self._clock.monotonic() < until:
+            await asyncio.sleep(SNAPSHOT_INTERVAL)
+        if await self._flush(None) and answers:
+            waiting = startup.status
+            started = [] if waiting is not None or answers[0].trouble else answers[0].started
+            self._answer(link, StartResponse(started, waiting, answers[0].trouble))
+
+    async def _answer_when_durable(self, link: Link, do: Callable[[], Control]) -> None:
+        """Answer when the changes of an operator's request are on disk, not before."""
+        answers: list[Control] = []
+        self._dispatch(lambda: answers.append(do()))
+        if await self._flush(None) and answers:
+            self._answer(link, answers[0])
+
+    def _answer(self, link: Link, message: Control) -> None:
+        # The observer may have closed its link, or be out of radio range.
+        with suppress(AddressError):
+            link.send(message)

@@ -1,0 +1,1 @@
+"""History of executed stop and pause orders: idempotence and replay protection."""

@@ -1,1 +1,0 @@
-"""Which orders to stop and to pause a host executes."""

@@ -1,0 +1,241 @@
+"""Runs one host as a process: until its mission ends, a stop is requested, or the parent process ends."""
+
+from __future__ import annotations
+
+import asyncio
+import gc
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple, NoReturn
+
+from lfield import exit_status
+from lfield.authority.admission_policy import AdmissionPolicy
+from lfield.clock import SystemClock
+from lfield.driver.binding import longest_rest
+from lfield.host.environment import HostOptions
+from lfield.host.host import Host
+from lfield.host.logbook import Logbook
+from lfield.host.process.credentials import (
+    HostCredentials,
+    admission_for,
+    require_credentials,
+    require_signature,
+)
+from lfield.host.process.mission_completion import wait_until_done
+from lfield.host.process.parent_pipe import ParentPipe
+from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
+from lfield.journal.journal import Journal
+from lfield.mission.mission import Mission
+from lfield.net.tcp_transport import TcpTransport
+from lfield.net.tls import TlsIdentity
+from lfield.replication.locate.outcomes import CoordinatorOutcome
+from lfield.text import log_messages
+
+if TYPE_CHECKING:
+    from lfield.host.stop_orders.datagram_shell import OrderCredentials
+
+#: Seconds of stopping after which the log says what the stop waits for.
+FLUSH_TIMEOUT = 1.0
+#: Additional seconds, beyond those of its devices, for a failed host to end in order.
+LAST_RESORT = 10.0
+
+
+async def run_host(
+    mission: Mission,
+    name: str,
+    *,
+    listen: str = "",
+    control_socket: str = "",
+    dump: Path | None = None,
+    unreachable_after: float | None = None,
+    lost_after: float | None = None,
+    credentials: HostCredentials | None = None,
+    parent_pipe: bool = False,
+    result_fd: int | None = None,
+    journal: Journal | None = None,
+    first_start: bool = False,
+    engine: str = "",
+) -> int:
+    """Run a host; returns the exit status (exit_status.py). `lost_after` None runs until it is stopped.
+
+    `journal` is closed at the end; without one the host starts its coordinators after the reports of all
+    hosts. `control_socket` is the address for local commands. `engine` selects the engine, overriding the
+    bindings. The hops of its coordinators are written to `result_fd`. Without `credentials` it serves local
+    commands only.
+
+    Raises AddressError, DevicesError and KeysError when it cannot start.
+    """
+    clock, logbook = SystemClock(), Logbook()
+    identity, mission = _identity(mission, name, listen, credentials, journal, logbook)
+    bound = unreachable_after or mission.bindings.unreachable_after
+    host_options = HostOptions(
+        identity.address,
+        dump,
+        bound,
+        control_socket,
+        journal=journal,
+        first_start=first_start,
+        clock=clock,
+        engine=engine or mission.bindings.engine,
+        admission=identity.admission,
+        orders=identity.orders,
+        stopwatch=time.thread_time,
+        on_failure=_end_by_force_after(mission),
+    )
+    # CPU time of programs that a message wakes is not charged to the sender of the message.
+    transport = TcpTransport(mission.max_block, identity.tls, exempt=lambda: host.core.run_seconds)
+    host = Host(mission, name, transport, logbook, host_options)
+    transport.log_to(host.note)
+    words = ShutdownSignals(host.clock)
+    install_signal_handlers(words)
+    if parent_pipe:
+        ParentPipe(sys.stdin.fileno(), host.on_host_exited, partial(words.request, is_repeatable=False))
+    status = await run_until_exit(host, words, lost_after, _freeze_gc)
+    if result_fd is not None:
+        os.write(result_fd, b"%d" % _hops(host))
+    return status
+
+
+def _hops(host: Host) -> int:
+    """The hops of the coordinators that run on this host or have ended here."""
+    here = {"RUN": "", "EXITED": host.name}
+    return sum(known.hops for known in host.mobility.known_states() if here.get(known.state) == known.where)
+
+
+class _Identity(NamedTuple):
+    """The listening address of a host, its keys, and its admission policy."""
+
+    address: str
+    tls: TlsIdentity | None
+    admission: AdmissionPolicy
+    orders: OrderCredentials | None
+
+
+def _identity(
+    mission: Mission,
+    name: str,
+    listen: str,
+    credentials: HostCredentials | None,
+    journal: Journal | None,
+    logbook: Logbook,
+) -> tuple[_Identity, Mission]:
+    """The identity that follows from the credentials, and the mission with its verified signature.
+
+    Raises KeysError.
+    """
+    if credentials is None:
+        require_credentials(name, mission.team.hosts)
+        return _Identity("", None, AdmissionPolicy(), None), mission
+    # Both load cryptography, which a host without keys does not need.
+    from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner
+    from lfield.host.stop_orders.datagram_shell import OrderCredentials
+
+    certificates = CertificateCache(credentials.keys.authority)
+    times = journal.times.values() if journal else ()
+    tls, admission = admission_for(credentials, name, SystemClock(), times, certificates.on_tls_verified)
+    release, doubt = require_signature(mission, credentials, admission, journal.records() if journal else ())
+    if doubt:
+        logbook.note(log_messages.BUNDLE_KEPT.line(bundle=release.short, reason=doubt))
+    orders = OrderCredentials(OrderSigner(credentials.keys), certificates, credentials.keys.authority)
+    address = listen or mission.team.addresses[mission.team.number(name)]
+    return _Identity(address, tls, admission, orders), replace(mission, release=release)
+
+
+async def run_until_exit(
+    host: Host, signals: ShutdownSignals, lost_after: float | None, started: Callable[[], None] = lambda: None
+) -> int:
+    """Run a host until its mission ends, a stop is requested or it fails; returns the exit status.
+
+    `started` is called when it is up.
+    """
+    asyncio.get_running_loop().set_exception_handler(host.on_unhandled)
+    life = asyncio.ensure_future(_run_mission(host, lost_after, started))
+    stopped = asyncio.ensure_future(signals.first_requested.wait())
+    failed = asyncio.ensure_future(host.failed.wait())
+    try:
+        await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
+    finally:
+        for task in (life, stopped, failed):
+            task.cancel()
+        await asyncio.gather(life, stopped, failed, return_exceptions=True)
+        unsafe = await _stop(host, signals)
+    if unsafe:
+        _log_other_failures(life, host)
+        return exit_status.UNSAFE
+    if host.failure is not None:
+        return host.failure.exit_status
+    if life.cancelled():
+        # Without --until-done only a stop request ends it.
+        return exit_status.DONE if lost_after is None else exit_status.INTERRUPTED
+    return life.result()
+
+
+def _end_by_force_after(mission: Mission) -> Callable[[], None]:
+    """Have the kernel end this process if it cannot end in order, as without memory."""
+    bound = longest_rest(mission.bindings.all) + LAST_RESORT
+
+    def arm() -> None:
+        signal.setitimer(signal.ITIMER_REAL, bound)
+
+    return arm
+
+
+async def _stop(host: Host, signals: ShutdownSignals) -> dict[str, str]:
+    """Stop the host; returns the devices that were not confirmed at rest in their safe states."""
+    signals.call_on_second(host.guards.stop_waiting)
+    told = asyncio.get_running_loop().call_later(
+        FLUSH_TIMEOUT, host.note, log_messages.WAITING_FOR_REST.line()
+    )
+    try:
+        return await host.stop()
+    finally:
+        told.cancel()
+
+
+def _log_other_failures(life: asyncio.Future[int], host: Host) -> None:
+    """Log other failures when the exit status says that a device is not safe."""
+    if not life.cancelled() and (error := life.exception()) is not None:
+        host.note(log_messages.HOST_ENDING_ERROR.line(host=host.name, reason=error))
+
+
+def _freeze_gc() -> None:
+    """Exclude loaded objects from Python's garbage collector, which would otherwise delay hops."""
+    gc.collect()
+    gc.freeze()
+
+
+async def _run_mission(host: Host, lost_after: float | None, started: Callable[[], None]) -> int:
+    """Start the host, and wait for the end of the mission; forever if `lost_after` is None."""
+    await host.start()
+    started()
+    if lost_after is None:
+        await _wait_forever()
+    return exit_status.most_severe(
+        _outcome_status(host, fate) for fate in await wait_until_done(host, lost_after)
+    )
+
+
+def _outcome_status(host: Host, fate: CoordinatorOutcome) -> int:
+    """The exit status for an outcome; the log has what other hosts could not report."""
+    match fate.outcome:
+        case "done":
+            return exit_status.DONE
+        case "unheard":
+            host.note(log_messages.AGENT_UNREACHABLE.line(agent=fate.agent, reason=fate.detail))
+            return exit_status.UNKNOWN_OUTCOME
+        case "lost":
+            host.note(log_messages.AGENT_LOST.line(agent=fate.agent, reason=fate.detail))
+        case "died" if host.broken_agents.get(fate.agent):
+            return exit_status.SOFTWARE
+    return exit_status.FAILED
+
+
+async def _wait_forever() -> NoReturn:
+    while True:
+        await asyncio.get_running_loop().create_future()

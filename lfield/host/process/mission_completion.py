@@ -1,0 +1,206 @@
+"""Waits until every coordinator of a deployment has terminated, is certainly lost, or is unreachable.
+
+While all hosts are linked, terminations are announced to every host. While a host is missing, was restarted
+or has ended, the reachable hosts are queried, a few at a time. The wait lasts as long as any host has contact
+with the missing one. A host with proof of a loss announces it before it stops, so that the others are equally
+certain.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+from lfield.host.host import Host
+from lfield.journal.records import CoordinatorRecord
+from lfield.replication.locate.outcomes import (
+    CoordinatorOutcome,
+    OutcomeResolver,
+    UnavailableHosts,
+    local_outcomes,
+)
+from lfield.text import log_messages
+from lfield.text.suggestions import listed
+from lfield.wire.coordinator_messages import CoordinatorState, Locate
+
+#: Seconds between two queries while a host is missing, the time-out of a query, and the time for which a
+#: termination is announced before this host stops.
+ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
+#: The number of hosts queried at a time.
+MAX_PARALLEL_QUERIES = 8
+#: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
+STATUS_MAX_AGE = 1.5
+#: Seconds after which a linked home has started its coordinators, if it does so at all.
+SETTLE_TIME = 5.0
+
+
+async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
+    """The outcomes of all coordinators. A host without contact for `lost_after` seconds is not waited for.
+
+    One that has not started yet is waited for as long as portal calls to it are, if that is longer. A
+    coordinator that has not started yet is waited for until a host that its start needs has certainly ended.
+    """
+    unmet = max(lost_after, host.options.unreachable_after)
+    homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
+    judge = OutcomeResolver(homes)
+    hearsay = host.core.membership
+    remembered = _PendingRestarts(host, homes, lost_after, unmet)
+    # Announcements during the start of this host count as well.
+    since = 0.0
+    while True:
+        host.changed.clear()
+        found = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
+        whole = hearsay.is_fully_connected(host.clock.monotonic())
+        if whole:
+            hearsay.suspected.clear()
+        if homes.keys() - found.keys() and (hearsay.ended or not whole or host.mobility.has_losses):
+            records = await _query_states(host)
+            now = host.clock.monotonic()
+            found = judge.resolve(
+                records, _unavailable(host, hearsay.unavailable_hosts(records, now, lost_after, unmet))
+            )
+            found |= local_outcomes(
+                homes, host.mobility.known_states(), host.mobility.proven_losses(now - STATUS_MAX_AGE)
+            )
+        unstartable = host.core.startup.unstartable(hearsay.ended)
+        found |= {agent: CoordinatorOutcome(agent, "lost", why) for agent, why in unstartable.items()}
+        for agent in remembered.pending_agents():
+            found.pop(agent, None)
+        if not homes.keys() - found.keys():
+            await _broadcast_outcomes(host, found.values())
+            await _wait_for_finality(host, lost_after)
+            return [found[agent] for agent in sorted(homes)]
+        await _wait_for_change(host, ASK_EVERY)
+        since = host.clock.monotonic() - STATUS_MAX_AGE
+
+
+class _PendingRestarts:
+    """Terminations from journals: they belong to an earlier run if a home starts a new one.
+
+    `homes` has the home of each coordinator; `lost_after` and `unmet` are as in
+    `Membership.unavailable_hosts`.
+    """
+
+    def __init__(self, host: Host, homes: Mapping[str, str], lost_after: float, unmet: float) -> None:
+        self._host, self._homes, self._bounds = host, homes, (lost_after, unmet)
+        pages = (page for page in host.journal_writer.records if isinstance(page, CoordinatorRecord))
+        self._ended = {(page.agent, page.generation) for page in pages if page.state == "EXITED"}
+        #: The starts that were alive since the start of this host, or ended here since.
+        self._new_starts: set[tuple[str, int]] = set()
+        #: When each home was first linked.
+        self._first_contact: dict[str, float] = {}
+
+    def pending_agents(self) -> set[str]:
+        """The coordinators that may still be started again."""
+        if not self._host.journal_writer.journal_id:
+            return set()
+        newest: dict[str, int] = {}
+        self._new_starts |= self._host.mobility.pending_notices - self._ended
+        for row in self._host.mobility.known_states():
+            if row.agent not in self._homes:
+                continue
+            start = row.agent, row.generation
+            newest[row.agent] = max(newest.get(row.agent, 0), row.generation)
+            if row.state != "EXITED":
+                self._new_starts.add(start)
+        old = {agent for agent, _ in newest.items() - self._new_starts}
+        return {agent for agent in old if not self._is_settled(self._homes[agent])}
+
+    def _is_settled(self, home: str) -> bool:
+        """Whether a home has started its coordinators, or is unreachable."""
+        host = self._host
+        if home == host.name:
+            return host.core.startup.is_settled
+        now = host.clock.monotonic()
+        if home in host.peers.incarnations:
+            self._first_contact.setdefault(home, now)
+        if now >= self._first_contact.get(home, now) + SETTLE_TIME:
+            return True
+        absent = host.core.membership.unavailable_hosts(set(host.team.hosts) - {home}, now, *self._bounds)
+        return home in absent.ended or home in absent.silent_for
+
+
+def _unavailable(host: Host, absent: UnavailableHosts) -> UnavailableHosts:
+    """Add the state ids of the hosts that answered, and whether hosts have journals."""
+    return replace(
+        absent, state_ids=host.mobility.state_ids, has_journals=bool(host.journal_writer.journal_id)
+    )
+
+
+async def _broadcast_outcomes(host: Host, found: Collection[CoordinatorOutcome]) -> None:
+    """Announce the terminations, and wait until every reachable host has confirmed them."""
+    host.broadcast_outcomes(found)
+    end = host.clock.monotonic() + LINGER
+    while host.mobility.has_unconfirmed(_reachable_hosts(host)) and host.clock.monotonic() < end:
+        host.changed.clear()
+        await _wait_for_change(host, ASK_EVERY)
+
+
+async def _wait_for_finality(host: Host, lost_after: float) -> None:
+    """Wait until terminations here are final, so that no host recovers them; without a lease, `lost_after`
+    seconds.
+
+    A host without a lease cannot prevent a recovery.
+    """
+    heard, told = host.clock.monotonic(), False
+    while names := host.core.leases.not_final_yet:
+        now = host.clock.monotonic()
+        heard = now if host.core.leases.remaining else heard
+        if now - heard >= lost_after:
+            host.note(log_messages.END_UNCONFIRMED.line(agents=listed(names), seconds=lost_after))
+            return
+        if not told:
+            host.note(log_messages.END_NOT_FINAL.line(agents=listed(names), host=host.name))
+            told = True
+        host.changed.clear()
+        await _wait_for_change(host, ASK_EVERY)
+
+
+def _reachable_hosts(host: Host) -> set[str]:
+    """The hosts that are linked, or about to be."""
+    return {
+        other for other in host.team.hosts if other in host.peers.incarnations or host.peers.is_new(other)
+    }
+
+
+async def _query_states(host: Host) -> Mapping[str, Sequence[CoordinatorState]]:
+    """The coordinators that this host and every reachable host know, by host, queried now."""
+    host.core.locator.clear()
+    others = [
+        other for other in host.team.hosts if other != host.name and other not in host.core.membership.ended
+    ]
+    for first in range(0, len(others), MAX_PARALLEL_QUERIES):
+        if first:
+            await asyncio.sleep(ASK_EVERY)
+        await _query(host, others[first : first + MAX_PARALLEL_QUERIES])
+    # Their answers are no change to wait for, only later ones are.
+    host.changed.clear()
+    return host.core.locator.answers | {host.name: host.mobility.known_states()}
+
+
+async def _query(host: Host, others: Collection[str]) -> None:
+    """Query some hosts, and wait for the answers of those that are linked or being dialled."""
+    asked: set[str] = set()
+    for other in others:
+        host.peers.require_link(other)
+    end = host.clock.monotonic() + ANSWER_WITHIN
+    while True:
+        host.changed.clear()
+        linked = {other for other in others if other in host.peers.incarnations}
+        for other in sorted(linked - asked):
+            host.peers.send(other, Locate())
+        asked |= linked
+        waited_for = {other for other in others if other in linked or host.peers.is_new(other)}
+        if waited_for <= host.core.locator.answers.keys() or host.clock.monotonic() >= end:
+            return
+        await _wait_for_change(host, max(0.0, end - host.clock.monotonic()))
+
+
+async def _wait_for_change(host: Host, bound: float) -> None:
+    """Wait until something has changed, at most so long."""
+    # Not asyncio.wait_for: before Python 3.12 it may swallow a cancellation that coincides with the change.
+    with suppress(TimeoutError):
+        async with asyncio.timeout(bound):
+            await host.changed.wait()

@@ -1,0 +1,73 @@
+"""Supervision pipe from the parent process: file descriptors, and reports over standard input.
+
+A line is a report: `reaped bravo` says that the process of another host has ended for good. The end of the
+stream means that the parent process has ended, or wants this host to stop.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+from collections.abc import Callable
+from contextlib import suppress
+
+#: Standard input, output and error.
+_STANDARD = 3
+#: The prefix of a line that reports the end of a host process.
+EXITED_PREFIX = "reaped "
+#: A longer line is ignored.
+_MAX_LINE = 4096
+
+
+def exit_line(host: str) -> bytes:
+    """The line that reports that the process of a host has ended."""
+    return f"{EXITED_PREFIX}{host}\n".encode()
+
+
+def set_cloexec_on_all() -> None:
+    """Do not pass the descriptors of this process, such as its listening socket, to guards and fakes.
+
+    They outlive a killed host: a caller would connect to a socket that no process reads.
+    """
+    for name in os.listdir("/proc/self/fd"):
+        # The descriptor of the folder itself is closed by now.
+        with suppress(OSError):
+            if int(name) >= _STANDARD:
+                os.set_inheritable(int(name), False)
+
+
+class ParentPipe:
+    """Reads one descriptor in the running loop until its end, without blocking."""
+
+    def __init__(
+        self, descriptor: int, on_host_exited: Callable[[str], None], on_parent_exit: Callable[[], None]
+    ) -> None:
+        self._descriptor, self._on_host_exited, self._on_parent_exit = (
+            descriptor,
+            on_host_exited,
+            on_parent_exit,
+        )
+        self._loop = asyncio.get_running_loop()
+        self._partial_line = b""
+        os.set_blocking(descriptor, False)
+        self._loop.add_reader(descriptor, self._read)
+
+    def _read(self) -> None:
+        try:
+            data = os.read(self._descriptor, _MAX_LINE)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._loop.remove_reader(self._descriptor)
+            self._on_parent_exit()
+            return
+        *lines, self._partial_line = (self._partial_line + data).split(b"\n")
+        self._partial_line = self._partial_line[-_MAX_LINE:]
+        for line in lines:
+            self._on_line(line.decode(errors="replace"))
+
+    def _on_line(self, line: str) -> None:
+        if line.startswith(EXITED_PREFIX):
+            self._on_host_exited(line.removeprefix(EXITED_PREFIX))

@@ -1,1 +1,0 @@
-"""What is told of a host to whoever watches it: the stream of events, what each watcher hears, causes."""

@@ -1,0 +1,1 @@
+"""Execution of stop and pause orders that arrive over links or as datagrams."""

@@ -1,0 +1,185 @@
+"""Executes stop, pause and lift orders of all transports: devices first."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+
+from lfield.devices.device_guards import DeviceGuards
+from lfield.event_loop import spawn
+from lfield.host.core import HostCore
+from lfield.host.order_history.executed_orders import effect_of
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+from lfield.text.terminal_escape import escape_line
+from lfield.wire.fields import truncate
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+
+#: Why devices are held while the mission is paused.
+PAUSED = "the mission is paused"
+#: Why an order to end a stop or a pause is refused, by what it would end.
+HOLD_NAMES = {"stop": "emergency stop", "pause": "pause"}
+NEWER_ORDER = "a newer {} arrived before this order to end the {}: check the state, then repeat the order"
+#: The answer to an order that was executed and ended by a later order.
+ALREADY_ENDED = "this {} was carried out, and a later order has ended it"
+IN_USE = "in use again"
+#: For a device that is not open when the host is stopped.
+NOT_OPEN = "its host has not opened it yet, and opens it in its safe state: repeat the order"
+#: Seconds for which the answer to an emergency stop, which is in force already, waits for the disk.
+DURABLE_TIMEOUT = 2.0
+#: The sender of a stop or pause that is still in force when a host starts.
+EARLIER_INCARNATION = "before the restart of this host"
+
+OrderResponse = EmergencyStopResult | OrderChallenge
+#: Receives the answer to an order.
+OrderCallback = Callable[[OrderResponse], None]
+
+
+class OrderExecutor:
+    """Stops and pauses of one host.
+
+    `dispatch` passes an event to the core; `flush` waits until everything is on disk, at most so many
+    seconds, and returns whether it is.
+    """
+
+    def __init__(
+        self,
+        core: HostCore,
+        guards: DeviceGuards,
+        dispatch: Callable[[Callable[[], None]], None],
+        note: Callable[[LogLine], None],
+        flush: Callable[[float | None], Awaitable[bool]],
+    ) -> None:
+        self._core, self._guards = core, guards
+        self._dispatch, self._note, self._flush = dispatch, note, flush
+        self._recorder = core.recorder
+
+    # --- orders still in force at the start -----------------------------------------------------------
+
+    def restore_emergency_stop(self) -> None:
+        """A stop that was not lifted before the restart: devices are opened locked."""
+        if reason := self._core.coordinators.stopped:
+            self._recorder.on_emergency_stop(EARLIER_INCARNATION, reason, lifted=False)
+            self._guards.inhibit(reason)
+            self._note(log_messages.EMERGENCY_STOP_ACTIVE.line(reason=reason))
+
+    async def restore_pause(self) -> None:
+        """A pause from before the restart keeps the devices in their safe states."""
+        if self._core.coordinators.paused:
+            self._recorder.on_pause(EARLIER_INCARNATION, PAUSED, lifted=False)
+            await self._guards.enter_safe_state(PAUSED)
+
+    def on_lock_out(self, device: str, reason: str) -> None:
+        """A lock-out is stored like an emergency stop, so that the next start opens the devices locked."""
+        self._core.orders.on_lock_out()
+        if not self._core.coordinators.stopped:
+            self._dispatch(
+                lambda: self._core.set_emergency_stop(
+                    truncate(escape_line(f"{device} is locked out: {reason}"))
+                )
+            )
+
+    # --- orders ---------------------------------------------------------------------------------------
+
+    def on_order(self, message: EmergencyStop | Pause, sender: str, answer: OrderCallback) -> None:
+        """An authorised order. It is executed, or `answer` is called at once with the reason against it."""
+        orders, kind = self._core.orders, message.kind
+        match orders.standing_of(kind, message.id, message.epoch):
+            case "new":
+                orders.mark_executed(kind, message.id)
+                spawn(self._execute(message, sender, answer))
+            case "holds":
+                spawn(self._confirm(message, answer))
+            case "ended":
+                self._answer(
+                    message, answer, self._devices_in_use(), ALREADY_ENDED.format(HOLD_NAMES[effect_of(kind)])
+                )
+            case "done":
+                stopped = self._core.coordinators.stopped
+                self._answer(
+                    message,
+                    answer,
+                    self._all_devices(stopped),
+                    self._newer_order_text(message) if stopped else "",
+                )
+            case "old" if message.lift:
+                why = self._newer_order_text(message)
+                self._note(log_messages.ORDER_DENIED.line(operator=sender, reason=why))
+                self._answer(message, answer, self._all_devices(why), why)
+            case _:
+                answer(OrderChallenge(message.id, orders.epochs))
+
+    async def _execute(self, message: EmergencyStop | Pause, who: str, answer: OrderCallback) -> None:
+        if isinstance(message, EmergencyStop):
+            await self._emergency_stop(message, who, answer)
+        else:
+            await self._pause(message, who, answer)
+
+    async def _emergency_stop(self, message: EmergencyStop, who: str, answer: OrderCallback) -> None:
+        # Programs receive the reason as well, so it must not contain line breaks or control characters.
+        reason = truncate(escape_line(message.reason))
+        self._recorder.on_emergency_stop(who, reason, lifted=message.lift)
+        if message.lift:
+            self._note(log_messages.EMERGENCY_STOP_LIFTED.line(operator=who))
+            devices = self._guards.clear_emergency_stop()
+            self._dispatch(lambda: self._core.set_emergency_stop("", message.id))
+        else:
+            self._note(log_messages.EMERGENCY_STOP.line(operator=who, reason=reason))
+            # The devices first: they wait neither for the core nor for the disk.
+            self._guards.inhibit(reason)
+            self._dispatch(lambda: self._core.set_emergency_stop(reason, message.id))
+            devices = await self._safe_states()
+        trouble = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=message.lift)
+        self._answer(message, answer, devices, trouble)
+
+    async def _pause(self, message: Pause, who: str, answer: OrderCallback) -> None:
+        self._recorder.on_pause(who, PAUSED, lifted=message.lift)
+        if message.lift:
+            # A resumed agent must find its devices in use.
+            devices = await self._guards.release_held(PAUSED) if self._core.coordinators.paused else {}
+            self._dispatch(lambda: self._core.set_paused(on=False, order=message.id))
+        else:
+            self._dispatch(lambda: self._core.set_paused(on=True, order=message.id))
+            devices = await self._guards.enter_safe_state(PAUSED)
+        if await self._flush(None):
+            self._answer(message, answer, devices)
+
+    async def _confirm(self, message: EmergencyStop | Pause, answer: OrderCallback) -> None:
+        """Confirm an executed order that is in force again, with the present states of the devices."""
+        devices = await self._safe_states()
+        trouble = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=False)
+        self._answer(message, answer, devices, trouble)
+
+    async def _safe_states(self) -> dict[str, str]:
+        """The confirmed safe states. A starting host accepts orders before it opens its devices."""
+        return self._all_devices(NOT_OPEN) | await self._guards.await_safe_states()
+
+    def _durability_warning(self, *, lift: bool) -> str:
+        """Log that the order is not on disk, and what follows after a restart; returns the line."""
+        why = self._core.coordinators.write_trouble or f"writing takes more than {DURABLE_TIMEOUT:g} s"
+        line = (log_messages.STOP_END_NOT_STORED if lift else log_messages.STOP_NOT_STORED).line(reason=why)
+        self._note(line)
+        return truncate(str(line))
+
+    def _newer_order_text(self, message: EmergencyStop | Pause) -> str:
+        hold = HOLD_NAMES[effect_of(message.kind)]
+        return NEWER_ORDER.format(hold, hold)
+
+    def _all_devices(self, why: str) -> dict[str, str]:
+        devices = self._core.mission.devices_of(self._core.name)
+        return {device.name: why for device in devices if not device.is_sensor}
+
+    def _devices_in_use(self) -> dict[str, str]:
+        """'' for each device that is in its safe state all the same."""
+        latched, moving = self._guards.latched, self._guards.moving
+        return {
+            name: "" if name in latched and not moving.get(name) else IN_USE for name in self._all_devices("")
+        }
+
+    def _answer(
+        self,
+        message: EmergencyStop | Pause,
+        answer: OrderCallback,
+        devices: dict[str, str],
+        trouble: str = "",
+    ) -> None:
+        answer(EmergencyStopResult(devices, trouble, message.id, self._core.orders.epochs))

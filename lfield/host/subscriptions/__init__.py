@@ -1,0 +1,1 @@
+"""Event subscriptions of a host: links, timers, telemetry snapshots."""

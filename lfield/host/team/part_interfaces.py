@@ -1,0 +1,103 @@
+"""Interfaces through which the parts of a host use each other.
+
+No part imports another one (a contract in pyproject.toml): `HostCore` creates them and passes each to those
+that need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Protocol
+
+from lfield.host.effects import Effect as HostEffect
+from lfield.host.migration.write_ahead import JournalContents, WriteAheadQueue
+from lfield.replication.lease.core import Quorum
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import Effect
+from lfield.vm.agent import Agent
+from lfield.vm.pending_call import PendingCall
+from lfield.wire.coordinator_messages import CoordinatorState, LeaseRecord
+from lfield.wire.messages import RelayedMessage
+
+
+class MessageRelay(Protocol):
+    """Sends messages, over other hosts where there is no link; implemented by `QueryRelay`."""
+
+    def send(self, effect: HostEffect) -> None:
+        """Emits an effect; relays an answer without a link."""
+
+    def arm(self) -> None:
+        """Schedules a query: a link has changed, or coordinators were restored."""
+
+    def on_relayed(self, host: str, relayed: RelayedMessage) -> list[Effect]:
+        """Processes a relayed message, or relays it to all others."""
+
+
+class CoordinatorOperations(Protocol):
+    """The coordinators of a host; implemented by `Coordinators`."""
+
+    mobility: Mobility
+    write_ahead: WriteAheadQueue
+    recovery: JournalContents
+    restart_notified: set[tuple[str, int]]
+    paused: bool
+    stopped: str
+    is_halted: bool
+    write_trouble: str
+
+    def apply_effects(self, effects: Iterable[Effect]) -> None:
+        """Executes effects, those that depend on records once these are durable."""
+
+    def is_departing(self, agent: Agent) -> bool:
+        """Whether a frozen coordinator leaves for another host, or may have arrived there."""
+
+    def save(self, agent: Agent) -> bool:
+        """Saves a coordinator before a portal call; returns whether the call may begin at once."""
+
+    def recover(self, agent: str, generation: int) -> bool:
+        """Continues a coordinator from its copy here; returns False if that is unreadable."""
+
+    def record_existence(self) -> None:
+        """Writes to the journal that this host has one."""
+
+    def record_start(self, generation: int) -> int:
+        """Writes the generation of a start to the journal; returns the number of the batch."""
+
+
+class LeaseRules(Protocol):
+    """What leases and fencing tokens allow; implemented by `TeamLeases`."""
+
+    leased_agents: frozenset[str]
+    quorum: Quorum
+
+    @property
+    def has_to_wait(self) -> bool:
+        """Whether coordinators of this host have to wait for a lease before they start."""
+
+    def request(self) -> None:
+        """Requests a lease for a start."""
+
+    def poll_gained(self) -> bool:
+        """Whether the lease was gained since the last call."""
+
+    def may_start_call(self, agent: Agent) -> bool:
+        """Whether a coordinator may begin a portal call now; otherwise it waits or is stopped."""
+
+    def end_reason(self, agent: str, generation: int) -> str:
+        """Why a start of a coordinator may not act any more; empty if it may."""
+
+    def actuation_deadline(self, caller: Agent | PendingCall, device: str) -> float:
+        """Until when a device may be actuated for a caller. Raises DeviceError if it may not."""
+
+    def records(self, agents: Collection[str]) -> list[LeaseRecord]:
+        """The lease records of coordinators."""
+
+    def on_located(self, host: str, record: LeaseRecord) -> None:
+        """Another host has sent a lease record."""
+
+
+class StateObserver(Protocol):
+    """Uses the coordinator states of other hosts; implemented by `DeviceCommands`."""
+
+    def on_states(self, host: str, records: Iterable[CoordinatorState]) -> None:
+        """Another host has sent its coordinator states."""

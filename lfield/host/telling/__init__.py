@@ -1,1 +1,0 @@
-"""What a host tells of its agents: asked, sampled, and written for others."""

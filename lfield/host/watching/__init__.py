@@ -1,1 +1,0 @@
-"""How a host shows what happens to those who watch it: their links and timers, and how everything stands."""

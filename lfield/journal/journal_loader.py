@@ -1,0 +1,339 @@
+"""Opens a journal: checks the owner, separates valid from damaged records, moves damaged files aside."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sqlite3
+import stat
+import time
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from typing import NamedTuple
+
+from lfield.errors import ForeignJournal, JournalError
+from lfield.journal.records import (
+    CoordinatorRecord,
+    JournalEntry,
+    PendingCallRecord,
+    Record,
+    RecordError,
+    RecordKey,
+    RunMarker,
+    StartCounter,
+    UnsupportedRecordVersion,
+    decode_record,
+)
+from lfield.journal.salvage import salvage_database
+from lfield.journal.store import APPLICATION, FORMAT, BrokenFile, DamagedEntry, JournalHeader, Store
+from lfield.journal.wal import clear_dirty_flag, is_wal_missing, read_wal, sync_folder
+
+#: The consequence of a lost promise (quorum vote).
+NO_RECORD = RecordKey("starts")
+
+
+class JournalOwner(NamedTuple):
+    """The expected owner of a journal: deployment and host by name, the computer by `machine_id`."""
+
+    deployment: str
+    host: str
+    machine: str
+
+
+class LoadedJournal(NamedTuple):
+    """A journal of this host, and every readable record with its entry."""
+
+    store: Store
+    header: JournalHeader
+    records: dict[RecordKey, tuple[JournalEntry, Record]]
+
+
+class JournalScan(NamedTuple):
+    """Result of reading a journal: each valid record with its entry, and the damaged entries."""
+
+    valid: dict[RecordKey, tuple[JournalEntry, Record]]
+    damaged: list[DamagedEntry]
+
+
+def open_journal(path: Path, owner: JournalOwner, report: Callable[[str], None], now: float) -> LoadedJournal:
+    """Open the journal at a path; create it if there is none. `report` receives sentences about damage.
+
+    `now` is Unix time in seconds. Raises ForeignJournal, JournalError for a path that is not a file, and
+    sqlite3.Error or OSError if it can neither be read nor moved aside.
+    """
+    _finish_replacement(path)
+    if fault := unusable_reason(path):
+        raise JournalError(str(path), fault, "put the journal back, or remove it: then this host begins anew")
+    if not path.exists():
+        _write_journal(path, _new_head(owner), {}, [], now)
+        with suppress(OSError):
+            # Its folder may be new as well.
+            sync_folder(path.parent.parent)
+    try:
+        check_wal(path)
+        return _load(path, owner, report, now)
+    except sqlite3.DatabaseError as error:
+        if not is_damage(error):
+            raise
+        _salvage_file(path, owner, report, now, str(error))
+    return _load(path, owner, report, now)
+
+
+def unusable_reason(path: Path) -> str:
+    """Why the path cannot be a journal; '' for a regular file or a missing one."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):
+        # A symbolic link leads to a journal elsewhere, which must not be lost.
+        return "it is a link that leads nowhere" if os.path.islink(path) else ""
+    if stat.S_ISDIR(mode):
+        return "it is a folder"
+    return "" if stat.S_ISREG(mode) else "it is no file"
+
+
+def is_damage(error: sqlite3.Error) -> bool:
+    """Whether an error is due to the contents of the file; otherwise to the disk or the folder."""
+    if isinstance(error, BrokenFile):
+        return True
+    # SQLITE_ERROR means that a table or column is missing.
+    return primary_code(error) in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR)
+
+
+def primary_code(error: sqlite3.Error) -> int:
+    """SQLite's result code without its extension, 0 for none."""
+    return getattr(error, "sqlite_errorcode", 0) & 0xFF
+
+
+def check_wal(path: Path) -> None:
+    """Check that SQLite will not silently lose commits of the log. Raises BrokenFile and OSError."""
+    if is_wal_missing(path):
+        raise BrokenFile(_WAL_MISSING)
+    if fault := read_wal(path).fault:
+        raise BrokenFile(fault)
+
+
+def check_format(path: Path, store: Store) -> None:
+    """Check that it is a journal of a supported version. Raises ForeignJournal and BrokenFile."""
+    if store.application_id() != APPLICATION:
+        raise BrokenFile("it is not the database of a journal")
+    if store.format_version() > FORMAT:
+        raise _unsupported_version(
+            path, f"it has format {store.format_version()}, this lfield reads format {FORMAT}"
+        )
+
+
+def classify_entries(
+    path: Path,
+    entries: Iterable[tuple[int, JournalEntry]],
+    *,
+    may_be_stale: bool = False,
+    attempts: bool = False,
+) -> JournalScan:
+    """Separate valid from damaged entries. Raises ForeignJournal for a record of a newer version.
+
+    `may_be_stale`: records may be older than the newest that were stored, so mutable ones are not trusted.
+    `attempts`: the records are not used, so one of a newer version only counts as unreadable.
+    """
+    found = JournalScan({}, [])
+    for place, entry in entries:
+        try:
+            page = decode_record(entry)
+        except UnsupportedRecordVersion as error:
+            if not attempts:
+                raise _unsupported_version(path, f"{describe_loss(entry)}: {error}") from None
+            found.damaged.append(DamagedEntry(entry, f"{error}: install the lfield that wrote it", place))
+            continue
+        except RecordError as error:
+            found.damaged.append(DamagedEntry(entry, str(error), place))
+            continue
+        if may_be_stale and _is_mutable(page):
+            found.damaged.append(DamagedEntry(entry, "a later one may have been lost with the log", place))
+            continue
+        other = found.valid.get(entry.key)
+        if other is None or other[0].written_at <= entry.written_at:
+            found.valid[entry.key] = entry, page
+    return found
+
+
+def _is_mutable(record: Record) -> bool:
+    """Whether a later record with this key may differ: not for programs and endings."""
+    if isinstance(record, PendingCallRecord):
+        return not record.outcome
+    return isinstance(record, StartCounter | RunMarker) or (
+        isinstance(record, CoordinatorRecord) and record.state != "EXITED"
+    )
+
+
+def is_promise_lost(entry: JournalEntry) -> bool:
+    """Whether a quorum vote is lost with this entry, as far as its key can be trusted.
+
+    Then the start counter is lost too: the host must contact all others before it votes again.
+    """
+    return entry.key.kind not in ("copy", "starts", "run", "paused", "stopped", "program", "reservation")
+
+
+def describe_loss(entry: JournalEntry) -> str:
+    """The subject and time of a record in words, as far as its key and time can be trusted."""
+    kind, name, number = entry.key
+    words = {
+        "copy": f"the copy of {name}, start {number}",
+        "begun": f"call {number} started here by start {str(name).replace(chr(32), ' of ', 1)}",
+        "reservation": f"who has reserved {name}",
+        "starts": "the count of starts",
+        "run": "whether the last run continues",
+        "paused": "whether the mission is paused here",
+        "stopped": "whether an emergency stop holds here",
+        "fence": f"the fence of {name}",
+        "program": f"the program {str(name)[:16]}",
+    }.get(kind, f"a page {kind!r}")
+    return f"{words}, stored {format_time(entry.written_at)}"
+
+
+def format_time(kept: float) -> str:
+    """A wall-clock time in UTC."""
+    try:
+        return time.strftime("%Y-%m-%d %H:%M:%S UTC", time.gmtime(kept))
+    except (OverflowError, ValueError, TypeError, OSError):
+        return "an unknown time"
+
+
+def _load(path: Path, owner: JournalOwner, report: Callable[[str], None], now: float) -> LoadedJournal:
+    store = Store.open(path)
+    try:
+        check_format(path, store)
+        head = store.head()
+        if head is not None:
+            _check_owner(path, head, owner)
+        if fault := store.fault():
+            raise BrokenFile(fault)
+        found = classify_entries(path, store.entries())
+        if head is None or found.damaged:
+            head = _new_head(owner)
+            if any(is_promise_lost(one.entry) for one in found.damaged):
+                found.valid.pop(NO_RECORD, None)
+                store.commit([((), [NO_RECORD])])
+            store.move_aside(found.damaged, head, now)
+            _report_damage(path, found.damaged, report)
+    except BaseException:
+        store.close()
+        raise
+    return LoadedJournal(store, head, found.valid)
+
+
+def _salvage_file(
+    path: Path, owner: JournalOwner, report: Callable[[str], None], now: float, why: str
+) -> None:
+    """Move a whole file aside, after its readable records were written into a new one."""
+    left = salvage_database(path)
+    if left.header is not None:
+        _check_owner(path, left.header, owner)
+    found = classify_entries(path, left.entries.items(), may_be_stale=left.may_be_stale)
+    whole = left.is_complete and not found.damaged
+    head = left.header if whole and left.header is not None else _new_head(owner)
+    if not left.is_complete or any(is_promise_lost(one.entry) for one in found.damaged):
+        # The type of a missing record is unknown.
+        found.valid.pop(NO_RECORD, None)
+    aside = _write_journal(path, head, found.valid, found.damaged, now)
+    count = len(found.valid)
+    report(
+        f"the journal {path} is damaged ({why}) and is now {aside}: {count} page{'s' * (count != 1)} of it "
+        f"could be read and count; {_NOTHING_LOST if whole else _PROMISES_LOST}"
+    )
+    _report_damage(path, found.damaged, report)
+
+
+#: The consequence for the team when records are lost; the journal has a new id from then on.
+_PROMISES_LOST = (
+    "a coordinator of which nothing is left was lost with it, and transfers that were under way to this host "
+    "stay in doubt: 'lfield ps' shows them"
+)
+
+
+_NOTHING_LOST = "nothing is lost"
+_WAL_MISSING = "its log is missing"
+
+
+def _report_damage(path: Path, damaged: Iterable[DamagedEntry], report: Callable[[str], None]) -> None:
+    for one in damaged:
+        report(
+            f"{describe_loss(one.entry)}, is damaged in the journal {path} ({one.why}); it was moved aside, "
+            "the rest "
+            f"counts; {_PROMISES_LOST}"
+        )
+
+
+# --- files --------------------------------------------------------------------------------------------
+
+
+def _write_journal(
+    path: Path,
+    head: JournalHeader,
+    valid: dict[RecordKey, tuple[JournalEntry, Record]],
+    damaged: list[DamagedEntry],
+    now: float,
+) -> str:
+    """Replace whatever is at the path by a whole journal; returns the new name of the old file, '' for
+    none."""
+    making = path.with_name(f"{path.name}.making")
+    for ending in ("", "-journal", "-wal", "-shm"):
+        making.with_name(making.name + ending).unlink(missing_ok=True)
+    # SQLite gives its other files the same permissions.
+    os.close(os.open(making, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600))
+    Store.create(making, head, [entry for entry, _ in valid.values()], damaged, now)
+    making.rename(_replacement_path(path))
+    return _finish_replacement(path)
+
+
+def _finish_replacement(path: Path) -> str:
+    """Complete the replacement of a journal, also after a crash during an earlier attempt."""
+    whole = _replacement_path(path)
+    if not whole.exists():
+        return ""
+    aside = _aside_path(path)
+    # The log first: it must not be used with the new file.
+    for ending in ("-wal", ""):
+        with suppress(FileNotFoundError):
+            path.with_name(path.name + ending).rename(aside.with_name(aside.name + ending))
+    path.with_name(f"{path.name}-shm").unlink(missing_ok=True)
+    clear_dirty_flag(path)
+    whole.rename(path)
+    sync_folder(path.parent)
+    return aside.name
+
+
+def _replacement_path(path: Path) -> Path:
+    return path.with_name(f"{path.name}.whole")
+
+
+def _aside_path(path: Path) -> Path:
+    number = 1
+    while (aside := path.with_name(f"{path.name}.damaged-{number}")).exists():
+        number += 1
+    return aside
+
+
+# --- owner ----------------------------------------------------------------------------------------
+
+
+def _new_head(owner: JournalOwner) -> JournalHeader:
+    return JournalHeader(secrets.randbits(63), *owner)
+
+
+def _check_owner(path: Path, head: JournalHeader, owner: JournalOwner) -> None:
+    if (head.deployment, head.host) != (owner.deployment, owner.host):
+        raise ForeignJournal(
+            str(path),
+            f"it is that of {head.host} in {head.deployment}, and this is {owner.host} in {owner.deployment}",
+            "put it back where it belongs, or name another --state",
+        )
+    if head.machine not in ("", owner.machine):
+        raise ForeignJournal(
+            str(path),
+            "it was written on another computer, where its coordinators may still run",
+            "use it there; if that computer is gone for good, remove it here: then this host begins anew",
+        )
+
+
+def _unsupported_version(path: Path, reason: str) -> ForeignJournal:
+    return ForeignJournal(str(path), reason, "install the version of lfield that wrote it")

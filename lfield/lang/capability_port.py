@@ -1,0 +1,100 @@
+"""Capabilities of a registry as types of L: the port through which the front end uses a registry.
+
+A program that names a type no unit declares may mean a capability. Then its class is made from the registry
+and read as if it had been included; so are the files of the classes that put several resources together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, Protocol
+
+from lfield.lang import syntax, tree
+from lfield.text.source_text import Diagnostic, Source
+
+#: The methods that every offer has. The other public methods of a capability's class are its portals.
+OFFER_METHODS = frozenset(
+    {"agent", "host", "way", "score", "has", "attribute", "text", "age", "source", "found", "note"}
+)
+
+Verb = Literal["find", "explain", "teams"]
+VERBS: tuple[Verb, ...] = ("find", "explain", "teams")
+
+
+class ConstraintProblem(Protocol):
+    """A mistake in a constraint: its characters from `start` to `end`."""
+
+    @property
+    def start(self) -> int:
+        """The first character."""
+
+    @property
+    def end(self) -> int:
+        """The one behind the last."""
+
+    @property
+    def message(self) -> str:
+        """A sentence."""
+
+    @property
+    def hint(self) -> str:
+        """What to write instead, or ''."""
+
+
+@dataclass(frozen=True, slots=True)
+class GeneratedClasses:
+    """The classes of capabilities: their texts by name, and what they need besides.
+
+    `common` are texts that all of them need, `files` hold the classes that put several resources together.
+    """
+
+    classes: dict[str, Source]
+    common: tuple[Source, ...] = ()
+    files: tuple[Path, ...] = ()
+
+
+class CapabilityTypes(Protocol):
+    """A registry as the front end sees it. Used only when a program has an unknown name."""
+
+    def names(self) -> Collection[str]:
+        """The capabilities that can be called."""
+
+    def generate(self, expected: Collection[str], files: Sequence[syntax.ParsedFile]) -> GeneratedClasses:
+        """The classes of these capabilities and of those they refer to, for a program of these files.
+
+        A capability that has the name of a unit is none in this program.
+        """
+
+    def registry_problems(
+        self, used: Collection[str], files: Sequence[syntax.ParsedFile]
+    ) -> Sequence[Diagnostic]:
+        """Where the registry does not fit a program that uses these, for instance a missing portal."""
+
+    def mistakes(self, constraint: str) -> Sequence[ConstraintProblem]:
+        """The mistakes in the text of a condition over attributes."""
+
+
+def is_portal(method: tree.Method) -> bool:
+    """Whether a method represents a portal of an offer: a call goes to the resource that serves it."""
+    return method.unit.capability and method.public and method.name not in OFFER_METHODS
+
+
+def parse_query_name(name: str) -> tuple[Verb, str] | None:
+    """The verb and the name of the capability, if `name` may be that of a query: `findLift`."""
+    for verb in VERBS:
+        asked = name.removeprefix(verb)
+        if asked != name and asked[:1].isupper():
+            return verb, asked
+    return None
+
+
+def unknown_names(files: Sequence[syntax.ParsedFile], known: Collection[str]) -> set[str]:
+    """The names of types and queries in some files that are neither known nor declared there."""
+    units = [unit for file in files for unit in file.units]
+    methods = {method.name for unit in units for method in unit.methods}
+    named = {name for file in files for name in file.types}
+    asked = (parse_query_name(name) for file in files for name in file.called - methods)
+    named.update(query[1] for query in asked if query is not None)
+    return named - {unit.name for unit in units} - set(known)

@@ -1,0 +1,121 @@
+"""Checks the arguments of a deployment against the constant indexes with which `init` reads them.
+
+Only what every start executes counts: bodies under a condition, in a loop or in a `try` are left out, and so
+is an `init` that reads the number of its arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields
+
+from lfield.lang import messages, tree
+from lfield.lang.deployment import DeployedAgent, Deployment
+from lfield.lang.language_library import ARRAY_LENGTH
+from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
+from lfield.text.source_text import Diagnostic, Span
+from lfield.text.suggestions import did_you_mean, listed
+
+
+@dataclass(slots=True)
+class ArgumentUses:
+    """The constant indexes that an `init` reads, each with its place, and the resources it finds by them."""
+
+    indexes: dict[int, tree.Expr] = field(default_factory=dict)
+    finds: dict[int, str] = field(default_factory=dict)
+
+
+def argument_findings(units: Sequence[tree.Unit], deployment: Deployment) -> list[Diagnostic]:
+    """An error for each missing argument, a warning for each that should be the id of an agent and is not."""
+    uses = {unit.name: argument_uses(unit) for unit in units if unit.kind != "class"}
+    ids: dict[str, list[str]] = {}
+    for agent in deployment.agents:
+        ids.setdefault(agent.type, []).append(agent.id)
+    found = [finding for agent in deployment.agents for finding in _findings(agent, uses, ids)]
+    return [*found, *_unknown_ids(units, ids)]
+
+
+def _unknown_ids(units: Sequence[tree.Unit], ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:
+    """A warning for each `findR("id")` whose id the deployment does not have."""
+    for unit in units:
+        for method in unit.methods:
+            for statement in all_statements(method.body):
+                for expr in statement_expressions(statement):
+                    for node in descendants(expr):
+                        if isinstance(node, tree.Find) and isinstance(node.id, tree.Literal_):
+                            yield from _unknown_id(node.id.span, str(node.id.value), node.resource.name, ids)
+
+
+def _unknown_id(span: Span, id: str, resource: str, ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:
+    known = ids.get(resource, [])
+    if id not in known:
+        hint = did_you_mean(id, known) or f"its agents: {listed(known)}"
+        yield messages.UNKNOWN_AGENT.at(span, hint=hint, id=id, type=resource)
+
+
+def _findings(
+    agent: DeployedAgent, uses: Mapping[str, ArgumentUses], ids: Mapping[str, list[str]]
+) -> Iterator[Diagnostic]:
+    # arg[0] is the id of the agent itself; the arguments of the deployment follow.
+    given, own = (agent.id, *agent.arguments), uses.get(agent.type, ArgumentUses())
+    missing = {index: expr for index, expr in own.indexes.items() if index >= len(given)}
+    if missing:
+        index = min(missing)
+        line = missing[index].span.line
+        number = len(agent.arguments)
+        count = f"{number} argument{'s' if number != 1 else ''}"
+        yield messages.MISSING_ARGUMENT.at(
+            agent.span, agent=agent.id, count=count, index=index, line=line, needed=max(missing)
+        )
+    for index, resource in own.finds.items():
+        if index < len(given):
+            yield from _unknown_id(agent.span, given[index], resource, ids)
+
+
+def argument_uses(unit: tree.Unit) -> ArgumentUses:
+    """How the `init` of a unit reads its arguments."""
+    uses = ArgumentUses()
+    init = next((method for method in unit.methods if method.kind == "init"), None)
+    if init is None or not init.parameters:
+        return uses
+    argument = init.parameters[0]
+    nodes = [node for statement in init.body for node in _evaluated(statement)]
+    for node in nodes:
+        match node:
+            case tree.LibraryCall(operation=operation, arguments=[tree.LocalGet(local=local)]):
+                if operation == ARRAY_LENGTH and local is argument:
+                    return ArgumentUses()
+            case tree.Element(array=tree.LocalGet(local=local), index=tree.Literal_(value=int(index))):
+                if local is argument:
+                    uses.indexes.setdefault(index, node)
+            case tree.Find(resource=resource, id=tree.Element() as element):
+                if _is_argument(element, argument) and isinstance(element.index, tree.Literal_):
+                    uses.finds[int(str(element.index.value))] = resource.name
+    return uses
+
+
+def _is_argument(element: tree.Element, argument: tree.Local) -> bool:
+    is_constant = isinstance(element.index, tree.Literal_)
+    return is_constant and isinstance(element.array, tree.LocalGet) and element.array.local is argument
+
+
+def _evaluated(node: object) -> Iterator[object]:
+    """A statement or expression and the parts that are evaluated whenever it is."""
+    waiting = [node]
+    while waiting:
+        here = waiting.pop()
+        yield here
+        if isinstance(here, tree.Logical):
+            waiting.append(here.left)
+        elif isinstance(here, tree.If):
+            waiting.append(here.condition)
+        elif isinstance(here, tree.Stmt | tree.Expr) and not isinstance(here, tree.Loop | tree.Try):
+            waiting.extend(_parts(here))
+
+
+def _parts(node: tree.Stmt | tree.Expr) -> Iterator[object]:
+    for one in fields(node):
+        value = getattr(node, one.name)
+        for part in value if isinstance(value, list) else (value,):
+            if isinstance(part, tree.Stmt | tree.Expr):
+                yield part

@@ -1,0 +1,158 @@
+"""Where control can go: warnings for statements and catches that are never reached, and missing returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfield.lang import messages
+from lfield.lang.checker.symbols import Symbols
+from lfield.lang.tree import (
+    BlockStmt,
+    Break,
+    Call,
+    Continue,
+    If,
+    Literal_,
+    Loop,
+    Method,
+    Reserve,
+    Return,
+    Stmt,
+    Throw,
+    Together,
+    Try,
+    Within,
+)
+from lfield.lang.tree_traversal import (
+    all_statements,
+    descendants,
+    else_if,
+    left_spine,
+    nested_bodies,
+    statement_expressions,
+)
+from lfield.lang.types import UNKNOWN, VOID, ClassType, Type, distance
+
+_CAUSES: dict[type[Stmt], str] = {
+    Return: "return",
+    Break: "break",
+    Continue: "continue",
+    Throw: "throw",
+    Loop: "endless loop",
+}
+
+
+_TIME_LIMIT = ClassType("TimeLimitException")
+
+
+def check_flow(symbols: Symbols, method: Method) -> None:
+    """Report the warnings of a method without errors. Falling off the end is legal (appendix D does it)."""
+    falls_off = _Flow(symbols).completes(method.body)
+    if falls_off and method.result not in (VOID, UNKNOWN):
+        symbols.report(messages.MISSING_RETURN, method.end, method=f"{method.kind} {method.name}")
+
+
+def _cause(terminator: Stmt) -> str:
+    return _CAUSES.get(type(terminator), "statement that never ends")
+
+
+def _may_limit(body: Sequence[Stmt]) -> bool:
+    """Whether statements may throw a TimeLimitException of their own: by a `within`, a method or a throw."""
+    return any(
+        isinstance(one, Within | Throw)
+        or any(isinstance(part, Call) for value in statement_expressions(one) for part in descendants(value))
+        for one in all_statements(body)
+    )
+
+
+class _Flow:
+    """A walk over the statements of a method."""
+
+    def __init__(self, symbols: Symbols) -> None:
+        self.symbols = symbols
+        #: Every `try` whose `finally` never comes to its end: what leaves it goes no further.
+        self.swallowing: set[Try] = set()
+        #: The number of enclosing `within` without a `finally` between.
+        self.limits = 0
+
+    def completes(self, body: Sequence[Stmt]) -> bool:
+        """Whether control can come to the end of these statements."""
+        return self.terminator(body) is None
+
+    def terminator(self, body: Sequence[Stmt]) -> Stmt | None:
+        """The first of these statements that control never comes past; the one behind it is reported."""
+        stopper: Stmt | None = None
+        reported = False
+        for one in body:
+            if stopper is not None and not reported:
+                cause = _cause(stopper)
+                self.symbols.report(messages.UNREACHABLE, one.span, cause=cause)
+                reported = True
+            passes = self.statement_completes(one)
+            if stopper is None and not passes:
+                stopper = one
+        return stopper
+
+    def statement_completes(self, one: Stmt) -> bool:
+        """Whether control can come to the end of a statement."""
+        match one:
+            case Return() | Break() | Continue() | Throw():
+                return False
+            case BlockStmt() | Together() | Reserve():
+                return self.completes(one.body)
+            case Within():
+                return self.within(one)
+            case If():
+                ladder = [one, *reversed(left_spine(one, else_if))]
+                ends = [self.completes(rung.then) for rung in ladder]
+                return any([*ends, self.completes(ladder[-1].otherwise)])
+            case Loop():
+                self.completes(one.body)
+                endless = isinstance(one.condition, Literal_) and one.condition.value is True
+                return not endless or self.has_break(one.body)
+            case Try():
+                self.check_catches(one)
+                ends = [self.completes(one.body), *(self.completes(clause.body) for clause in one.catches)]
+                return self.finally_completes(one) and any(ends)
+        return True
+
+    def within(self, one: Within) -> bool:
+        """Whether control can come to the end of a `within`."""
+        self.limits += 1
+        passes = self.completes(one.body)
+        self.limits -= 1
+        return passes
+
+    def finally_completes(self, one: Try) -> bool:
+        """Whether control can come to the end of the `finally`; without one it is there already."""
+        limits, self.limits = self.limits, 0
+        leaving = self.terminator(one.last or [])
+        self.limits = limits
+        if leaving is None:
+            return True
+        self.swallowing.add(one)
+        self.symbols.report(messages.LOSING_FINALLY, leaving.span, cause=_cause(leaving))
+        return False
+
+    def check_catches(self, attempt: Try) -> None:
+        """Report a catch that an earlier one leaves nothing for, or that the `within` around it passes by."""
+        earlier: list[Type] = []
+        for clause in attempt.catches:
+            kind = clause.local.type
+            if self.limits and kind == _TIME_LIMIT and not _may_limit(attempt.body):
+                self.symbols.report(messages.LIMIT_PASSES, clause.local.span)
+            taker = next((e for e in earlier if distance(kind, e) is not None), None)
+            if taker is not None:
+                self.symbols.report(messages.UNREACHABLE_CATCH, clause.local.span, earlier=f"catch ({taker})")
+            earlier.append(kind)
+
+    def has_break(self, body: Sequence[Stmt]) -> bool:
+        """Whether a break in a loop's body leaves this loop."""
+        waiting = list(body)
+        while waiting:
+            one = waiting.pop()
+            if isinstance(one, Break):
+                return True
+            if not isinstance(one, Loop) and one not in self.swallowing:
+                waiting += [inner for part in nested_bodies(one) for inner in part]
+        return False

@@ -1,0 +1,200 @@
+"""Which type fits where: the one conversion L makes by itself (int to real), and the choice among methods.
+
+Of the methods of one name an exact match is best, then the candidate with the fewest widenings. One candidate
+alone gets the more precise messages: which argument is wrong, and how many are wanted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from lfield.lang import messages
+from lfield.lang.checker.symbols import Symbols, device_in
+from lfield.lang.tree import Expr, Literal_, Method, ToReal
+from lfield.lang.types import (
+    BOOLEAN,
+    EXCEPTION,
+    INT,
+    NULL,
+    REAL,
+    STRING,
+    UNKNOWN,
+    DeviceType,
+    Type,
+    distance,
+    is_reference,
+)
+from lfield.text.message_tables import FindingKind
+from lfield.text.source_text import Span
+from lfield.text.suggestions import listed
+
+#: The library function that turns a value of the first type into the second.
+_FUNCTIONS = {
+    (INT, STRING): "i2s",
+    (REAL, STRING): "f2s",
+    (BOOLEAN, STRING): "b2s",
+    (REAL, INT): "f2i",
+    (STRING, INT): "s2i",
+    (STRING, REAL): "s2f",
+}
+
+
+def conversion_cost(given: Type, expected: Type) -> int | None:
+    """0 when a value fits as it is, more when it is widened (int to real, a class to its kind), else None."""
+    if UNKNOWN in (given, expected) or given == expected:
+        return 0
+    if given == NULL:
+        return 0 if is_reference(expected) and not isinstance(expected, DeviceType) else None
+    return 1 if (given, expected) == (INT, REAL) else distance(given, expected)
+
+
+def widened(value: Expr, expected: Type) -> Expr:
+    """A value that fits, with the ToReal node if it is widened to real."""
+    if value.type == INT and expected == REAL:
+        return ToReal(value.span, REAL, value)
+    return value
+
+
+def require_type(
+    symbols: Symbols, value: Expr, expected: Type, message: FindingKind = messages.MISMATCH, **values: object
+) -> Expr:
+    """The value as the wanted type; when it does not fit, `message` is reported with {wanted} and {given}."""
+    if conversion_cost(value.type, expected) is not None:
+        _note_exception_use(symbols, value, expected)
+        return widened(value, expected)
+    hint = conversion_hint(value.type, expected) or None
+    symbols.report(
+        message,
+        value.span,
+        hint=hint,
+        wanted=with_article(expected),
+        given=with_article(value.type),
+        **values,
+    )
+    return unknown(value.span)
+
+
+def _note_exception_use(symbols: Symbols, value: Expr, expected: Type) -> None:
+    """An object that becomes an Exception may be thrown; one with a device is reported: that would travel."""
+    if expected != EXCEPTION:
+        return
+    unit = symbols.unit_of(value.type)
+    if unit is not None and unit.kind == "class":
+        unit.mark_thrown()
+    if device := device_in(symbols, value.type):
+        symbols.report(messages.DEVICE_THROWN, value.span, type=with_article(value.type), device=device)
+
+
+def unknown(span: Span) -> Expr:
+    """An expression with an error that is reported already."""
+    return Literal_(span, UNKNOWN, None)
+
+
+def conversion_hint(given: Type, expected: Type) -> str:
+    """How to convert by hand, or '' when nothing does."""
+    function = _FUNCTIONS.get((given, expected))
+    if function is not None:
+        return f"convert it: {function}(...)"
+    if expected == BOOLEAN and given in (INT, REAL):
+        return "compare it: ... != 0"
+    if given == NULL:
+        return f"{expected} is never null; only objects, arrays, strings and proxies can be"
+    return ""
+
+
+def with_article(kind: Type) -> str:
+    """A type as messages write it: with its article."""
+    name = str(kind)
+    if name in ("null", "void"):
+        return name
+    return f"an {name}" if name[0] in "aeiouAEIO" else f"a {name}"
+
+
+Chosen = TypeVar("Chosen")
+
+
+@dataclass(frozen=True, slots=True)
+class OverloadCandidate(Generic[Chosen]):
+    """Something that can be called: its name, the types of its parameters, and what it is."""
+
+    name: str
+    types: tuple[Type, ...]
+    what: Chosen
+
+    def __str__(self) -> str:
+        return f"{self.name}({', '.join(map(str, self.types))})"
+
+    def cost(self, given: Sequence[Expr]) -> int | None:
+        """How many widenings a call needs; None when the arguments do not fit."""
+        if len(given) != len(self.types):
+            return None
+        costs = [conversion_cost(value.type, wanted) for value, wanted in zip(given, self.types, strict=True)]
+        known = [c for c in costs if c is not None]
+        return sum(known) if len(known) == len(costs) else None
+
+
+def of_methods(methods: Sequence[Method]) -> list[OverloadCandidate[Method]]:
+    """Methods as candidates."""
+    return [OverloadCandidate(m.name, tuple(p.type for p in m.parameters), m) for m in methods]
+
+
+def choose_overload(
+    symbols: Symbols, span: Span, candidates: Sequence[OverloadCandidate[Chosen]], given: Sequence[Expr]
+) -> tuple[Chosen, list[Expr]] | None:
+    """The best candidate and the converted arguments; None when there is none or an argument is in error."""
+    costs = [(c.cost(given), c) for c in candidates]
+    fitting = [(price, c) for price, c in costs if price is not None]
+    if not fitting:
+        _report_mismatch(symbols, span, candidates, given)
+        return None
+    least = min(price for price, _ in fitting)
+    best = [c for price, c in fitting if price == least]
+    if len(best) > 1:
+        if all(value.type is not UNKNOWN for value in given):
+            symbols.report(
+                messages.AMBIGUOUS,
+                span,
+                name=best[0].name,
+                given=_types(given),
+                candidates=listed(map(str, best)),
+            )
+        return None
+    chosen = best[0]
+    for value, wanted in zip(given, chosen.types, strict=True):
+        _note_exception_use(symbols, value, wanted)
+    return chosen.what, [widened(v, wanted) for v, wanted in zip(given, chosen.types, strict=True)]
+
+
+def _report_mismatch(
+    symbols: Symbols, span: Span, candidates: Sequence[OverloadCandidate[Chosen]], given: Sequence[Expr]
+) -> None:
+    if len(candidates) > 1:
+        everything = listed(map(str, candidates))
+        symbols.report(
+            messages.NO_OVERLOAD, span, name=candidates[0].name, given=_types(given), candidates=everything
+        )
+        return
+    only = candidates[0]
+    if len(given) != len(only.types):
+        wanted = f"{len(only.types) or 'no'} argument{'s' if len(only.types) != 1 else ''}"
+        symbols.report(
+            messages.ARGUMENT_COUNT, span, signature=only, wanted=wanted, given=len(given) or "none"
+        )
+        return
+    for number, (value, wanted_type) in enumerate(zip(given, only.types, strict=True), 1):
+        if conversion_cost(value.type, wanted_type) is None:
+            symbols.report(
+                messages.ARGUMENT_TYPE,
+                value.span,
+                hint=conversion_hint(value.type, wanted_type) or None,
+                number=number,
+                signature=only,
+                wanted=with_article(wanted_type),
+                given=with_article(value.type),
+            )
+
+
+def _types(given: Sequence[Expr]) -> str:
+    return ", ".join(str(value.type) for value in given)

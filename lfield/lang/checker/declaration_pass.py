@@ -1,0 +1,193 @@
+"""First pass: every unit with its fields and the heads of its methods, before any body is read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from lfield.lang import messages, syntax
+from lfield.lang.capability_port import parse_query_name
+from lfield.lang.checker.symbols import BUILTIN_TYPES, LIBRARY_NAMES, Symbols, describe
+from lfield.lang.checker.visibility import Place, check_portal_contents, visible_type
+from lfield.lang.tree import Field, Local, Method, Unit
+from lfield.lang.types import STRING, UNKNOWN, VOID, DeviceType, Type, array_of
+
+
+@dataclass(slots=True)
+class DeclaredUnit:
+    """A unit with what the second pass checks: bodies (None: nothing was written) and initialisers."""
+
+    unit: Unit
+    bodies: list[tuple[Method, syntax.Method | None]] = field(default_factory=list)
+    initialisers: list[tuple[Field, syntax.Expr]] = field(default_factory=list)
+
+
+def declare_units(symbols: Symbols, units: Sequence[syntax.Unit]) -> list[DeclaredUnit]:
+    """All units of a program, in source order; mistakes in names and heads are reported."""
+    pairs = [(raw, DeclaredUnit(unit)) for raw in units if (unit := _unit(symbols, raw)) is not None]
+    for raw, declared in pairs:
+        _fields(symbols, raw, declared)
+    for raw, declared in pairs:
+        _Methods(symbols, raw, declared).declare()
+    return [declared for _, declared in pairs]
+
+
+def _unit(symbols: Symbols, raw: syntax.Unit) -> Unit | None:
+    """A unit under its name, or None when the name is another unit's."""
+    taken = _existing_meaning(symbols, raw.name)
+    if taken is not None:
+        symbols.report(messages.NAME_IN_USE, raw.span, name=raw.name, what=taken, kind=raw.kind)
+    earlier = symbols.units.get(raw.name)
+    if earlier is not None:
+        where = f"{earlier.span.source.name}, line {earlier.span.line}"
+        symbols.report(messages.DUPLICATE_UNIT, raw.span, name=raw.name, place=where)
+        return None
+    if raw.broken:
+        symbols.broken_units.add(raw.name)
+    unit = Unit(raw.name, raw.kind, raw.usage, raw.span, capability=raw.name in symbols.generated)
+    symbols.units[raw.name] = unit
+    return unit
+
+
+def _existing_meaning(symbols: Symbols, name: str) -> str | None:
+    """What a name means before the program begins, or None."""
+    if name in BUILTIN_TYPES:
+        return "a built-in class"
+    if name in LIBRARY_NAMES:
+        return "a library function"
+    if name in symbols.devices:
+        return f"a device type of the driver {symbols.devices[name].driver}"
+    return None
+
+
+def _fields(symbols: Symbols, raw: syntax.Unit, declared: DeclaredUnit) -> None:
+    unit = declared.unit
+    for written in raw.fields:
+        kind = visible_type(symbols, unit, written.type, "field")
+        earlier = unit.field(written.name)
+        if earlier is not None:
+            line = earlier.span.line
+            symbols.report(messages.DUPLICATE_FIELD, written.span, name=written.name, line=line)
+            continue
+        made = Field(written.name, kind, len(unit.fields), written.public, written.span)
+        unit.add_field(made)
+        if written.value is None:
+            continue
+        if isinstance(kind, DeviceType):
+            example = first_instruction(symbols, kind)
+            symbols.report(messages.DEVICE_USE, written.value.span, name=made.name, instruction=example)
+        else:
+            declared.initialisers.append((made, written.value))
+
+
+def first_instruction(symbols: Symbols, kind: DeviceType) -> str:
+    """The name of an instruction of a device type, for a hint."""
+    instructions = symbols.devices[kind.name].instructions
+    return instructions[0].name if instructions else "instruction"
+
+
+class _Methods:
+    """The methods of one unit."""
+
+    def __init__(self, symbols: Symbols, raw: syntax.Unit, declared: DeclaredUnit) -> None:
+        self.symbols, self.raw, self.declared, self.unit = symbols, raw, declared, declared.unit
+        self.signatures: dict[str, Method] = {}
+
+    def declare(self) -> None:
+        """Every method that has its place here, and a constructor for a class without one."""
+        for written in self.raw.methods:
+            if self.has_place(written):
+                self.add(self.head(written), written)
+        kinds = [m.kind for m in self.raw.methods]
+        whole = self.unit.name not in self.symbols.broken_units
+        if self.unit.kind == "class" and "constructor" not in kinds:
+            where = self.unit.span
+            made = Method(self.unit.name, "constructor", self.unit, [], VOID, True, False, where, where)
+            self.add(made, None)
+        elif self.unit.kind != "class" and "init" not in kinds and whole:
+            self.symbols.report(messages.NO_INIT, self.unit.span, unit=describe(self.unit))
+
+    def has_place(self, written: syntax.Method) -> bool:
+        """Whether this unit may have such a method; if not, calls of it are not reported any more."""
+        if written.kind == "init" and self.unit.kind == "class":
+            self.symbols.report(messages.INIT_IN_CLASS, written.span, name=self.unit.name)
+            return False
+        if written.kind == "portal" and self.unit.kind != "resource":
+            self.symbols.report(messages.PORTAL_PLACE, written.span, unit=describe(self.unit))
+            self.symbols.broken_units.add(self.unit.name)
+            return False
+        return True
+
+    def head(self, written: syntax.Method) -> Method:
+        """The method with its parameters and result, without its body."""
+        result = VOID if written.result is None else self.type(written, written.result)
+        method = Method(
+            written.name,
+            written.kind,
+            self.unit,
+            [],
+            result,
+            written.public,
+            written.synchronized,
+            written.span,
+            written.end,
+        )
+        for parameter in written.parameters:
+            kind = self.type(written, parameter.type)
+            self.parameter(method, Local(parameter.name, kind, parameter.span))
+        return method
+
+    def type(self, written: syntax.Method, name: syntax.TypeName) -> Type:
+        """The type of a parameter or result; what passes through a portal has rules of its own."""
+        if written.kind != "portal":
+            place: Place = "constructor" if written.kind == "constructor" else "elsewhere"
+            return visible_type(self.symbols, self.unit, name, place)
+        kind = visible_type(self.symbols, self.unit, name, "portal")
+        check_portal_contents(self.symbols, kind, name.span)
+        return kind
+
+    def parameter(self, method: Method, local: Local) -> None:
+        """Add a parameter; two of one name are reported."""
+        earlier = next((p for p in method.parameters if p.name == local.name), None)
+        if earlier is not None:
+            line = earlier.span.line
+            self.symbols.report(messages.DUPLICATE_LOCAL, local.span, name=local.name, line=line)
+        method.parameters.append(local)
+
+    def add(self, method: Method, written: syntax.Method | None) -> None:
+        """Add the method, unless it repeats another one."""
+        if method.kind == "init" and not self.is_first_init(method):
+            return
+        if method.kind == "method":
+            self.check_name(method)
+        signature = method.signature
+        earlier = self.signatures.setdefault(signature, method) if method.kind != "init" else method
+        if earlier is not method and all(p.type is not UNKNOWN for p in method.parameters):
+            line = earlier.span.line
+            self.symbols.report(messages.SAME_SIGNATURE, method.span, signature=signature, line=line)
+            return
+        self.unit.add_method(method)
+        self.declared.bodies.append((method, written))
+
+    def is_first_init(self, method: Method) -> bool:
+        """Whether this init is the first; its shape is checked."""
+        for earlier in self.unit.overloads(method.name, "init"):
+            self.symbols.report(messages.DUPLICATE_INIT, method.span, line=earlier.span.line)
+            return False
+        types = [p.type for p in method.parameters]
+        if types != [array_of(STRING)] and UNKNOWN not in types:
+            self.symbols.report(messages.INIT_SHAPE, method.span)
+        return True
+
+    def check_name(self, method: Method) -> None:
+        """A method is called by its bare name, which must not mean something else."""
+        name = method.name
+        what = None
+        if name in LIBRARY_NAMES:
+            what = "a library function"
+        elif name.startswith("find") and self.symbols.resource(name[len("find") :]) is not None:
+            what = f"the find method of the resource {name[len('find') :]}"
+        elif (asked := parse_query_name(name)) is not None and self.symbols.capability(asked[1]) is not None:
+            what = f"the {asked[0]} method of the capability {asked[1]}"
+        if what is not None:
+            self.symbols.report(messages.METHOD_NAME_IN_USE, method.span, name=name, what=what)

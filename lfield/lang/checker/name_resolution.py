@@ -1,0 +1,108 @@
+"""Variables and fields: what a name without parentheses means."""
+
+from __future__ import annotations
+
+from lfield.lang import messages, syntax, tree
+from lfield.lang.checker.conversions import unknown, with_article
+from lfield.lang.checker.scope import BodyContext
+from lfield.lang.checker.symbols import LIBRARY_NAMES
+from lfield.lang.language_library import EXCEPTION_METHODS, PROXY_METHODS, STRING_METHODS
+from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
+from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
+from lfield.text.suggestions import did_you_mean, listed
+
+
+def check_variable(body: BodyContext, raw: syntax.Name) -> tree.Expr:
+    """A bare name: a local, else a field of the unit itself."""
+    local = body.scope.find(raw.name)
+    if local is not None:
+        return tree.LocalGet(raw.span, local.type, local)
+    field = body.field(raw.name)
+    if field is not None:
+        return tree.FieldGet(raw.span, field.type, body.this(raw.span), field)
+    _unknown_variable(body, raw)
+    return unknown(raw.span)
+
+
+def _unknown_variable(body: BodyContext, raw: syntax.Name) -> None:
+    name = raw.name
+    if body.methods(name) or name in LIBRARY_NAMES:
+        body.report(messages.CALL_WITHOUT_PARENTHESES, raw.span, name=name, call=f"{name}()")
+    elif name in body.symbols.units:
+        _type_as_value(body, raw, body.symbols.units[name])
+    elif not (body.scope.is_uncertain() or body.is_broken()):
+        body.report(messages.UNKNOWN_NAME, raw.span, hint=_variable_hint(body, name), name=name)
+
+
+def _type_as_value(body: BodyContext, raw: syntax.Name, unit: tree.Unit) -> None:
+    article = f"write {unit.name} x = "
+    instead = {
+        "class": f"make an object first: {article}new {unit.name}(...);",
+        "resource": f'find one first: {article}find{unit.name}("id");',
+        "coordinator": "coordinators cannot be reached from anywhere",
+    }[unit.kind]
+    body.report(messages.TYPE_AS_VALUE, raw.span, name=unit.name, instead=instead)
+
+
+def _variable_hint(body: BodyContext, name: str) -> str | None:
+    if foreign := variable_hint(name) or FOREIGN_STATEMENTS.get(name):
+        return foreign
+    known = [*body.scope.names(), *(f.name for f in body.unit.fields), "true", "false", "null"]
+    return did_you_mean(name, known)
+
+
+def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tree.Expr:
+    """`owner.name` without a call: a field of an object."""
+    unit = _own_or_named(body, owner)
+    if owner.type is UNKNOWN:
+        return unknown(raw.span)
+    if isinstance(owner.type, ResourceType):
+        body.report(messages.PROXY_FIELD, raw.place, name=raw.name, resource=owner.type.name)
+        return unknown(raw.span)
+    field = unit.field(raw.name) if unit is not None else None
+    if unit is None or field is None:
+        _unknown_field(body, raw, owner.type, unit)
+        return unknown(raw.span)
+    if not field.public and unit is not body.unit:
+        hint = "offers are asked by their methods: who[0].agent()" if unit.capability else None
+        body.report(messages.PRIVATE_MEMBER, raw.place, hint=hint, name=raw.name, owner=unit.name)
+        return unknown(raw.span)
+    return tree.FieldGet(raw.span, field.type, owner, field)
+
+
+def _own_or_named(body: BodyContext, owner: tree.Expr) -> tree.Unit | None:
+    """The unit whose members an expression has; `this` of a resource has those of the resource."""
+    return body.unit if isinstance(owner, tree.This) else body.symbols.unit_of(owner.type)
+
+
+def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree.Unit | None) -> None:
+    methods = method_names(body, kind, unit)
+    if raw.name in methods:
+        body.report(
+            messages.CALL_WITHOUT_PARENTHESES,
+            raw.place,
+            name=raw.name,
+            call=f"{raw.object.span.text}.{raw.name}()",
+        )
+    elif not methods and unit is None:
+        body.report(messages.NO_MEMBERS, raw.place, given=with_article(kind))
+    elif unit is None or unit.name not in body.symbols.broken_units:
+        fields = [f.name for f in unit.fields] if unit is not None else []
+        known = f"its fields are {listed(fields)}" if fields else f"its methods are {listed(methods)}"
+        hint = did_you_mean(raw.name, fields) or known
+        body.report(messages.UNKNOWN_FIELD, raw.place, hint=hint, type=kind, name=raw.name, known=known)
+
+
+def method_names(body: BodyContext, kind: Type, unit: tree.Unit | None) -> list[str]:
+    """The names that can be called on a value of the type."""
+    if unit is not None:
+        wanted = "portal" if isinstance(kind, ResourceType) else "method"
+        own = dict.fromkeys(m.name for m in unit.methods if m.kind == wanted)
+        return [*own, *(f.name for f in PROXY_METHODS if wanted == "portal" and f.name not in own)]
+    if isinstance(kind, ArrayType):
+        return ["length"]
+    if isinstance(kind, DeviceType):
+        return [i.name for i in body.symbols.devices[kind.name].instructions]
+    if kind == STRING:
+        return [f.name for f in STRING_METHODS]
+    return [f.name for f in EXCEPTION_METHODS] if isinstance(kind, ClassType) else []

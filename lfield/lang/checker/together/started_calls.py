@@ -1,0 +1,144 @@
+"""Which portal calls a `together` starts: those that are statements, or the right side of an assignment.
+
+The body of a method is checked as if there were no `together`; then each of them takes its calls.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from lfield.lang import messages
+from lfield.lang.capability_port import is_portal
+from lfield.lang.checker.symbols import Symbols
+from lfield.lang.checker.together.aliases import Aliases
+from lfield.lang.checker.together.result_targets import StartedCall, check_targets, result_target
+from lfield.lang.checker.together.target_uses import check_uses
+from lfield.lang.tree import (
+    Assign,
+    Call,
+    Declare,
+    Evaluate,
+    Expr,
+    Local,
+    Loop,
+    PortalCall,
+    Reserve,
+    StartCall,
+    Stmt,
+    Together,
+    ToReal,
+    Try,
+    Within,
+)
+from lfield.lang.tree_traversal import (
+    all_statements,
+    descendants,
+    nested_bodies,
+    statement_expressions,
+    subexpressions,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _CallSite:
+    """The context of statements of a together: in a loop, and inside which forbidding keyword."""
+
+    loop: bool = False
+    barring_keyword: str = ""
+
+
+def mark_started_calls(symbols: Symbols, body: list[Stmt], *, whole: bool) -> None:
+    """Make the calls of every together in a body to `StartCall`s; what cannot be begun is reported.
+
+    A body that is not `whole` has mistakes: calls may be missing.
+    """
+    blocks = [one for one in all_statements(body) if isinstance(one, Together)]
+    aliases = Aliases(body if blocks else [])
+    for block in blocks:
+        before = len(symbols.found.found)
+        begun = _StartedCalls(symbols).collect(block)
+        if not begun and whole and len(symbols.found.found) == before:
+            symbols.report(messages.TOGETHER_EMPTY, block.span)
+        check_targets(symbols, block, begun)
+        check_uses(symbols, block, [one.start for one in begun], aliases)
+
+
+class _StartedCalls:
+    """The calls of one together; those of one inside it are its own."""
+
+    def __init__(self, symbols: Symbols) -> None:
+        self.symbols = symbols
+        self.started: list[StartedCall] = []
+
+    def collect(self, block: Together) -> list[StartedCall]:
+        """What it begins, in the order of the text."""
+        waiting = [(block.body, _CallSite())]
+        while waiting:
+            body, place = waiting.pop()
+            for at, one in enumerate(body):
+                body[at] = self.statement(one, place)
+                waiting += _inner(one, place)
+        return sorted(self.started, key=lambda one: one.start.span.start)
+
+    def statement(self, one: Stmt, place: _CallSite) -> Stmt:
+        """The statement, or the call that it begins."""
+        match one:
+            case Together():
+                return one
+            case Reserve():
+                self.symbols.report(messages.RESERVE_INSIDE, one.span)
+            case Evaluate(value=value) if not place.barring_keyword and (call := _portal_call(value)):
+                return self.start_call(StartCall(one.span, call, None), place)
+            case Evaluate(value=Assign(target=target, value=value)) if not place.barring_keyword and (
+                call := _portal_call(value)
+            ):
+                if (place_of_it := result_target(self.symbols, target, call)) is not None:
+                    return self.start_call(StartCall(one.span, call, place_of_it), place)
+            case Declare(local=Local(name=str() as name) as local, value=Expr() as value) if (
+                name and not place.barring_keyword and _portal_call(value)
+            ):
+                self.symbols.report(messages.TOGETHER_DECLARED, local.span, name=name, type=local.type)
+            case _:
+                for value in statement_expressions(one):
+                    self.refuse(value, place)
+        return one
+
+    def start_call(self, made: StartCall, place: _CallSite) -> StartCall:
+        """Add a call that is started; no other call is part of it."""
+        for value in [
+            *subexpressions(made.call),
+            *(subexpressions(made.target) if made.target is not None else []),
+        ]:
+            self.refuse(value, place)
+        self.started.append(StartedCall(made, place.loop))
+        return made
+
+    def refuse(self, value: Expr, place: _CallSite) -> None:
+        """Report the calls inside an expression."""
+        for one in descendants(value):
+            if _portal_call(one) is one and place.barring_keyword:
+                self.symbols.report(messages.TOGETHER_BARRED, one.span, word=place.barring_keyword)
+            elif _portal_call(one) is one:
+                self.symbols.report(messages.TOGETHER_INSIDE, one.span)
+
+
+def _portal_call(value: Expr) -> PortalCall | Call | None:
+    """The call of a portal, or of a portal of an offer, that an expression is; widened or as it is."""
+    one = value.operand if isinstance(value, ToReal) else value
+    if isinstance(one, PortalCall) or (isinstance(one, Call) and is_portal(one.method)):
+        return one
+    return None
+
+
+def _inner(one: Stmt, place: _CallSite) -> list[tuple[list[Stmt], _CallSite]]:
+    """The bodies of a statement that are the together's own, with their places."""
+    match one:
+        case Together() | Reserve():
+            return []
+        case Loop():
+            place = replace(place, loop=True)
+        case Within():
+            place = replace(place, barring_keyword=place.barring_keyword or "within")
+        case Try():
+            place = replace(place, barring_keyword=place.barring_keyword or "try")
+    return [(body, place) for body in nested_bodies(one)]

@@ -1,0 +1,95 @@
+"""What a `together` must leave alone: targets have no value yet, and arrays are about to get elements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from lfield.lang import messages
+from lfield.lang.checker.symbols import Symbols
+from lfield.lang.checker.together.aliases import Aliases, Named, base, depth, named
+from lfield.lang.language_library import ARRAY_LENGTH
+from lfield.lang.tree import Element, Expr, LibraryCall, LocalGet, StartCall, Together
+from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
+from lfield.lang.types import ArrayType, Type
+
+
+@dataclass(slots=True)
+class _Filled:
+    """An array that a together assigns elements of; `place` counts the calls.
+
+    `dimensions` are those of the innermost array that is filled: 2 by `a[i]` of a `real[][]`, 1 by `a[i][j]`.
+    """
+
+    name: Named
+    dimensions: int
+    place: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Read:
+    """A variable or field in a together. Of `a[i].length()` only what is `depth` deep is read: 1."""
+
+    expr: Expr
+    name: Named
+    depth: int
+
+    def is_affected_by(self, filled: _Filled) -> bool:
+        """Whether a together that fills an array changes what this reads, if they are names of one."""
+        own = _dimensions(self.name.type)
+        return own - self.depth < filled.dimensions <= own
+
+
+def check_uses(symbols: Symbols, block: Together, started: Sequence[StartCall], aliases: Aliases) -> None:
+    """Report where a together reads, passes or assigns a target of its own, or the array of one."""
+    targets = [one.target for one in started if one.target is not None]
+    variables = {target.local for target in targets if isinstance(target, LocalGet)}
+    arrays = _filled([target for target in targets if isinstance(target, Element)], aliases)
+    whole = {id(target) for target in targets}
+    bases = {id(base(target)) for target in targets}
+    for read in _reads(block):
+        name, span = read.name, read.expr.span
+        if name in variables and id(read.expr) not in whole:
+            symbols.report(messages.TOGETHER_USED, span, name=name.name)
+            continue
+        seen = [
+            arrays[one] for one in aliases.related(name) if one in arrays and read.is_affected_by(arrays[one])
+        ]
+        first = min(seen, key=lambda one: one.place, default=None)
+        if first is None or not name.name:
+            continue
+        if first.name is not name:
+            symbols.report(messages.TOGETHER_ALIAS, span, name=name.name, array=first.name.name)
+        elif id(read.expr) not in bases:
+            symbols.report(messages.TOGETHER_USED, span, name=name.name)
+
+
+def _filled(targets: Sequence[Element], aliases: Aliases) -> dict[Named, _Filled]:
+    """The arrays whose elements are assigned, by the representative of their aliases."""
+    found: dict[Named, _Filled] = {}
+    for place, target in enumerate(targets):
+        name = named(base(target))
+        assert name is not None
+        dimensions = _dimensions(target.array.type)
+        one = found.setdefault(aliases.of(name), _Filled(name, dimensions, place))
+        one.dimensions = min(one.dimensions, dimensions)
+    return found
+
+
+def _dimensions(kind: Type) -> int:
+    """How many `[]` a type has."""
+    found = 0
+    while isinstance(kind, ArrayType):
+        kind, found = kind.element, found + 1
+    return found
+
+
+def _reads(block: Together) -> Iterator[_Read]:
+    """Every variable and field in a together. An array is not read for its length, which never changes."""
+    for one in all_statements(block.body):
+        lengths: dict[int, int] = {}
+        for part in (part for value in statement_expressions(one) for part in descendants(value)):
+            if isinstance(part, LibraryCall) and part.operation == ARRAY_LENGTH:
+                lengths[id(base(part.arguments[0]))] = depth(part.arguments[0])
+            if (name := named(part)) is not None:
+                yield _Read(part, name, lengths.get(id(part), _dimensions(name.type)))

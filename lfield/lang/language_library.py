@@ -1,0 +1,132 @@
+"""The library of L: names, parameter types, results, and who may call them.
+
+The thesis' own names (appendix J, table J.9) come first in each group; the rest complete them in kind.
+`operation` is the instruction of the machine that does it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from lfield.lang.types import BOOLEAN, EXCEPTION, INT, REAL, STRING, VOID, Type, array_of
+
+Scope = Literal["any", "resource", "coordinator"]
+
+
+@dataclass(frozen=True, slots=True)
+class LibraryFunction:
+    """A library function; several may share a name and differ in parameter types."""
+
+    name: str
+    parameters: tuple[Type, ...]
+    result: Type
+    operation: str
+    scope: Scope = "any"
+    meaning: str = ""
+
+
+FUNCTIONS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("write", (INT,), VOID, "write_int", "resource", "writes a number to standard output"),
+    LibraryFunction("write", (REAL,), VOID, "write_float", "resource", "writes a number to standard output"),
+    LibraryFunction("write", (STRING,), VOID, "write_str", "resource", "writes text to standard output"),
+    LibraryFunction("write", (BOOLEAN,), VOID, "write_bool", "resource", "writes true or false"),
+    LibraryFunction("print", (INT,), VOID, "print_int", "any", "a line in the log of the host it runs on"),
+    LibraryFunction("print", (REAL,), VOID, "print_float", "any", "a line in the log of the host it runs on"),
+    LibraryFunction("print", (STRING,), VOID, "print_str", "any", "a line in the log of the host it runs on"),
+    LibraryFunction(
+        "print", (BOOLEAN,), VOID, "print_bool", "any", "a line in the log of the host it runs on"
+    ),
+    LibraryFunction("yield", (), VOID, "yield", "any", "runs other threads"),
+    LibraryFunction("sleep", (REAL,), VOID, "sleep", "any", "pauses this thread for seconds"),
+    LibraryFunction("now", (), REAL, "now", "any", "seconds since 1970 on the clock of the host it runs on"),
+    LibraryFunction(
+        "lived", (), REAL, "lived", "coordinator", "seconds that this coordinator has lived, on all its hosts"
+    ),
+    LibraryFunction("hops", (), INT, "hops", "coordinator", "how often this coordinator has migrated"),
+    LibraryFunction(
+        "heartbeatInterval",
+        (REAL,),
+        VOID,
+        "heartbeat_interval",
+        "coordinator",
+        "seconds without a sign of this coordinator until it is recovered, -1: never; ArithmeticException",
+    ),
+    LibraryFunction("s2i", (STRING,), INT, "s2i", "any", "text to int; ConversionException"),
+    LibraryFunction("s2f", (STRING,), REAL, "s2f", "any", "text to real; ConversionException"),
+    LibraryFunction("i2f", (INT,), REAL, "i2f", "any", "int to real"),
+    LibraryFunction("f2i", (REAL,), INT, "f2i", "any", "real to int, towards zero; ConversionException"),
+    LibraryFunction("i2s", (INT,), STRING, "i2s", "any", "int to text"),
+    LibraryFunction(
+        "f2s", (REAL,), STRING, "f2s", "any", "real to the shortest text that reads back the same"
+    ),
+    LibraryFunction(
+        "f2s", (REAL, INT), STRING, "f2s_digits", "any", "real to text with so many decimals (0-17)"
+    ),
+    LibraryFunction("b2s", (BOOLEAN,), STRING, "b2s", "any", "true or false as text"),
+    LibraryFunction("abs", (INT,), INT, "abs_int", "any", "magnitude"),
+    LibraryFunction("abs", (REAL,), REAL, "abs_float", "any", "magnitude"),
+    LibraryFunction("min", (INT, INT), INT, "min_int", "any", "the smaller"),
+    LibraryFunction("min", (REAL, REAL), REAL, "min_float", "any", "the smaller; NaN if one is"),
+    LibraryFunction("max", (INT, INT), INT, "max_int", "any", "the larger"),
+    LibraryFunction("max", (REAL, REAL), REAL, "max_float", "any", "the larger; NaN if one is"),
+    LibraryFunction("sqrt", (REAL,), REAL, "sqrt", "any", "square root; ArithmeticException below 0"),
+    LibraryFunction("sin", (REAL,), REAL, "sin", "any", "sine of radians"),
+    LibraryFunction("cos", (REAL,), REAL, "cos", "any", "cosine of radians"),
+    LibraryFunction("tan", (REAL,), REAL, "tan", "any", "tangent of radians"),
+    LibraryFunction(
+        "asin", (REAL,), REAL, "asin", "any", "angle in radians; ArithmeticException outside -1..1"
+    ),
+    LibraryFunction(
+        "acos", (REAL,), REAL, "acos", "any", "angle in radians; ArithmeticException outside -1..1"
+    ),
+    LibraryFunction("atan2", (REAL, REAL), REAL, "atan2", "any", "angle of (y, x) in radians"),
+    LibraryFunction("exp", (REAL,), REAL, "exp", "any", "e to the power"),
+    LibraryFunction(
+        "log", (REAL,), REAL, "log", "any", "natural logarithm; ArithmeticException at or below 0"
+    ),
+    LibraryFunction("pow", (REAL, REAL), REAL, "pow", "any", "power; ArithmeticException where undefined"),
+    LibraryFunction("floor", (REAL,), REAL, "floor", "any", "the next whole number down"),
+    LibraryFunction("ceil", (REAL,), REAL, "ceil", "any", "the next whole number up"),
+    LibraryFunction(
+        "round", (REAL,), REAL, "round", "any", "the nearest whole number, halves away from zero"
+    ),
+    LibraryFunction("random", (), REAL, "random", "any", "a number from 0 up to 1"),
+    LibraryFunction(
+        "random", (INT,), INT, "random_int", "any", "a number from 0 up to n-1; ArithmeticException"
+    ),
+)
+
+#: Methods of strings: `s.length()`. The receiver is the first argument of the operation.
+STRING_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("length", (), INT, "str_len", meaning="number of characters"),
+    LibraryFunction(
+        "substring", (INT, INT), STRING, "substring", meaning="characters from..to-1; IndexException"
+    ),
+    LibraryFunction("indexOf", (STRING,), INT, "index_of", meaning="where it first occurs, or -1"),
+)
+
+#: Methods of every exception object, built-in or caught as `Exception`.
+EXCEPTION_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("message", (), STRING, "exc_message", meaning="what went wrong, one sentence"),
+    LibraryFunction("type", (), STRING, "exc_type", meaning="the name of the class that was thrown"),
+    LibraryFunction(
+        "source",
+        (),
+        STRING,
+        "exc_source",
+        meaning="the agent, or the device (of an agent, as in bob.fc), that it is about, or ''",
+    ),
+    LibraryFunction(
+        "others", (), array_of(EXCEPTION), "exc_others", meaning="what other calls of a together threw"
+    ),
+)
+
+#: Methods of every proxy, answered where the coordinator is. A portal of that name is meant before them.
+PROXY_METHODS: tuple[LibraryFunction, ...] = (
+    LibraryFunction("agent", (), STRING, "agent", "coordinator", "the id of the resource"),
+    LibraryFunction("host", (), STRING, "host", "coordinator", "the name of its host"),
+)
+
+#: `a.length()` of any array.
+ARRAY_LENGTH = "array_len"

@@ -1,0 +1,309 @@
+"""Syntax of Python, C++ and Java that the parser recognises, to suggest the equivalent in L.
+
+Only text that is an error in L matches: every foreign word stays an ordinary name of L.
+"""
+
+from __future__ import annotations
+
+import re
+
+from lfield.lang import messages
+from lfield.lang.parser.foreign_words import (
+    CONTAINERS,
+    FOREIGN_STATEMENTS,
+    FOREIGN_TYPE_HINTS,
+    NO_GENERICS,
+    STD_MEMBERS,
+    WORD_OPERATORS,
+    WORD_PREFIXES,
+)
+from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
+from lfield.lang.scanner import Token, TokenKind
+from lfield.lang.syntax import BAD_TYPE, BadStmt, Stmt, TypeName
+from lfield.text.source_text import Span
+
+_LITERALS = (TokenKind.NAME, TokenKind.INT, TokenKind.REAL, TokenKind.STRING)
+_VALUE_WORDS = ("this", "true", "false", "null", "new")
+_SIZES = ("unsigned", "signed", "long", "short")
+_POINTERS = ("*", "&", "?")
+_CASTS = ("static_cast", "reinterpret_cast", "dynamic_cast", "const_cast")
+_CONVERSIONS = "L converts with functions: i2f, f2i, i2s, f2s, b2s, s2i, s2f"
+_JOIN = 'join text with +, as in "n is " + i2s(n)'
+_MOVE_METHOD = "methods belong directly into a resource, a coordinator or a class: move it there"
+_EACH = "write for (T x : array) { ... }"
+#: `// 2;` behind an operand: a division of Python, not a comment.
+_FLOOR_DIVISION = re.compile(r"\s*//\s*[\w.()]+\s*[;)]")
+
+
+def is_operand_start(token: Token) -> bool:
+    """Whether the token is a literal, a name or `this`: no operator and no bracket."""
+    return token.kind in _LITERALS or token.text in _VALUE_WORDS
+
+
+def touches(s: TokenStream, ahead: int) -> bool:
+    """Whether no space separates the token `ahead` places after the current one from the one before it."""
+    return s.ahead(ahead).span.start == s.ahead(ahead - 1).span.end
+
+
+# --- operators ------------------------------------------------------------------------------------------
+
+
+def at_word_operator(s: TokenStream) -> bool:
+    """Whether the token is a word such as `and` between two operands, or `**`."""
+    if s.at("*"):
+        return s.ahead(1).text == "*" and touches(s, 1)
+    if not s.at_name() or s.current.text not in WORD_OPERATORS:
+        return False
+    following = s.ahead(1)
+    return s.ahead(1).text == "in" if s.at("not") else is_operand_start(following) or following.text in "(!-["
+
+
+def word_operator(s: TokenStream) -> tuple[Span, str]:
+    """Report the operator here and skip it; its place and the operator of L, "" for none."""
+    start, word = s.current.span, s.current.text
+    operator, instead = WORD_OPERATORS.get(word, ("", "write pow(x, y)"))
+    s.advance()
+    if word == "*" or s.at("in") or (word == "is" and s.at("not")):
+        word = "**" if word == "*" else f"{word} {s.current.text}"
+        if word == "is not":
+            operator, instead = "!=", "write !="
+        s.advance()
+    place = start.to(s.previous.span)
+    s.report(messages.FOREIGN_OPERATOR, place, operator=word, instead=instead)
+    return place, operator
+
+
+def at_word_prefix(s: TokenStream) -> bool:
+    """Whether the token is a word such as `not` before an operand, or a prefix of a string (`f"..."`)."""
+    if not s.at_name():
+        return False
+    if s.ahead(1).kind is TokenKind.STRING and touches(s, 1):
+        return True
+    following = s.ahead(1)
+    is_prefix = s.current.text in WORD_PREFIXES and is_operand_start(following)
+    return is_prefix and following.text not in s.end_words
+
+
+def word_prefix(s: TokenStream) -> Token:
+    """Report the word here and skip it, or raise SyntaxRecovery."""
+    word = s.advance()
+    if s.current.kind is TokenKind.STRING and word.text not in WORD_PREFIXES:
+        instead = _JOIN if word.text in ("f", "F", "fr", "rf") else f"leave the {word.text} out"
+        s.report(messages.FOREIGN_KEYWORD, word.span, word=f'{word.text}"..."', instead=instead)
+        return word
+    s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=WORD_PREFIXES[word.text])
+    if word.text == "lambda":
+        raise SyntaxRecovery
+    return word
+
+
+def std_member(s: TokenStream) -> SyntaxRecovery:
+    """Report `std::cout` and other names with `::` in an expression; raise what this returns."""
+    member = s.ahead(1).text
+    instead = STD_MEMBERS.get(member, "members are reached with a point: object.name")
+    s.report(messages.FOREIGN_OPERATOR, s.current.span, operator="::", instead=instead)
+    return SyntaxRecovery()
+
+
+def semicolon_hint(s: TokenStream) -> str | None:
+    """The hint for a missing `;` that fits the tokens around it; None for the usual hint."""
+    previous, here = s.previous, s.current
+    if s.at(",") and not s.first_on_line():
+        return "one statement assigns one variable: write a statement for each"
+    if previous.kind is here.kind is TokenKind.STRING and previous.span.end == here.span.start:
+        return 'a string is in double quotes on one line; a line break in it is written \\n: "a\\nb"'
+    line = previous.span.source.line_text(previous.span.line)
+    if _FLOOR_DIVISION.match(line, previous.span.column - 1 + previous.span.end - previous.span.start):
+        return "// begins a comment; / divides whole numbers if both sides are int"
+    return None
+
+
+# --- types ----------------------------------------------------------------------------------------------
+
+
+def _arguments_end(s: TokenStream, at: int) -> int:
+    """The index after `<...>` at an index ahead, if it contains only types; else 0."""
+    depth, start = 0, at
+    while True:
+        token = s.ahead(at)
+        depth += {"<": 1, ">": -1, ">>": -2}.get(token.text, 0)
+        is_type = token.kind in (TokenKind.NAME, TokenKind.INT) or token.text in (*PRIMITIVES, "void")
+        if not (is_type or token.text in ("<", ">", ">>", ",", "::", "[", "]", "*", "&")) or at - start > 40:
+            return 0
+        at += 1
+        if depth <= 0:
+            return at
+
+
+def at_foreign_type(s: TokenStream) -> bool:
+    """Whether `std::vector<int> name`, `List<int> name` or `Foo& name` begins at the name here."""
+    at = 1
+    if s.ahead(at).text not in ("<", "::", *_POINTERS):
+        return False
+    while s.ahead(at).text == "::" and s.ahead(at + 1).text.isidentifier():
+        at += 2
+    if s.ahead(at).text == "<" and not (at := _arguments_end(s, at)):
+        return False
+    if s.ahead(at).text in _POINTERS:
+        at += 1
+        if s.ahead(at + 1).text not in ("=", ";", ":"):
+            return False
+    return s.ahead(at).kind is TokenKind.NAME
+
+
+def at_cast(s: TokenStream) -> bool:
+    """Whether `static_cast<int>(` begins at the name here."""
+    end = _arguments_end(s, 1) if s.ahead(1).text == "<" else 0
+    if not end or s.ahead(end).text != "(":
+        return False
+    return not any(s.ahead(n).text == "," for n in range(1, end)) or any(
+        s.ahead(n).text in PRIMITIVES for n in range(1, end)
+    )
+
+
+def cast(s: TokenStream) -> SyntaxRecovery:
+    """Report `static_cast<int>(...)` or another call with type arguments; raise what this returns."""
+    name = s.current
+    instead = _CONVERSIONS if name.text in _CASTS else CONTAINERS.get(name.text, NO_GENERICS)
+    s.report(messages.FOREIGN_KEYWORD, name.span, word=f"{name.text}<...>", instead=instead)
+    return SyntaxRecovery()
+
+
+def qualified(s: TokenStream, named: TypeName) -> None:
+    """Report the `unsigned`, `::` and `<...>` around the name of a type, and skip them."""
+    if named.name in _SIZES and s.at(*PRIMITIVES, *_SIZES):
+        s.report(messages.FOREIGN_KEYWORD, named.span, word=named.name, instead="in L it is called int")
+        while s.at(*PRIMITIVES, *_SIZES):
+            s.advance()
+        named.name = BAD_TYPE
+    elif s.at("::"):
+        sign, instead = s.current.span, "write the name of the type alone"
+        while s.accept("::") and (s.at_name() or s.at(*PRIMITIVES)):
+            last = s.advance().text
+            instead = STD_MEMBERS.get(last, instead)
+        s.report(messages.FOREIGN_OPERATOR, sign, operator="::", instead=instead)
+        named.name = BAD_TYPE
+        _skip_arguments(s)
+    elif s.at("<") and _arguments_end(s, 0):
+        instead = CONTAINERS.get(named.name, NO_GENERICS)
+        _skip_arguments(s)
+        word = named.span.to(s.previous.span).text
+        s.report(messages.FOREIGN_KEYWORD, named.span, word=word, instead=instead)
+        named.name = BAD_TYPE
+
+
+def _skip_arguments(s: TokenStream) -> None:
+    for _ in range(_arguments_end(s, 0) if s.at("<") else 0):
+        s.advance()
+
+
+def pointer(s: TokenStream, named: TypeName) -> None:
+    """Report the `*`, `&` or `?` between a type and a name, and skip it."""
+    if not s.at(*_POINTERS) or s.ahead(1).kind is not TokenKind.NAME:
+        return
+    sign = s.advance()
+    if named.name not in (BAD_TYPE, *FOREIGN_TYPE_HINTS):
+        instead = f"leave the {sign.text} out: variables of classes and arrays are references and may be null"
+        word = f"{named.name}{sign.text}"
+        s.report(messages.FOREIGN_KEYWORD, sign.span, word=word, instead=instead)
+
+
+def sized_name(s: TokenStream, declared: TypeName, name: str) -> None:
+    """`int a[3]` of C: reported, and skipped."""
+    opening = s.current.span
+    while not (s.at_end() or s.at("]", ";", "{", "}")):
+        s.advance()
+    s.accept("]")
+    place = opening.to(s.previous.span)
+    size = place.text.strip("[] ")
+    hint = f"write {declared}[] {name} = new {declared}[{size}];"
+    s.report(messages.ARRAY_STYLE, place, hint=hint, type=declared, name=name)
+
+
+def local_method(s: TokenStream, declared: TypeName, name: str) -> SyntaxRecovery:
+    """Report `int f() { ... }` or `Foo f(1);` inside a method; raise what this returns."""
+    is_class = declared.name not in (*PRIMITIVES, "void", BAD_TYPE) and not declared.dimensions
+    instead = f"write {declared} {name} = new {declared}(...);" if is_class else _MOVE_METHOD
+    word = f"{declared.span.text} {name}(...)"
+    s.report(messages.FOREIGN_KEYWORD, declared.span, word=word, instead=instead)
+    s.accept("(")
+    s.skip_parentheses(1)
+    return SyntaxRecovery()
+
+
+# --- statements -----------------------------------------------------------------------------------------
+
+
+def at_foreign_each(s: TokenStream) -> bool:
+    """Whether `i in ...` or `(i in ...` follows the `for`."""
+    at = 1 if s.at("(") else 0
+    return s.ahead(at).kind is TokenKind.NAME and s.ahead(at + 1).text in ("in", "of", ",")
+
+
+def foreign_each(s: TokenStream) -> None:
+    """Report the head of a `for` of Python, and skip it."""
+    at = 1 if s.at("(") else 0
+    while s.ahead(at).text not in ("in", "of", "{", ";", ")") and s.ahead(at).kind is not TokenKind.END:
+        at += 1
+    word, instead = s.ahead(at), _EACH
+    if s.ahead(at + 1).text == "range":
+        bound = s.ahead(at + 3).text if s.ahead(at + 4).text == ")" else "n"
+        instead = f"write for (int i = 0; i < {bound}; i += 1) {{ ... }}"
+    s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=instead)
+    if s.accept("("):
+        s.skip_parentheses(1)
+    while not (s.at_end() or s.at("{", "}", ";", ":") or s.first_on_line()):
+        s.advance()
+    s.accept(":")
+
+
+def at_except(s: TokenStream) -> bool:
+    """Whether an `except` of Python follows a block."""
+    return s.at("except") and s.at_name() and s.ahead(1).text not in ("=", ".", "[", ";", "+=", "-=")
+
+
+def skip_except(s: TokenStream) -> None:
+    """Report an `except` and skip its head."""
+    word = s.current
+    s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=FOREIGN_STATEMENTS[word.text])
+    while not (s.at_end() or s.at("{", "}", ";", ":")):
+        s.advance()
+    s.accept(":")
+
+
+def block_ahead(s: TokenStream) -> int:
+    """How far ahead the `{` of `word {` or `word (...) {` is; 0 for neither."""
+    ahead, depth, braces, semicolons = 1, 0, 0, 0
+    while depth > 0 or s.ahead(ahead).text == "(":
+        token = s.ahead(ahead)
+        depth += {"(": 1, ")": -1}.get(token.text, 0)
+        braces += {"{": 1, "}": -1}.get(token.text, 0)
+        semicolons += token.text == ";"
+        # Braces contain the elements of an array; the head of a `for` has two semicolons.
+        if token.kind is TokenKind.END or braces < 0 or semicolons > (2 if braces == 0 else 0):
+            return 0
+        ahead += 1
+    return ahead if s.ahead(ahead).text == "{" else 0
+
+
+def at_foreign_statement(s: TokenStream) -> bool:
+    """Whether the word here is used as in its own language, and not as a name of this program."""
+    following = s.ahead(1)
+    if following.text in ("(", "{"):
+        return block_ahead(s) > 0
+    return following.kind is TokenKind.KEYWORD or following.text == "!" or is_operand_start(following)
+
+
+def foreign_statement(s: TokenStream, keyword: str) -> Stmt:
+    """A statement of another language: reported; its block, if it has one, is skipped."""
+    span = s.current.span
+    s.report(messages.FOREIGN_KEYWORD, span, word=keyword, instead=FOREIGN_STATEMENTS[keyword])
+    while not s.at_end() and not s.at(";", "{", "}"):
+        s.advance()
+    if s.at("{"):
+        s.skip_braces()
+        if keyword == "do" and s.at("while"):
+            s.skip_statement()
+    else:
+        s.accept(";")
+    return BadStmt(span)

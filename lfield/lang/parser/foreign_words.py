@@ -1,0 +1,334 @@
+"""Words of Python, C++, Java and ROS, with their equivalents in L.
+
+All of them are ordinary names in L. They are looked up only after an error.
+"""
+
+from __future__ import annotations
+
+_ONE_TYPE = "write the type: int x = 1;"
+_NO_LIST = "the length of an array is fixed: write int[] and make a longer array to add elements"
+_NO_MAP = "L has no maps: store keys and values in two arrays, or in an array of objects of a class"
+_NO_MODULES = "L has no modules: call library functions by their name alone, as in sleep(1.0) or print(text)"
+_TOGETHER = "write together { ... } around the portal calls that are to run at the same time"
+_METHOD = "write private void name(...) { ... } inside a resource, a coordinator or a class"
+_PRINT = "write print(text)"
+_IF = "write if (...) ... else if (...) ... else ..."
+_YIELD = "write return with the value; yield() only runs other threads"
+_NO_WAIT = "leave it out: a call returns when it is complete"
+_NO_MODIFIER = "units have no modifier; leave it out"
+_EACH = "write for (T x : array) { ... }"
+
+#: Type names of other languages and the L type that is meant.
+FOREIGN_TYPES = {
+    "String": "string",
+    "str": "string",
+    "char": "string",
+    "bool": "boolean",
+    "Boolean": "boolean",
+    "float": "real",
+    "double": "real",
+    "Float": "real",
+    "Double": "real",
+    "float32": "real",
+    "float64": "real",
+    "long": "int",
+    "short": "int",
+    "byte": "int",
+    "unsigned": "int",
+    "signed": "int",
+    "integer": "int",
+    "Integer": "int",
+    "Long": "int",
+    "Int": "int",
+    "number": "real",
+    "size_t": "int",
+    **{
+        f"{sign}int{bits}{end}": "int" for sign in ("u", "") for bits in (8, 16, 32, 64) for end in ("_t", "")
+    },
+}
+
+#: Types of other languages that L has no type for.
+CONTAINERS = {
+    **dict.fromkeys(
+        ("List", "list", "vector", "Vector", "ArrayList", "array", "Array", "deque", "Vec", "Sequence"),
+        _NO_LIST,
+    ),
+    **dict.fromkeys(("Map", "map", "HashMap", "unordered_map", "dict", "Dict", "Dictionary"), _NO_MAP),
+    **dict.fromkeys(("set", "Set", "HashSet", "frozenset"), "L has no sets: store the elements in an array"),
+    **dict.fromkeys(("tuple", "Tuple", "pair", "Pair"), "write a class with a field for each element"),
+    **dict.fromkeys(
+        ("Optional", "optional", "unique_ptr", "shared_ptr", "SharedPtr", "Ptr"),
+        "write the class itself: a variable of a class may be null",
+    ),
+}
+NO_GENERICS = "L has no generic types: write a class for each element type"
+FOREIGN_TYPE_HINTS = {
+    **CONTAINERS,
+    **dict.fromkeys(("auto", "var", "let", "any", "Any", "object", "Object", "dynamic"), _ONE_TYPE),
+    **dict.fromkeys(
+        ("thread", "Thread", "mutex", "Mutex", "Lock", "future", "Future", "Task"),
+        "declare portals synchronized; for calls that run at the same time write together { ... }",
+    ),
+    **dict.fromkeys(
+        ("Node", "Publisher", "Subscription", "Client", "Service", "Timer", "Executor"),
+        "L has no nodes and topics: write a resource with portals, and call these from a coordinator",
+    ),
+}
+
+#: Names of values in other languages.
+FOREIGN_VALUES = {
+    "self": "this",
+    "None": "null",
+    "nil": "null",
+    "NULL": "null",
+    "nullptr": "null",
+    "undefined": "null",
+    "True": "true",
+    "TRUE": "true",
+    "False": "false",
+    "FALSE": "false",
+}
+
+#: Modules and other names of other languages, used like variables.
+FOREIGN_NAMES = {
+    **dict.fromkeys(
+        (
+            "time",
+            "math",
+            "os",
+            "sys",
+            "asyncio",
+            "threading",
+            "random",
+            "np",
+            "numpy",
+            "std",
+            "Math",
+            "rospy",
+        ),
+        _NO_MODULES,
+    ),
+    **dict.fromkeys(
+        ("rclpy", "rclcpp", "node", "executor"),
+        "L has no nodes and topics: write a resource with portals, and call these from a coordinator",
+    ),
+    **dict.fromkeys(("System", "cout", "cerr", "logger", "logging", "console"), "write print(text)"),
+    "super": "L has no inheritance: put an object of the other class into a field",
+    "pass": "leave it out: a block may be empty",
+}
+
+#: Functions of other languages, and what to write.
+FOREIGN_FUNCTIONS = {
+    **dict.fromkeys(("println", "printf", "echo", "log_info", "loginfo", "puts"), "in L it is print(...)"),
+    **dict.fromkeys(
+        (f"{ros}_{level}" for ros in ("RCLCPP", "ROS") for level in ("INFO", "WARN", "ERROR")), _PRINT
+    ),
+    **dict.fromkeys(("get_logger", "getLogger"), _PRINT),
+    **dict.fromkeys(("toString", "str", "to_string"), "in L it is i2s(...), f2s(...) or b2s(...)"),
+    **dict.fromkeys(("parseInt", "atoi", "stoi"), "in L it is s2i(...)"),
+    **dict.fromkeys(("atof", "stof", "stod", "parseFloat"), "in L it is s2f(...)"),
+    **dict.fromkeys(("float", "double"), "L converts with i2f(...) and s2f(...)"),
+    **dict.fromkeys(("bool",), "compare it with something, as in x != 0"),
+    **dict.fromkeys(("delay", "sleep_for", "sleep_until"), "in L it is sleep(seconds)"),
+    **dict.fromkeys(
+        ("sleep_ms", "usleep", "msleep", "delay_ms"), "in L it is sleep(seconds): write sleep(0.1) for 100 ms"
+    ),
+    **dict.fromkeys(("len", "sizeof", "size"), "write a.length()"),
+    **dict.fromkeys(("strcmp", "equals"), "compare with ==, which compares the characters of text"),
+    **dict.fromkeys(("fabs",), "in L it is abs(...)"),
+    **dict.fromkeys(("trunc",), "in L it is f2i(...)"),
+    **dict.fromkeys(("rand", "randint"), "in L it is random(n)"),
+    "range": "write for (int i = 0; i < n; i += 1) { ... }",
+    "enumerate": "write for (int i = 0; i < a.length(); i += 1) { ... }",
+    "not": "write !(...)",
+    "assert": 'write if (!(...)) throw new Exception("reason");',
+    "await": _NO_WAIT,
+    **dict.fromkeys(("spawn", "launch", "go", "async", "gather"), _TOGETHER),
+    **dict.fromkeys(("isinstance", "typeof", "type"), "every variable has one static type"),
+    **dict.fromkeys(("input", "open", "scanf"), "L reads no files: pass values as deployment arguments"),
+    **dict.fromkeys(("lock", "acquire"), "declare the portal synchronized"),
+    **dict.fromkeys(("timeout", "wait_for"), "write within (seconds) { ... }"),
+    **dict.fromkeys(("until", "unless"), "write while (!(...)) or if (!(...))"),
+    **dict.fromkeys(("repeat", "times"), "write for (int i = 0; i < n; i += 1) { ... }"),
+}
+
+_TO_JOIN = 'join text with +, as in "n is " + i2s(n)'
+_FIXED = "the length of an array is fixed: make a new array and copy the elements"
+#: Methods of text and of arrays in other languages, and what to write.
+STRING_METHODS = {
+    **dict.fromkeys(("equals", "compare", "compareTo", "strcmp"), "write ==, which compares the characters"),
+    **dict.fromkeys(("format", "join", "concat", "append", "f"), _TO_JOIN),
+    **dict.fromkeys(("size", "len", "count"), "in L it is length()"),
+    **dict.fromkeys(("isEmpty", "empty"), 'compare with "", as in s == ""'),
+    **dict.fromkeys(("charAt", "at", "get"), "write s.substring(i, i + 1)"),
+    **dict.fromkeys(("contains", "find", "startsWith", "startswith"), "write indexOf(...), -1 if not found"),
+    **dict.fromkeys(("substr", "slice"), "write s.substring(from, to)"),
+    **dict.fromkeys(("c_str", "toString", "encode", "decode"), "leave it out"),
+}
+ARRAY_METHODS = {
+    **dict.fromkeys(("size", "len", "count"), "in L it is length()"),
+    **dict.fromkeys(
+        (
+            *("append", "push_back", "push", "add", "insert", "extend", "emplace_back"),
+            *("pop", "pop_back", "remove", "erase", "clear", "resize"),
+        ),
+        _FIXED,
+    ),
+    **dict.fromkeys(("at", "get", "set"), "write a[i]"),
+    **dict.fromkeys(("contains", "index", "find", "sort", "map", "filter"), "write a loop over the array"),
+    **dict.fromkeys(("empty", "isEmpty"), "compare a.length() with 0"),
+}
+
+#: Words that begin a member in other languages, and the equivalent in L.
+FOREIGN_MODIFIERS = {
+    "static": "every method belongs to an object; leave it out",
+    "final": "leave it out",
+    "const": "leave it out",
+    "constexpr": "leave it out",
+    "readonly": "leave it out",
+    "protected": "write private or public",
+    "abstract": "leave it out and give the method a body",
+    "internal": "write private or public",
+    "virtual": "leave it out",
+    "override": "leave it out",
+    "inline": "leave it out",
+    "explicit": "leave it out",
+    "volatile": "leave it out",
+    "mutable": "leave it out",
+    "async": _NO_WAIT,
+}
+
+#: Words between the parameters of a method and its body.
+METHOD_ENDS = {
+    "throws": "leave it out: any method may throw",
+    "const": "leave it out",
+    "override": "leave it out",
+    "noexcept": "leave it out",
+    "final": "leave it out",
+}
+
+#: Words that begin a method in other languages.
+METHOD_WORDS = ("def", "func", "fn", "function", "fun", "sub")
+
+#: Words that begin a statement in other languages, and the equivalent in L.
+FOREIGN_STATEMENTS = {
+    **dict.fromkeys(("switch", "case", "match", "when"), _IF),
+    "do": "write while (true) { ... if (...) break; }",
+    "loop": "write while (true) { ... }",
+    "until": "write while (!(...)) { ... }",
+    "unless": "write if (!(...)) ...",
+    "repeat": "write for (int i = 0; i < n; i += 1) { ... }",
+    "goto": "use while, for, break and continue",
+    "foreach": _EACH,
+    **dict.fromkeys(("elif", "elsif", "elseif", "elseIf"), "write else if"),
+    **dict.fromkeys(("var", "let", "auto"), _ONE_TYPE),
+    **dict.fromkeys(("const", "constexpr", "final", "volatile", "mutable"), "leave it out"),
+    "static": "declare a field of the resource, coordinator or class",
+    **dict.fromkeys(("delete", "del", "free"), "objects are freed automatically; leave it out"),
+    "raise": 'write throw new Exception("reason");',
+    "except": "write catch (Exception e) { ... }",
+    "assert": 'write if (!(...)) throw new Exception("reason");',
+    **dict.fromkeys(("parallel", "par", "concurrent", "async", "spawn", "fork", "launch"), _TOGETHER),
+    **dict.fromkeys(("await", "co_await"), _NO_WAIT),
+    **dict.fromkeys(("yield", "co_yield", "co_return"), _YIELD),
+    **dict.fromkeys(("lock", "synchronize", "atomic"), "declare the portal synchronized"),
+    **dict.fromkeys(("timeout", "deadline"), "write within (seconds) { ... }"),
+    "with": "write try { ... } finally { ... }, within (seconds) { ... } or reserve (arm) { ... }",
+    **dict.fromkeys(("print", "echo"), "write print(text)"),
+    **dict.fromkeys(("global", "nonlocal"), "leave it out: fields of the unit are visible in its methods"),
+    **dict.fromkeys(METHOD_WORDS, _METHOD),
+    **dict.fromkeys(("import", "from", "using", "use"), 'write include "file.L"; at the top of the file'),
+    "typedef": "write the type itself",
+    **dict.fromkeys(("struct", "enum", "namespace", "template"), "write class Name { ... } at the top level"),
+}
+#: Words that begin a unit in other languages, and the equivalent in L.
+FOREIGN_UNITS = {
+    **dict.fromkeys(("import", "using", "from", "use"), 'write include "file.L";'),
+    "package": "files need no package; leave it out",
+    "namespace": "names need no namespace; leave it out",
+    "template": NO_GENERICS,
+    "typedef": "write the type itself",
+    "interface": "write the class itself",
+    "struct": "write class Name { ... }",
+    "enum": "use int constants",
+    **dict.fromkeys(
+        ("public", "private", "protected", "abstract", "final", "export", "static", "extern", "pub"),
+        _NO_MODIFIER,
+    ),
+    **dict.fromkeys(
+        (
+            "void",
+            "int",
+            "real",
+            "boolean",
+            "string",
+            "bool",
+            "double",
+            "float",
+            "const",
+            "auto",
+            "var",
+            "let",
+        ),
+        "write methods and fields inside a resource, a coordinator or a class",
+    ),
+    **dict.fromkeys(METHOD_WORDS, _METHOD),
+    **dict.fromkeys(("node", "robot", "device", "actor", "server", "service"), "write resource Name { ... }"),
+    **dict.fromkeys(("mission", "agent", "process", "task"), "write coordinator Name { ... }"),
+    "module": "write resource, coordinator or class Name { ... }",
+    **dict.fromkeys(("if", "while", "for", "main"), "a program starts in init(string[] arg) of each agent"),
+}
+
+#: Operators that are words in other languages: the operator of L, or "" for none, and what to write.
+WORD_OPERATORS = {
+    "and": ("&&", "write &&"),
+    "or": ("||", "write ||"),
+    "is": ("==", "write =="),
+    "mod": ("%", "write %"),
+    "div": ("/", "write /: it divides whole numbers if both sides are int"),
+    "xor": ("!=", "write !=, for two booleans"),
+    "in": ("", "search the array with a loop: for (T x : array) { ... }"),
+    "not": ("", "search the array with a loop: for (T x : array) { ... }"),
+    "instanceof": ("", "every variable has one static type"),
+    "as": ("", "L converts with functions: i2f, f2i, i2s, f2s, b2s, s2i, s2f"),
+}
+#: Words before an operand.
+WORD_PREFIXES = {
+    "not": "write !",
+    "await": _NO_WAIT,
+    "co_await": _NO_WAIT,
+    "async": _TOGETHER,
+    "spawn": _TOGETHER,
+    "launch": _TOGETHER,
+    "yield": _YIELD,
+    "typeof": "every variable has one static type",
+    "sizeof": "write a.length()",
+    "lambda": "methods are not values: write a method and call it by its name",
+}
+#: What to write instead of a symbol that begins no expression of L.
+FOREIGN_SYMBOLS = {
+    ":": "a block is in braces: { ... }",
+    "[": "the elements of an array are in braces: new int[] {1, 2}",
+    "emit": "emit belongs in the head of a portal and names its type; in the body write return value;",
+    ".": "write a name before the point",
+}
+#: Members of `std::`.
+STD_MEMBERS = {
+    **dict.fromkeys(("cout", "cerr", "clog", "endl"), _PRINT),
+    "string": "write string",
+    **CONTAINERS,
+}
+
+
+def type_hint(name: str) -> str | None:
+    """What to write instead of a type of another language, or None."""
+    if name in FOREIGN_TYPES:
+        return f"in L it is called {FOREIGN_TYPES[name]}"
+    return FOREIGN_TYPE_HINTS.get(name)
+
+
+def variable_hint(name: str) -> str | None:
+    """What to write instead of a name of another language, or None."""
+    if name in FOREIGN_VALUES:
+        return f"in L it is called {FOREIGN_VALUES[name]}"
+    return FOREIGN_NAMES.get(name)

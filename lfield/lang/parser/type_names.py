@@ -1,0 +1,85 @@
+"""Type names: `int`, `Server`, `string[]`."""
+
+from __future__ import annotations
+
+from lfield.lang import messages
+from lfield.lang.parser.foreign_syntax import at_foreign_type, pointer, qualified, sized_name
+from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS
+from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
+from lfield.lang.syntax import BAD_TYPE, TypeName
+
+#: How many `[]` a type may have.
+MAX_DIMENSIONS = 8
+
+
+def at_declaration(s: TokenStream) -> bool:
+    """Whether a declaration `T name` begins here, and not an expression."""
+    if s.at(*PRIMITIVES, "void"):
+        return True
+    next_is_name = s.ahead(1).kind == s.current.kind
+    is_array = (s.ahead(1).text, s.ahead(2).text) == ("[", "]")
+    return s.at_name() and (next_is_name or is_array or at_foreign_type(s))
+
+
+def element_name(s: TokenStream, what: str = "a type") -> TypeName:
+    """The name of a type without its `[]`."""
+    if s.at(*PRIMITIVES, "void"):
+        token = s.advance()
+    else:
+        token = s.expect_name(what)
+    named = TypeName(token.span, token.text)
+    qualified(s, named)
+    s.types.add(named.name)
+    return named
+
+
+def type_name(s: TokenStream, use: str) -> TypeName:
+    """A type for a variable, a field, ... (`use`, for the message); void is none."""
+    found = result_type(s)
+    if found.name == "void":
+        s.report(messages.VOID_VALUE_TYPE, found.span, what=use)
+        found.name = BAD_TYPE
+    return found
+
+
+def result_type(s: TokenStream) -> TypeName:
+    """A type or void."""
+    found = element_name(s)
+    brackets(s, found)
+    pointer(s, found)
+    if found.name == "void" and found.dimensions:
+        s.report(messages.VOID_VALUE_TYPE, found.span, what="an array")
+        found.name = BAD_TYPE
+    return found
+
+
+def brackets(s: TokenStream, found: TypeName) -> None:
+    """The `[]` after a type name, counted into it."""
+    while s.at("[") and s.ahead(1).text == "]":
+        s.advance()
+        found.dimensions += 1
+        found.span = found.span.to(s.advance().span)
+    if found.dimensions > MAX_DIMENSIONS:
+        raise s.fail(messages.TOO_DEEP, hint="put the inner arrays into a class", limit=MAX_DIMENSIONS)
+
+
+def parameter_modifier(s: TokenStream) -> None:
+    """`const` and the like before the type of a parameter: reported, and skipped."""
+    if not (s.at_name() and s.at(*FOREIGN_MODIFIERS)):
+        return
+    following = s.ahead(1)
+    is_type = following.text in PRIMITIVES or (
+        following.kind is s.current.kind and s.ahead(2).text not in (",", ")")
+    )
+    if is_type:
+        word = s.advance()
+        s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead="leave it out")
+
+
+def misplaced_brackets(s: TokenStream, declared: TypeName, name: str) -> None:
+    """`int a[]`, a habit from C: reported, and read as `int[] a`."""
+    if s.at("[") and s.ahead(1).text == "]":
+        s.report(messages.ARRAY_STYLE, s.current.span.to(s.ahead(1).span), type=declared, name=name)
+        brackets(s, declared)
+    elif s.at("["):
+        sized_name(s, declared, name)

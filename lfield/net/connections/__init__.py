@@ -1,0 +1,1 @@
+"""Connection establishment: name resolution, dialling with back-off, listening sockets."""

@@ -1,0 +1,142 @@
+"""Dials hosts repeatedly while links with them are needed, and logs the results."""
+
+from __future__ import annotations
+
+import asyncio
+from typing import TYPE_CHECKING, Protocol
+
+from lfield.clock import Clock
+from lfield.errors import AddressError, HandshakeError, WireError
+from lfield.event_loop import spawn
+from lfield.net.session import Session, SessionOwner
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfield.net.transport import Transport
+
+#: Seconds between two attempts: the first delay and the longest. An unanswered attempt repeats itself
+#: (`lfield.address_race`), so one starts at most this long after a path works again.
+FIRST_RETRY, LAST_RETRY = 0.05, 0.5
+#: A host dialled for less than this may still be starting; that is not logged.
+REPORT_AFTER = 3.0
+
+
+class DialOwner(SessionOwner, Protocol):
+    """The owner of the diallers."""
+
+    def needs_link(self, host: str) -> bool:
+        """Whether a link with a host is needed now."""
+
+    def link_of(self, host: str) -> Session | None:
+        """The current link with a host. A suspected link remains current until it is replaced."""
+
+    def on_dialled(self, host: str) -> None:
+        """An attempt has ended."""
+
+
+class Dialler:
+    """Dials one host until cancelled, or until its link is no longer needed. `note` writes a log line."""
+
+    def __init__(
+        self,
+        owner: DialOwner,
+        transport: Transport,
+        clock: Clock,
+        host: str,
+        address: str,
+        note: Callable[[LogLine], None],
+    ) -> None:
+        self._owner, self._transport, self._clock, self._note = owner, transport, clock, note
+        self._host, self._address = host, address
+        #: The dialled link that has not been accepted yet.
+        self.session: Session | None = None
+        #: Whether an attempt has failed since the last link.
+        self.has_failed = False
+        #: What was logged since the last link, and since when the host is dialled.
+        self._reported: set[str] = set()
+        self._since = clock.monotonic()
+        self._task = spawn(self._run())
+
+    @property
+    def is_over(self) -> bool:
+        """Whether dialling has ended."""
+        return self._task.done()
+
+    def clear_failure(self) -> None:
+        """A link with the host exists."""
+        self.has_failed = False
+
+    def cancel(self) -> None:
+        """Stop dialling."""
+        self._task.cancel()
+
+    async def _run(self) -> None:
+        wait, now = FIRST_RETRY, self._clock.monotonic
+        while self._owner.needs_link(self._host):
+            began = now()
+            there = self._owner.link_of(self._host)
+            if there is not None and not there.is_suspected:
+                await there.suspected.wait()
+                wait = FIRST_RETRY
+                self._reset_reports()
+            elif barred := self._owner.ban_remaining(self._host):
+                await asyncio.sleep(barred)
+                continue
+            else:
+                session = self.session = Session(self._owner, dialled=self._host)
+                reason = await self._dial(session)
+                if session.linked:
+                    wait = FIRST_RETRY
+                    self._reset_reports()
+                elif reason:
+                    self._report(session, reason)
+            # A slow attempt needs no further delay: the path may just have returned.
+            await asyncio.sleep(max(FIRST_RETRY, wait - (now() - began)))
+            wait = min(LAST_RETRY, wait * 1.5)
+
+    async def _dial(self, session: Session) -> str:
+        """Dial, and wait for the end of the link. Returns why it ended, or was not made."""
+        try:
+            link = await self._transport.connect(self._address, session)
+            there = self._owner.link_of(self._host)
+            if there not in (None, session) and not there.is_suspected:
+                # The host has dialled meanwhile, or the silent link has recovered.
+                link.close()
+            else:
+                session.open(link)
+            await session.closed.wait()
+            return session.reason
+        except (AddressError, HandshakeError, WireError) as error:
+            # A host that fails authentication has answered.
+            answered = not isinstance(error, AddressError)
+            if answered:
+                session.mark_connected()
+            self._owner.refusals.report(self._host, str(error) if answered else "")
+            return error.reason if isinstance(error, AddressError) else str(error)
+        finally:
+            self.session = None
+            self.has_failed = True
+            self._owner.on_dialled(self._host)
+
+    def _reset_reports(self) -> None:
+        self._reported.clear()
+        self._since = self._clock.monotonic()
+
+    def _report(self, session: Session, reason: str) -> None:
+        """Log each distinct result once per link: attempts repeat every second."""
+        if reason in self._reported:
+            return
+        if session.connected:
+            self._note(log_messages.LINK_REFUSED.line(host=self._host, reason=reason))
+        elif self._clock.monotonic() - self._since >= REPORT_AFTER:
+            self._note(
+                log_messages.HOST_UNREACHABLE.line(
+                    host=self._host, address=self._address, reason=reason, interval=LAST_RETRY
+                )
+            )
+        else:
+            return
+        self._reported.add(reason)

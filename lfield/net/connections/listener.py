@@ -1,0 +1,172 @@
+"""A listening port at all addresses of a name, which follows changes of the name and of the interfaces."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Awaitable, Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+from lfield.errors import AddressError
+from lfield.event_loop import spawn
+from lfield.net.connections.resolver import ResolvedAddress, resolve
+from lfield.net.connections.socket_errors import describe
+from lfield.net.peer_credentials import socket_address
+from lfield.net.transport import is_lasting, split_address
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+
+#: Seconds between checks of a name, or of an interface address that may change.
+CHECK_EVERY = 1.0
+
+
+class SocketServer(Protocol):
+    """A server that accepts connections of a bound socket."""
+
+    def close(self) -> None:
+        """Stop accepting, and close the socket."""
+
+
+class SocketListener:
+    """One listening socket, of a path or inherited; `path` is removed at its end."""
+
+    def __init__(self, server: SocketServer, address: str, path: Path | None = None) -> None:
+        self._server, self.address, self._path = server, address, path
+
+    def close(self) -> None:
+        """Stop accepting links."""
+        self._server.close()
+        if self._path is not None:
+            with suppress(FileNotFoundError):
+                self._path.unlink()
+
+
+class PortListener:
+    """Listens at every address of a name that belongs to this computer.
+
+    `serve` creates a server for a bound socket, `note` writes a log line, and `why` explains an error to the
+    user. When the name resolves to other addresses, the sockets follow. A failed attempt is repeated.
+    """
+
+    def __init__(
+        self,
+        address: str,
+        serve: Callable[[socket.socket], Awaitable[SocketServer]],
+        note: Callable[[LogLine], None],
+        why: Callable[[OSError | UnicodeError], str] = describe,
+    ) -> None:
+        self._requested, self._serve, self._note, self._why = address, serve, note, why
+        self._host, self._port = split_address(address)
+        self._servers: dict[ResolvedAddress, SocketServer] = {}
+        #: The sockets by address.
+        self._addresses: dict[ResolvedAddress, str] = {}
+        #: The logged reasons of addresses at which it does not listen.
+        self._failures: dict[ResolvedAddress, str] = {}
+        self._timer: asyncio.TimerHandle | None = None
+        self._is_closed = False
+
+    async def open(self) -> None:
+        """Listen, and follow the name. Raises AddressError when no address can be bound."""
+        try:
+            failures = await self._bind(await resolve(self._host, self._port, passive=True))
+        except (OSError, UnicodeError) as error:
+            raise AddressError(self._requested, self._why(error)) from None
+        if not self._servers:
+            raise AddressError(self._requested, "; ".join(dict.fromkeys(failures.values())))
+        self._report(failures)
+        if not is_lasting(self._host):
+            self._plan()
+
+    @property
+    def address(self) -> str:
+        """The first listening address, with the actual port if 0 was requested."""
+        return self._addresses[next(iter(self._servers))]
+
+    def close(self) -> None:
+        """Stop accepting links."""
+        self._is_closed = True
+        if self._timer is not None:
+            self._timer.cancel()
+        for server in self._servers.values():
+            server.close()
+
+    def _plan(self) -> None:
+        if not self._is_closed:
+            self._timer = asyncio.get_running_loop().call_later(CHECK_EVERY, lambda: spawn(self._check()))
+
+    async def _check(self) -> None:
+        """Listen at the present addresses of the name; keep the old ones when it does not resolve."""
+        with suppress(OSError, UnicodeError):
+            await self._follow(await resolve(self._host, self._port, passive=True))
+        self._plan()
+
+    async def _follow(self, found: list[ResolvedAddress]) -> None:
+        before = set(self._servers)
+        failures = await self._bind([at for at in found if at not in self._servers])
+        for at in self._servers.keys() - before:
+            self._note(log_messages.LISTENING_ALSO.line(address=self._addresses[at], host=self._host))
+        self._report(failures)
+        if not self._servers.keys().isdisjoint(found):
+            for at in [at for at in self._servers if at not in found]:
+                self._servers.pop(at).close()
+                old = self._addresses.pop(at)
+                self._note(log_messages.LISTENING_ENDED.line(address=old, host=self._host))
+
+    def _report(self, failures: dict[ResolvedAddress, str]) -> None:
+        """Log the reasons for addresses that failed, once each."""
+        for at, why in failures.items():
+            if self._failures.get(at) != why:
+                where = self._address_text(at)
+                self._note(log_messages.LISTENING_FAILED.line(address=where, reason=why))
+        self._failures = failures
+
+    async def _bind(self, found: list[ResolvedAddress]) -> dict[ResolvedAddress, str]:
+        """Bind addresses. Returns the reasons of those that failed."""
+        failures: dict[ResolvedAddress, str] = {}
+        for at in found:
+            try:
+                server, name = await self._listen(at)
+            except OSError as error:
+                failures[at] = self._why(error)
+                continue
+            if self._is_closed:
+                server.close()
+            else:
+                self._servers[at], self._addresses[at] = server, name
+        return failures
+
+    async def _listen(self, at: ResolvedAddress) -> tuple[SocketServer, str]:
+        """The server at an address, and that address with its port. Raises OSError."""
+        made = bound_socket(at, self._port or self._real_port())
+        name = socket_address(made.getsockname())
+        try:
+            return await self._serve(made), name
+        except BaseException:
+            # Another socket may have been bound to the same address, and may listen there by now.
+            made.close()
+            raise
+
+    def _address_text(self, at: ResolvedAddress) -> str:
+        return socket_address((at.address[0], self._port or self._real_port(), *at.address[2:]))
+
+    def _real_port(self) -> int:
+        """The port that the kernel chose for port 0."""
+        return split_address(self.address)[1] if self._servers else 0
+
+
+def bound_socket(at: ResolvedAddress, port: int) -> socket.socket:
+    """A socket bound to an address; "::" covers both families. Raises OSError."""
+    made = socket.socket(at.family, socket.SOCK_STREAM)
+    try:
+        # Connections of an earlier process in TIME_WAIT do not prevent binding.
+        made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        if at.family == socket.AF_INET6:
+            made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, at.address[0] != "::")
+        made.bind((at.address[0], port, *at.address[2:]))
+        made.setblocking(False)
+    except BaseException:
+        made.close()
+        raise
+    return made

@@ -1,0 +1,240 @@
+"""Message framing shared by all links: encodes and decodes messages, and closes a link on protocol errors."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfield.authority.identity import ANONYMOUS
+from lfield.errors import AddressError, HandshakeError, WireError
+from lfield.event_loop import report_exception
+from lfield.net.scheduling.cpu_budgets import PROOF_WEIGHT
+from lfield.wire.codec import (
+    PART,
+    TRANSFER,
+    decode,
+    decode_transfer,
+    encode,
+    encode_transfer,
+    frame_decoder,
+    limits,
+    part_limits,
+)
+from lfield.wire.messages import HandshakeRefused, Ping, Pong
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from lfield.authority.identity import Identity
+    from lfield.errors import LfieldError
+    from lfield.net.health.traffic import TcpCounts
+    from lfield.net.transport import LinkHandler
+    from lfield.wire.coordinator_messages import Transfer
+    from lfield.wire.framing import Buffer
+    from lfield.wire.messages import Message, Role
+
+#: Bytes of a message that count as one more message (`FramedLink.weight`).
+_HEAVY = 1 << 11
+
+#: More oversized bytes than this factor times the limit prove that the peer sends without waiting.
+_OVERSIZE_FACTOR = 16
+#: Sent before queued data: stop and pause orders with their answers, and heartbeats, so that a busy link is
+#: not taken for a silent one.
+_ORDERS = (EmergencyStop, EmergencyStopResult, Pause, OrderChallenge, RelayedOrder, RelayedAnswer)
+_URGENT = (*_ORDERS, Ping, Pong)
+#: Never withheld: these cause no coordinator to be sent, and some of them stop robots.
+_NEVER_WITHHELD = (*_URGENT, HandshakeRefused)
+
+
+class FramedLink:
+    """A link over a byte stream; a transport provides `write` and `close`.
+
+    The transport sets `handler` before the first bytes arrive, and passes bytes to `received` and the end of
+    the stream to `on_eof`.
+    """
+
+    handler: LinkHandler
+
+    def __init__(self, peer: str, max_block: int) -> None:
+        self.peer = peer
+        self.who: Identity = ANONYMOUS
+        self.closed = self.is_answered = False
+        #: Data withheld while coordinators and answers are withheld, else None; how much has arrived since,
+        #: and which coordinators.
+        self._withheld: list[Buffer] | None = None
+        self._weight, self._withheld_weight = 0, set[str]()
+        self._error: LfieldError | None = None
+        self._max_block = max_block
+        self._decoder = frame_decoder(self._oversize)
+        #: Decoder of a frame that arrives in parts.
+        self._parts = frame_decoder(self._oversize)
+
+    def write(self, data: Buffer) -> None:
+        """Queue raw bytes. Only `send`, `send_transfer` and tests of malformed bytes call it."""
+        raise NotImplementedError
+
+    def write_now(self, data: Buffer) -> None:
+        """Write bytes immediately after queued data; same as `write` in transports without a difference."""
+        self.write(data)
+
+    def write_urgent(self, data: Buffer) -> None:
+        """Write a frame before all queued data; same as `write` in transports without a queue."""
+        self.write(data)
+
+    def close(self) -> None:
+        """Send queued data, then close; sets `closed`."""
+        raise NotImplementedError
+
+    def abort(self) -> None:
+        """Close and discard queued data; sets `closed`."""
+        raise NotImplementedError
+
+    def accept_role(self, role: Role) -> None:
+        """See `Link.accept_role`."""
+        self._decoder.set_limits(limits(role, self._max_block))
+        self._parts.set_limits(part_limits(role, self._max_block))
+
+    def set_round_trip(self, round_trip: float) -> None:
+        """See `Link.set_round_trip`: no effect without a socket."""
+
+    def counts(self) -> TcpCounts | None:
+        """See `Link.counts`."""
+        return None
+
+    def send(self, message: Message) -> None:
+        """Queue a message, before queued data if urgent. Raises AddressError on a closed link."""
+        self._require_open()
+        if isinstance(message, _URGENT):
+            self.write_urgent(encode(message))
+        elif self._withheld is None or isinstance(message, _NEVER_WITHHELD):
+            self.write(encode(message))
+        else:
+            self._withheld.append(encode(message))
+
+    def send_transfer(self, header: Transfer, block: Buffer) -> None:
+        """Send a coordinator immediately. Raises AddressError on a closed link."""
+        if self.closed:
+            self._require_open()
+        data = b"".join((encode_transfer(header, block), block))
+        if self._withheld is not None:
+            self._withheld.append(data)
+        else:
+            self.write_now(data)
+
+    def received(self, data: Buffer) -> None:
+        """Decode bytes and deliver completed messages; close on a protocol error."""
+        frame = self._decoder.decode_single_frame(data)
+        try:
+            for kind, payload in self._decoder.feed(data) if frame is None else (frame,):
+                if kind == PART:
+                    self._on_part(payload)
+                else:
+                    self._on_frame(kind, payload)
+                if self.closed:
+                    break
+        except Exception as error:
+            self._on_error(error)
+
+    def receive_frame(self, data: Buffer) -> bool:
+        """Process these bytes if they are exactly one frame; otherwise do nothing."""
+        if self.closed or (frame := self._decoder.decode_single_frame(data)) is None:
+            return False
+        kind, payload = frame
+        try:
+            if kind == TRANSFER and self._withheld is None:
+                self.handler.on_transfer(self, *decode_transfer(payload))
+            elif kind == PART:
+                self._on_part(payload)
+            else:
+                self._on_frame(kind, payload)
+        except Exception as error:
+            self._on_error(error)
+        return True
+
+    def _on_error(self, error: Exception) -> None:
+        """Close the link: the peer violated the protocol, or its message exposed a bug."""
+        if isinstance(error, WireError | HandshakeError):
+            self._error = error
+            self.close()
+        else:
+            self.close()
+            report_exception(error)
+
+    def _on_part(self, data: memoryview) -> None:
+        if self._parts.next_frame_length(data) < len(data):
+            raise WireError("a part has bytes of two frames")
+        for kind, payload in self._parts.feed(data):
+            self._on_frame(kind, payload)
+
+    def _on_frame(self, kind: int, payload: memoryview) -> None:
+        if kind == TRANSFER:
+            header, block = decode_transfer(payload)
+            if self._withheld is not None:
+                self._weigh(header)
+            self.handler.on_transfer(self, header, block)
+        else:
+            if self._withheld is not None:
+                self._weight += 1 + len(payload) // _HEAVY
+            self.handler.on_message(self, decode(kind, payload))
+
+    def withhold(self, *, on: bool) -> None:
+        """Withhold coordinators and answers from now on, or send those withheld.
+
+        They are lost if the link is lost meanwhile, like data in a socket.
+        """
+        waiting, self._withheld = self._withheld, [] if on else None
+        if on:
+            self._weight, self._withheld_weight = 0, set()
+            self._decoder.reset_skipped()
+            self._parts.reset_skipped()
+        for data in waiting or ():
+            self.write(data)
+
+    @property
+    def weight(self) -> int:
+        """How much has arrived since answers are withheld, in messages; 0 while they are not.
+
+        A transfer counts one, a message one and one more per _HEAVY bytes. A host repeats a coordinator only
+        after an answer, so a second transfer of it is proof of flooding (PROVEN), as is an amount of
+        oversized blocks that no host sends before an answer.
+        """
+        skipped = self._decoder.skipped + self._parts.skipped
+        return self._weight + PROOF_WEIGHT * skipped // (_OVERSIZE_FACTOR * self._max_block)
+
+    def _weigh(self, header: Transfer) -> None:
+        self._weight += PROOF_WEIGHT if header.agent in self._withheld_weight else 1
+        self._withheld_weight.add(header.agent)
+
+    def deliver_pending(self, data: Buffer) -> Iterator[None]:
+        """The same for a sender of possibly thousands: processes at most one message per call."""
+        rest = memoryview(data)
+        while True:
+            yield
+            if self.closed:
+                return
+            size = self._decoder.next_frame_length(rest)
+            self.received(rest[:size])
+            rest = rest[size:]
+            if not rest:
+                return
+
+    def on_eof(self, error: LfieldError | None) -> None:
+        """The stream has ended; the first known reason is reported."""
+        half = not self.closed and (self._decoder.is_mid_frame or self._parts.is_mid_frame)
+        self.closed = True
+        # Release now, not at garbage collection: unauthenticated links must not accumulate.
+        self._decoder.discard_partial()
+        self._parts.discard_partial()
+        if self._error is None and error is None and half:
+            error = WireError("peer closed the link in the middle of a message")
+        self.handler.on_closed(self, self._error or error)
+
+    def _oversize(self, header: Transfer, size: int) -> None:
+        if self._withheld is not None:
+            self._weigh(header)
+        self.handler.on_oversize(self, header, size)
+
+    def _require_open(self) -> None:
+        if self.closed:
+            raise AddressError(self.peer, "the link to it is closed")

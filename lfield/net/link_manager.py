@@ -1,0 +1,397 @@
+"""Link manager of one host: dials the needed hosts, accepts links, and closes silent ones.
+
+Needed hosts are dialled repeatedly until they answer. Of two neighbours, the first in the deployment dials;
+any other link is made by the host that needs it, and closed after a while without use. Of two crossing dials,
+that of the first host wins, so two hosts have one link and may start in any order. A link is established when
+both have accepted the other's Hello: each then sends a Ping, and a rejected one gets a Refuse.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from contextlib import suppress
+
+from lfield.authority.admission_policy import AdmissionPolicy
+from lfield.authority.identity import Identity
+from lfield.clock import Clock
+from lfield.errors import AddressError, KeysError, WireError
+from lfield.event_loop import has_spare_descriptors, spawn
+from lfield.net.connection_limiter import ConnectionLimiter
+from lfield.net.connections.dialler import Dialler
+from lfield.net.handshake import Handshake
+from lfield.net.health.link_heartbeats import LOST_AFTER, PING_EVERY
+from lfield.net.health.link_monitor import LinkMonitor
+from lfield.net.link_owner import LinkOwner, RateLimitedLog, RefusedHosts, TeamAddresses
+from lfield.net.scheduling.handshake_scheduler import source_of
+from lfield.net.scheduling.temporary_bans import TemporaryBans
+from lfield.net.session import Session
+from lfield.net.transport import Link, Listener, Transport
+from lfield.text import log_messages
+from lfield.wire.coordinator_messages import Transfer
+from lfield.wire.framing import Buffer
+from lfield.wire.messages import QUESTION, Control, Hello, Ping, Pong, RevocationUpdate
+
+#: Seconds for which a link is kept after a single need, and an unneeded link remains open.
+IDLE_TIMEOUT = 10.0
+#: Seconds without a link after which both of two neighbours dial.
+BOTH_CALL_AFTER = 3.0
+#: Maximum age of a new dial, in seconds.
+NEW_HOST_PERIOD = 1.0
+#: Connection limits: pending handshakes (evicted per address) and observers (evicted per identity).
+MAX_HANDSHAKES, MAX_OBSERVERS = 64, 64
+#: File descriptors reserved for the next callers, one of which may be an emergency stop.
+SPARE_DESCRIPTORS, FULL = 4, "this host has reached its limit of open files"
+
+
+class LinkManager:
+    """All links of one host of a `team`."""
+
+    def __init__(
+        self,
+        owner: LinkOwner,
+        transport: Transport,
+        clock: Clock,
+        rng: random.Random,
+        team: TeamAddresses,
+        admission: AdmissionPolicy | None = None,
+    ) -> None:
+        self._owner, self._transport, self._clock = owner, transport, clock
+        self._admission, self.now = admission or AdmissionPolicy(), clock.monotonic
+        self._hosts, self._addresses, self._here, self._neighbours = team
+        hosts, here = team.hosts, team.here
+        self._numbers = {host: number for number, host in enumerate(hosts)}
+        #: Hosts needed permanently, and hosts needed until a time.
+        self._desired: frozenset[str] = frozenset()
+        self._required_until: dict[str, float] = {}
+        #: The diallers, by host.
+        self._diallers: dict[str, Dialler] = {}
+        #: When each host last dialled, and the banned hosts.
+        self._last_incoming, self._bans = dict[str, float](), TemporaryBans()
+        self._links: dict[str, Session] = {}
+        self.monitor = LinkMonitor(hosts, here, self.now, owner.hybrid_clock)
+        self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
+        self.on_arrival = lambda *transfer: owner.on_transfer(*transfer)
+        self.on_oversize = lambda *transfer: owner.on_oversize(*transfer)
+        self._log_limiter, self.refusals = (
+            RateLimitedLog(owner.note, self.now),
+            RefusedHosts(hosts, lambda *refusal: owner.on_link_refused(*refusal)),
+        )
+        self._ungreeted: ConnectionLimiter[Session] = ConnectionLimiter(
+            MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
+        )
+        self._observers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_OBSERVERS, rng)
+        #: Hosts without a handshake or failed dial so far, and hosts that completed a handshake.
+        self._uncontacted = {host for i, host in enumerate(hosts) if i != here}
+        self._all_contacted = asyncio.Event()
+        #: Time of last contact of each unlinked host.
+        self._last_contacts: dict[str, float] = {}
+        #: Since when each needed host has had no link, on the monotonic clock.
+        self.down_since: dict[str, float] = {}
+
+    @property
+    def incarnations(self) -> dict[str, int]:
+        """The linked hosts with their incarnations."""
+        return {host: s.hello.incarnation for host, s in self._links.items() if s.hello}
+
+    def last_contact_at(self, host: str) -> float | None:
+        """Monotonic time of the last message from a host; None if none arrived."""
+        session = self._links.get(host)
+        return session.last_received if session else self._last_contacts.get(host)
+
+    async def open(self, address: str) -> str:
+        """Listen and start dialling; returns the address with its actual port. Raises AddressError.
+
+        Without an address (''), only local commands can connect, at the control socket.
+        """
+        if address:
+            self._listeners.append(await self._transport.listen(address, self._on_incoming))
+            address = self._listeners[0].address
+        self._update_links(self._clock.monotonic())
+        if not self._uncontacted:
+            self._all_contacted.set()
+        self._tasks.append(spawn(self._keep_alive()))
+        return address
+
+    async def open_control_socket(self, address: str) -> None:
+        """Also listen at a Unix socket, for commands on this computer. Raises AddressError."""
+        self._listeners.append(await self._transport.listen(address, self._on_incoming))
+
+    async def wait_for_initial_contact(self, bound: float) -> None:
+        """Return when every host has completed a handshake or failed to answer, at most after `bound`
+        seconds.
+
+        A host that dials this one cannot be distinguished from one that is down, so it is waited for.
+        """
+        for host in sorted(self._uncontacted):
+            self.require_link(host)
+        with suppress(TimeoutError):
+            async with asyncio.timeout(bound):
+                await self._all_contacted.wait()
+
+    def close(self) -> None:
+        """Close the port and every link."""
+        self._desired, self._required_until = frozenset(), {}
+        for task in self._tasks:
+            task.cancel()
+        for caller in self._diallers.values():
+            caller.cancel()
+        for listener in self._listeners:
+            listener.close()
+        for session in list(self._links.values()):
+            session.link.close()
+        for session in self._ungreeted:
+            session.link.abort()
+
+    def send(self, host: str, message: Control) -> None:
+        """Send to a host. Without a link the message is dropped, as mobility expects."""
+        session = self._links.get(host)
+        if session:
+            with suppress(AddressError):
+                session.link.send(message)
+
+    def send_transfer(self, host: str, header: Transfer, block: Buffer) -> None:
+        """Send a coordinator to a host. On a closing link, `unlinked` follows."""
+        session = self._links.get(host)
+        if session:
+            with suppress(AddressError):
+                session.link.send_transfer(header, block)
+
+    # --- both directions ------------------------------------------------------------------------------
+
+    def _on_incoming(self, link: Link) -> Session:
+        # The transport delivers messages only after this has returned.
+        (session := Session(self, dialled=None)).await_greeting(link)
+        last = not has_spare_descriptors(SPARE_DESCRIPTORS)
+        pushed = self._ungreeted.admit(session, source_of(link.peer), last=last)
+        if pushed is not None:
+            pushed.reject(FULL if last else f"over {MAX_HANDSHAKES} handshakes are pending at this host")
+        return session
+
+    def require_link(self, host: str) -> None:
+        """Request a link with a host for a while; dial if there is none."""
+        now = self._clock.monotonic()
+        self._required_until[host] = now + IDLE_TIMEOUT
+        if host not in self._links:
+            self.down_since.setdefault(host, now)
+        self._dial(host)
+
+    def is_new(self, host: str) -> bool:
+        """Whether a host has no link, and this one has just started to dial it."""
+        since = self.down_since.get(host, -NEW_HOST_PERIOD)
+        caller = self._diallers.get(host)
+        called = caller is not None and not caller.has_failed
+        return called and self._clock.monotonic() - since < NEW_HOST_PERIOD
+
+    def needs_link(self, host: str) -> bool:
+        """See `DialOwner.needs_link`."""
+        return host in self._desired or self._required_until.get(host, 0.0) > self._clock.monotonic()
+
+    def _dial(self, host: str) -> None:
+        session = self._links.get(host)
+        if session is not None and not session.is_suspected:
+            return
+        # A neighbour earlier in the deployment dials.
+        if host in self._neighbours and self._numbers[host] < self._here and not self._is_unreachable(host):
+            return
+        caller = self._diallers.get(host)
+        if caller is None or caller.is_over:
+            at, note = self._addresses[self._numbers[host]], self._owner.note
+            self._diallers[host] = Dialler(self, self._transport, self._clock, host, at, note)
+
+    def _is_unreachable(self, host: str) -> bool:
+        """Whether a host has had neither link nor dial for so long that both dial: it may not find this host,
+        for instance after a change of network card."""
+        now = self._clock.monotonic()
+        return (
+            now - max(self.down_since.get(host, now), self._last_incoming.get(host, 0.0)) >= BOTH_CALL_AFTER
+        )
+
+    # --- what diallers ask ----------------------------------------------------------------------------
+
+    def link_of(self, host: str) -> Session | None:
+        """See `DialOwner.link_of`."""
+        return self._links.get(host)
+
+    def ban_remaining(self, host: str) -> float:
+        """Remaining seconds of a host's ban for flooding."""
+        return self._bans.remaining(host, self.now())
+
+    def on_dialled(self, host: str) -> None:
+        """A dial to a host has ended, or the host has completed a handshake."""
+        self._uncontacted.discard(host)
+        if not self._uncontacted:
+            self._all_contacted.set()
+
+    async def _keep_alive(self) -> None:
+        while True:
+            await asyncio.sleep(PING_EVERY)
+            now = self._clock.monotonic()
+            self._update_links(now)
+            for host, session in list(self._links.items()):
+                self._check_link(host, session, now)
+            self.reauthorise()
+
+    def _update_links(self, now: float) -> None:
+        """Dial the needed hosts without a link, and stop the other diallers."""
+        self._desired = frozenset(self._owner.desired_hosts())
+        self._required_until = {host: until for host, until in self._required_until.items() if until > now}
+        wanted = self._desired | self._required_until.keys()
+        self.down_since = {
+            host: self.down_since.get(host, now)
+            for host in sorted(wanted - self._links.keys(), key=self._numbers.__getitem__)
+        }
+        for host in self.down_since:
+            self._dial(host)
+        for host in sorted(self._diallers.keys() - wanted - self._links.keys()):
+            self._diallers.pop(host).cancel()
+
+    def _check_link(self, host: str, session: Session, now: float) -> None:
+        silent = now - session.last_received
+        if not self.needs_link(host):
+            session.mark_idle(now)
+            if silent > IDLE_TIMEOUT:
+                session.link.close()
+                self.on_link_closed(session)
+            return
+        silent = now - max(session.last_received, session.last_idle)
+        match self.monitor.check(host, silent):
+            case "lost":
+                self._owner.note(log_messages.LINK_TIMED_OUT.line(host=host, seconds=silent))
+                session.link.abort()  # queued data would keep it open
+                self.on_link_closed(session)
+            case "suspected":
+                session.suspect()
+                self._dial(host)
+
+    # --- what sessions report -------------------------------------------------------------------------
+
+    def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
+        """The handshake for a new link."""
+        if dialled is None:
+            self._last_incoming[who.name] = self.now()
+        return Handshake(
+            self._admission.sign_hello(self._owner.hello()),
+            who,
+            decision=self._admission.decide(who, expected=dialled or ""),
+            hosts=self._hosts,
+            linked=self._live_incarnations(),
+            dialled=dialled,
+        )
+
+    def _live_incarnations(self) -> dict[str, int]:
+        """Incarnations of the linked hosts; the end of an unneeded link may be unnoticed."""
+        now = self._clock.monotonic()
+        return {
+            host: session.hello.incarnation
+            for host, session in self._links.items()
+            if session.hello and (self.needs_link(host) or now - session.last_received <= LOST_AFTER)
+        }
+
+    def prefers_outgoing(self, host: str, made_at: float) -> bool:
+        """Whether this host's own dial wins over a crossing one of time `made_at`."""
+        caller = self._diallers.get(host)
+        own = caller.session if caller is not None else None
+        if own is None or not own.connected:
+            return False
+        if self._here < self._numbers.get(host, -1):
+            # A host that dials long after its link was accepted has lost that link, perhaps without notice
+            # here.
+            return made_at < own.linked_at
+        if not own.linked:
+            own.link.close()
+        return False
+
+    def reauthorise(self) -> None:
+        """Close the links of peers that lost their authorisation, and reduce the permissions of others.
+
+        A revoked host completes pending work as a host; its observer links are closed.
+        """
+        dialling = [caller.session for caller in self._diallers.values() if caller.session is not None]
+        links, others = self._links.values(), (*self._observers, *self._ungreeted, *dialling)
+        for session in dict.fromkeys((*links, *others)):
+            if session.connected:
+                session.on_reauthorised(self._admission.decide(session.link.who, linked=session in links))
+
+    def _on_revocations(self, data: bytes) -> None:
+        """Apply a certificate revocation list; forward a new one to all, and last to the revoked."""
+        try:
+            lines = self._admission.on_revocation_list(data)
+        except KeysError as error:
+            raise WireError(str(error)) from None
+        for line in lines:
+            self._owner.note(line)
+        if lines:
+            for host in self._links:
+                self.send(host, RevocationUpdate(data))
+            self.reauthorise()
+
+    def on_greeted(self, session: Session, hello: Hello) -> None:
+        """A link has completed its handshake on both sides."""
+        self._ungreeted.on_authenticated(session, source_of(session.link.peer))
+        self._admission.on_handshake(session.link.who, hello)
+        if warning := self._admission.clock_warning():
+            self.log_once(warning)
+        if hello.role == "host" and hello.revoked < self._admission.number:
+            session.link.send(RevocationUpdate(self._admission.list))
+        if hello.role == "host":
+            self._on_linked(session, hello)
+            return
+        pushed = self._observers.admit(session, str(session.link.who))
+        if pushed is not None:
+            pushed.reject(f"over {MAX_OBSERVERS} observers are linked to this host")
+
+    def _on_linked(self, session: Session, hello: Hello) -> None:
+        self.monitor.on_linked(hello.host, session.link)
+        old = self._links.get(hello.host)
+        self._links[hello.host] = session
+        if old and old is not session:
+            old.on_replaced()
+        self.down_since.pop(hello.host, None)
+        if caller := self._diallers.get(hello.host):
+            caller.clear_failure()
+        self.refusals.report(hello.host, "")
+        self._owner.on_linked(hello)
+        self.on_dialled(hello.host)
+
+    def on_link_closed(self, session: Session) -> None:
+        """A link is closed."""
+        for guests in (self._ungreeted, self._observers):
+            guests.release(session)
+        host = session.hello.host if session.hello else ""
+        if self._links.get(host) is session:
+            del self._links[host]
+            self.monitor.on_unlinked(host)
+            self._last_contacts[host] = session.last_received
+            wanted = self.needs_link(host)
+            if wanted:
+                self.down_since[host] = self._clock.monotonic()
+            self._owner.on_unlinked(host, quietly=not wanted)
+            if wanted:
+                self._dial(host)
+
+    def on_message(self, session: Session, message: Control) -> None:
+        """A message arrived on an established link."""
+        hello = session.hello
+        assert hello is not None
+        host = hello.host if hello.role == "host" else ""
+        if isinstance(message, Ping):
+            self.monitor.on_ping(host, session.link, message)
+        elif isinstance(message, RevocationUpdate):
+            self._on_revocations(message.list)
+        elif isinstance(message, Pong) and message.token != QUESTION:
+            self.monitor.on_pong(host, message)
+        else:
+            self._owner.on_message(host, message, session.link)
+
+    def ban(self, host: str) -> float:
+        """Ban a flooding host for a while. Returns the seconds."""
+        return self._bans.ban(host, self.now())
+
+    def note(self, line: log_messages.LogLine) -> None:
+        """Write a log line."""
+        self._owner.note(line)
+
+    def log_once(self, line: log_messages.LogLine) -> None:
+        """Write a log line once: a refused peer dials again every second."""
+        self._log_limiter.write(line)

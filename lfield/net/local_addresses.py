@@ -1,0 +1,85 @@
+"""The names and addresses of this computer."""
+
+from __future__ import annotations
+
+import errno
+import socket
+from collections.abc import Sequence
+
+from lfield.errors import AddressError, UsageError
+from lfield.net.connections.listener import bound_socket
+from lfield.net.connections.resolver import resolve_blocking
+from lfield.net.connections.socket_errors import describe
+from lfield.net.peer_credentials import socket_address
+from lfield.net.transport import split_address
+
+
+def own_host(hosts: Sequence[str]) -> str:
+    """The host of a deployment that is this computer, by name or address. Raises UsageError."""
+    names = {
+        socket.gethostname().lower(),
+        socket.getfqdn().lower(),
+        socket.gethostname().lower().split(".")[0],
+    }
+    named = [host for host in hosts if host.lower() in names]
+    found = named or [host for host in hosts if _is_own_address(host)]
+    if len(found) == 1:
+        return found[0]
+    which = "several hosts" if found else "no host"
+    raise UsageError(
+        f"{which} of the deployment ({', '.join(hosts)}) is this machine ({socket.gethostname()}); "
+        "name one with --host, or run all of them here with --all"
+    )
+
+
+def _is_own_address(host: str) -> bool:
+    """Whether the name resolves to an address of this computer."""
+    try:
+        candidates = socket.getaddrinfo(split_address(host)[0], 0, type=socket.SOCK_STREAM)
+    except (OSError, UnicodeError, AddressError):
+        return False
+    for family, kind, protocol, _, address in candidates:
+        try:
+            with socket.socket(family, kind, protocol) as probe:
+                probe.bind(address)
+                return True
+        except OSError:
+            continue
+    return False
+
+
+def require_port_free(address: str) -> None:
+    """Check that a port is free. Raises AddressError.
+
+    Other errors of an address are reported when a host listens there.
+    """
+    host, port = split_address(address)
+    try:
+        for at in resolve_blocking(host, port):
+            bound_socket(at, port).close()
+    except (OSError, UnicodeError) as error:
+        if isinstance(error, OSError) and error.errno == errno.EADDRINUSE:
+            raise AddressError(address, describe(error)) from None
+
+
+def open_listening_socket(address: str) -> tuple[socket.socket, str]:
+    """A listening socket for another process, and its address; port 0 chooses a free port.
+
+    Of a name, the first address of this computer. Raises AddressError.
+    """
+    host, port = split_address(address)
+    refused: OSError | UnicodeError | None = None
+    try:
+        for at in resolve_blocking(host, port):
+            try:
+                reserved = bound_socket(at, port)
+            except OSError as error:
+                refused = refused or error
+                continue
+            reserved.setblocking(True)
+            reserved.listen()
+            reserved.set_inheritable(True)
+            return reserved, socket_address(reserved.getsockname())
+    except (OSError, UnicodeError) as error:
+        refused = error
+    raise AddressError(address, describe(refused or OSError(errno.EADDRNOTAVAIL, ""))) from None

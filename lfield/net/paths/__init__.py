@@ -1,1 +1,0 @@
-"""Ways to a host and from it: names, calls, back-off, listening sockets."""

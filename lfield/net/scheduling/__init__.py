@@ -1,0 +1,1 @@
+"""Scheduling of received messages: CPU budgets and fair queues per peer."""

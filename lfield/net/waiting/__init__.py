@@ -1,1 +1,0 @@
-"""Who waits until its messages are taken: whoever is no host of the team."""

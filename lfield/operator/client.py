@@ -1,0 +1,395 @@
+"""Observer client of hosts: requests for snapshots, and orders such as an emergency stop."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import secrets
+import sys
+from collections import Counter, defaultdict
+from collections.abc import Awaitable, Callable, Hashable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Generic, TypeVar, cast
+
+from lfield.authority import keystore
+from lfield.errors import AddressError, KeysError, LfieldError, NoListener
+from lfield.net.tcp_transport import TcpTransport
+from lfield.net.transport import UNIX, Transport, is_number
+from lfield.operator.observer_link import OrderMessage, PresentedCrl, Request, ask_with_retries
+from lfield.operator.orders.known_hosts import KnownHosts
+from lfield.operator.targets import HostRef, TargetTeam
+from lfield.text.terminal_escape import escape_line
+from lfield.wire.fields import truncate
+from lfield.wire.observer_messages import (
+    EmergencyStop,
+    EmergencyStopResult,
+    ForgetRequest,
+    ForgetResponse,
+    Pause,
+    RecoverRequest,
+    RecoverResponse,
+    StartResponse,
+    Status,
+)
+from lfield.wire.order_messages import ID_SIZE
+from lfield.wire.subscription_messages import EventBatch, Subscribe
+
+if TYPE_CHECKING:
+    from lfield.authority.key_material import Keys
+    from lfield.operator.orders.order_datagrams import OrderDatagrams
+    from lfield.operator.orders.order_sender import OrderSender
+
+T = TypeVar("T", bound=EventBatch | EmergencyStopResult | ForgetResponse | RecoverResponse | StartResponse)
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+#: The answer of each host by name, or the error instead.
+HostAnswers = Mapping[str, T | LfieldError]
+
+#: Sends an order to a host over an open link; raises AddressError where there is none.
+OrderOnOpenLink = Callable[[str, OrderMessage], Awaitable[EmergencyStopResult]]
+
+#: Answers are printed at this interval in seconds while another host has not answered.
+REPORT_AFTER = 1.0
+#: Concurrent requests to hosts of own runs and of other users' runs: a process may have 1024 descriptors. Of
+#: one such run so many hosts that did not answer get a line each.
+MAX_AT_ONCE, MAX_FOREIGN, MAX_LINES = 512, 128, 8
+
+#: The largest block, in bytes; an observer receives none.
+_MAX_BLOCK = 1 << 20
+
+
+#: Asks for the state of a host as of its newest event: a subscription that ends with its first batch.
+SNAPSHOT = Request(Subscribe(once=True), EventBatch, 2.0)
+#: The same of hosts that may be busy.
+PATIENT_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0)
+
+
+def emergency_stop(
+    reason: str, *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
+) -> Request[EmergencyStopResult]:
+    """An emergency stop, or with `lift` its end. The answer comes when the devices have confirmed it.
+
+    A lift is not retried: another operator may have stopped the team again. `draw` gives random bytes for the
+    id of the order.
+    """
+    message = EmergencyStop(draw(ID_SIZE), truncate(reason), lift)
+    return Request(message, EmergencyStopResult, 8.0, is_retried=not lift)
+
+
+def forget(agent: str) -> Request[ForgetResponse]:
+    """Declares a coordinator lost."""
+    return Request(ForgetRequest(agent), ForgetResponse, 8.0)
+
+
+def pause(
+    *, lift: bool = False, draw: Callable[[int], bytes] = secrets.token_bytes
+) -> Request[EmergencyStopResult]:
+    """A pause of the mission, or with `lift` its end, which is not retried."""
+    return Request(Pause(draw(ID_SIZE), lift), EmergencyStopResult, 8.0, is_retried=not lift)
+
+
+def recover(order: RecoverRequest) -> Request[RecoverResponse]:
+    """Declares the holder of a coordinator permanently lost, and recovers it on the receiver."""
+    return Request(order, RecoverResponse, 8.0)
+
+
+def ask_teams(
+    teams: Sequence[TargetTeam], request: Request[T], keys: Path | None = None
+) -> dict[HostRef, T | LfieldError]:
+    """The answers of all hosts of some teams, in order; `keys` is the directory of the user's keys."""
+    answers: dict[HostRef, T | LfieldError] = {}
+    for some in ask_in_turn(teams, request, keys):
+        answers |= some
+    return {place: answers[place] for party in teams for place in party.host_refs}
+
+
+def ask_in_turn(
+    teams: Sequence[TargetTeam], request: Request[T], keys: Path | None = None
+) -> Iterator[dict[HostRef, T | LfieldError]]:
+    """The answers in parts that are not empty, those of other users' hosts last.
+
+    A host that does not answer delays the answers of others by at most `REPORT_AFTER`. Nothing is sent while
+    the caller uses a part. A bug in lfield is raised when all hosts have been asked.
+    """
+    places = {place: address for party in teams for place, address in party.host_refs.items()}
+    failed: dict[HostRef, LfieldError] = {}
+    known, desk = None, None
+    try:
+        own = own_keys(places.values(), keys)
+        known = KnownHosts.read(own.authority) if own is not None else None
+        transport, brings = observer_transport(own, known), presented_crl(own)
+        if own is not None and known is not None and isinstance(request.message, OrderMessage):
+            desk = order_sender(own, known)
+    except KeysError as error:
+        # Hosts of this computer are asked without keys: it may be a stop.
+        transport, brings = observer_transport(), None
+        failed = {place: error for place, address in places.items() if not address.startswith(UNIX)}
+    asked = {place: address for place, address in places.items() if place not in failed}
+    with asyncio.Runner() as runner:
+        asking = runner.run(_in_loop(lambda: _Requests(transport, asked, request, brings, desk)))
+        answers: dict[HostRef, T | LfieldError] = {**failed}
+        told: set[HostRef] = set()
+        complete = False
+        while not complete:
+            complete = runner.run(asking.believed_within(REPORT_AFTER))
+            answers |= asking.answered
+            part = [place for place in places if not place.user and place in answers.keys() - told]
+            told.update(part)
+            if part:
+                yield {place: answers[place] for place in part}
+        answers |= runner.run(asking.foreign())
+        if others := {place: answers[place] for place in places if place.user}:
+            yield others
+    if known is not None:
+        _remember(known, answers)
+    for bug in asking.bugs:
+        raise bug
+
+
+def order_sender(keys: Keys, known: KnownHosts) -> OrderSender:
+    """The sender of orders as datagrams. Raises KeysError."""
+    # Most commands send no order, and cryptography is large.
+    from lfield.operator.orders.order_sender import OrderSender
+
+    return OrderSender(keys, known)
+
+
+def _remember(known: KnownHosts, answers: Mapping[HostRef, T | LfieldError]) -> None:
+    """Store the epochs of the answers, so that the next stop needs one round trip."""
+    for place, answer in answers.items():
+        told = answer.snapshot if isinstance(answer, EventBatch) else answer
+        if isinstance(told, Status | EmergencyStopResult) and not place.user:
+            known.learn(place.host, epochs=told.epochs)
+    known.save()
+
+
+def by_host(found: Mapping[HostRef, V], party: TargetTeam) -> dict[str, V]:
+    """What was found of the hosts of one team, by host."""
+    return {place.host: found[place] for place in party.host_refs}
+
+
+def is_reached(answer: T | LfieldError) -> bool:
+    """Whether a program listens there, whatever it answered."""
+    return not isinstance(answer, NoListener)
+
+
+def unanswered(answers: HostAnswers[T]) -> dict[str, LfieldError]:
+    """The hosts that did not answer, with the reasons."""
+    return {host: answer for host, answer in answers.items() if isinstance(answer, LfieldError)}
+
+
+def unanswered_by_name(
+    answers: Mapping[HostRef, T | LfieldError], names: Mapping[HostRef, str]
+) -> dict[str, LfieldError]:
+    """The hosts that did not answer by display name; one entry for many hosts of another user's run."""
+    found = {place: answer for place, answer in answers.items() if isinstance(answer, LfieldError)}
+    counts = Counter(place.run for place in found if place.user)
+    told: dict[str, LfieldError] = {}
+    for place, why in found.items():
+        count = counts[place.run] if place.user else 0
+        told.setdefault(f"{count} hosts of {place.run}" if count > MAX_LINES else names[place], why)
+    return told
+
+
+def print_unanswered(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:
+    """A line on stderr for each host that did not answer."""
+    for host, why in hosts.items():
+        print(escape_line(f"{host}: {meaning}{why}"), file=sys.stderr)
+
+
+def observer_transport(
+    keys: Keys | None = None, known: KnownHosts | None = None, connect_timeout: float = 2.0
+) -> TcpTransport:
+    """The transport of links to hosts; over a network it needs keys. `connect_timeout` is in seconds.
+
+    `known` stores the certificates of hosts. Raises KeysError.
+    """
+    if keys is None:
+        return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+    # Most commands ask hosts of this computer, and TLS is slow to load.
+    from lfield.net.tls import TlsIdentity
+
+    tls = TlsIdentity(keys, known.on_verified) if known is not None else TlsIdentity(keys)
+    return TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout)
+
+
+def own_keys(addresses: Iterable[str], named: Path | None) -> Keys | None:
+    """The keys of this user; None without any, or when no address is on a network. Raises KeysError."""
+    if all(address.startswith(UNIX) for address in addresses):
+        return None
+    found = keystore.find_keys("person", keystore.OWN, named, os.environ)
+    return keystore.read_keys(found, "person") if found is not None else None
+
+
+def presented_crl(keys: Keys | None) -> PresentedCrl | None:
+    """The certificate revocation list of the keys, for hosts with an older one. Raises KeysError."""
+    if keys is None or not keys.revoked:
+        return None
+    # Rare, and cryptography is large.
+    from lfield.authority.certificate_reader import revoked_in
+
+    return PresentedCrl(revoked_in(keys.revoked, keys.authority).number, keys.revoked)
+
+
+async def ask_all(
+    transport: Transport,
+    addresses: Mapping[K, str],
+    request: Request[T],
+    crl: PresentedCrl | None = None,
+    sender: OrderSender | None = None,
+    standing: OrderOnOpenLink | None = None,
+    on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
+) -> dict[K, T | LfieldError]:
+    """The answer of every host by its key; `crl` is presented to hosts with an older list.
+
+    An order is also sent as datagrams, by a `sender`, and over open links, by `standing`. Each answer is
+    passed to `on_answer` when it comes. All hosts of other users' runs share the time-out of one host. A bug
+    is raised as by `ask_in_turn`.
+    """
+    asking = _Requests(transport, addresses, request, crl, sender, standing, on_answer)
+    answers = await asking.trusted() | await asking.foreign()
+    for bug in asking.bugs:
+        raise bug
+    return {key: answers[key] for key in addresses}
+
+
+async def _in_loop(make: Callable[[], _Requests[K, T]]) -> _Requests[K, T]:
+    return make()
+
+
+class _Requests(Generic[K, T]):
+    """Concurrent requests to many hosts, in the running loop; fewer to those of other users' runs."""
+
+    def __init__(
+        self,
+        transport: Transport,
+        addresses: Mapping[K, str],
+        request: Request[T],
+        crl: PresentedCrl | None,
+        sender: OrderSender | None = None,
+        standing: OrderOnOpenLink | None = None,
+        on_answer: Callable[[K, T | LfieldError], None] = lambda key, answer: None,
+    ) -> None:
+        self._transport, self._addresses = transport, addresses
+        self._request, self._crl = request, crl
+        self._sender, self._standing, self._on_answer = sender, standing, on_answer
+        self._answers: dict[K, T | LfieldError] = {}
+        #: Bugs, raised when all hosts have been asked.
+        self.bugs: list[Exception] = []
+        loop = asyncio.get_running_loop()
+        self._end = loop.time() + request.timeout
+        users: dict[str, list[K]] = defaultdict(list)
+        for key in addresses:
+            users[_user(key)].append(key)
+        believed = users.pop("", [])
+        #: The datagrams of each run's hosts.
+        self._orders = self._send_orders(believed)
+        # First, so that they get their descriptors before the others.
+        self._trusted = loop.create_task(self._each(believed, MAX_AT_ONCE))
+        self._trusted.add_done_callback(self._end_datagrams)
+        share = max(1, MAX_FOREIGN // max(1, len(users)))
+        self._foreign = [loop.create_task(self._each(keys, share)) for keys in users.values()]
+
+    def _send_orders(self, keys: Sequence[K]) -> dict[str, OrderDatagrams]:
+        """Start to send an order as datagrams to the hosts on a network."""
+        message, desk = self._request.message, self._sender
+        if desk is None or not isinstance(message, OrderMessage):
+            return {}
+        runs: dict[str, dict[str, str]] = defaultdict(dict)
+        for key in keys:
+            if not self._addresses[key].startswith(UNIX):
+                runs[_run(key)][_host(key)] = self._addresses[key]
+        return {run: desk.send(message, addresses) for run, addresses in runs.items()}
+
+    def _end_datagrams(self, _: object) -> None:
+        """Stop the datagrams when no request is left, also after an interrupt."""
+        for given in self._orders.values():
+            assert self._sender is not None
+            self._sender.finish(given)
+
+    async def _each(self, keys: Sequence[K], most: int) -> None:
+        """Ask hosts in order, at most so many at a time."""
+        left = iter(keys)
+
+        async def some() -> None:
+            for key in left:
+                self._answers[key] = answer = await self._one(key)
+                self._on_answer(key, answer)
+
+        await asyncio.gather(*(some() for _ in range(min(most, len(keys)))))
+
+    async def _one(self, key: K) -> T | LfieldError:
+        address = self._addresses[key]
+        if _user(key) and not (address.startswith(UNIX) or is_number(address)):
+            # A look-up takes a thread for as long as the owner of the name likes.
+            return AddressError(
+                address, "an address of another user's run: name the run with --run to use it"
+            )
+        try:
+            return await self._ask(key, address)
+        except LfieldError as error:
+            return error
+        except Exception as bug:
+            self.bugs.append(bug)
+            return LfieldError(f"bug in lfield: {type(bug).__name__}: {bug}")
+
+    async def _ask(self, key: K, address: str) -> T:
+        host, message = _host(key), self._request.message
+        new_link = partial(ask_with_retries, self._transport, address, self._request, host, self._crl)
+        if not isinstance(message, OrderMessage) or _user(key):
+            return await new_link()
+        given = None if address.startswith(UNIX) else self._orders.get(_run(key))
+        standing = None if self._standing is None else partial(self._standing, host, message)
+        if given is None and standing is None:
+            return await new_link()
+        from lfield.operator.orders.path_race import first_answer
+
+        # The first answer counts.
+        return cast("T", await first_answer(host, cast("Any", new_link), given, standing))
+
+    @property
+    def answered(self) -> Mapping[K, T | LfieldError]:
+        """The answers so far, without those of other users' hosts."""
+        return {key: answer for key, answer in self._answers.items() if not _user(key)}
+
+    async def believed_within(self, seconds: float) -> bool:
+        """Wait for the answers of `trusted` for at most so long; returns whether they are complete."""
+        done, _ = await asyncio.wait([self._trusted], timeout=seconds)
+        for task in done:
+            task.result()
+        return bool(done)
+
+    async def trusted(self) -> dict[K, T | LfieldError]:
+        """The answers of the hosts of own runs."""
+        await self._trusted
+        return {key: self._answers[key] for key in self._addresses if not _user(key)}
+
+    async def foreign(self) -> dict[K, T | LfieldError]:
+        """The answers of other users' hosts, an error for each that has not answered by the time-out."""
+        if self._foreign:
+            left = self._end - asyncio.get_running_loop().time()
+            _, late = await asyncio.wait(self._foreign, timeout=max(0.0, left))
+            for task in late:
+                task.cancel()
+            await asyncio.gather(*self._foreign, return_exceptions=True)
+        return {
+            key: self._answers.get(key, self._timeout_error(key)) for key in self._addresses if _user(key)
+        }
+
+    def _timeout_error(self, key: K) -> LfieldError:
+        why = f"no answer of the runs of other users within {self._request.timeout:g} s"
+        return AddressError(self._addresses[key], why)
+
+
+def _host(key: Hashable) -> str:
+    return key.host if isinstance(key, HostRef) else str(key)
+
+
+def _run(key: Hashable) -> str:
+    return key.run if isinstance(key, HostRef) else ""
+
+
+def _user(key: Hashable) -> str:
+    return key.user if isinstance(key, HostRef) else ""

@@ -1,0 +1,1 @@
+"""Event subscriptions of an observer, across link losses and restarts."""

@@ -1,0 +1,163 @@
+"""A team while somebody looks at it: its picture, kept up to date by a follower, and what can be ordered.
+
+async with watched(path, team, party, look, keys) as team:
+    team.seen(); await team.actions.stop()
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+
+from lfield.clock import Clock, SystemClock
+from lfield.errors import LfieldError
+from lfield.mission import bundle
+from lfield.mission.access.access_rules import NO_RULES
+from lfield.mission.loader import load_mission
+from lfield.mission.mission import Mission
+from lfield.mission.team import Team
+from lfield.operator.client import observer_transport, order_sender, own_keys, presented_crl
+from lfield.operator.dashboard.event_feed import log_backlog
+from lfield.operator.dashboard.event_stream.background_task import background_tasks
+from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
+from lfield.operator.dashboard.event_stream.host_locator import HostLocator
+from lfield.operator.dashboard.operator_actions import OperatorActions
+from lfield.operator.dashboard.order_service import OperatorContext, OrderService
+from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
+from lfield.operator.orders.known_hosts import KnownHosts
+from lfield.operator.targets import TargetTeam
+from lfield.operator.team_model.inventory import Inventory, build_inventory
+from lfield.operator.team_model.team_state import Curve, TeamState
+from lfield.operator.team_model.team_view import TeamView
+from lfield.operator.team_query import QueryContext, read_context
+from lfield.wire.observer_messages import EmergencyStopResult
+from lfield.wire.order_messages import Epochs, OrderKind
+from lfield.wire.subscription_messages import EventBatch
+
+#: Telemetry rate of each device and agent, per second.
+RATE = 5.0
+#: Seconds between two points of the curves.
+TICK = 1.0
+
+
+class TeamWatch:
+    """Implements `TeamStateSource`, `StreamHandler` for a follower, `Witness` for orders; `actions` gives
+    these.
+    """
+
+    actions: OperatorActions
+
+    def __init__(self, inventory: Inventory, clock: Clock) -> None:
+        self.view = TeamView(inventory)
+        self._clock = clock
+
+    def snapshot(self) -> TeamState:
+        """The present state of the team."""
+        return self.view.snapshot(self._clock.monotonic())
+
+    def curves(self) -> tuple[Curve, ...]:
+        """The curves of the last minutes."""
+        return self.view.curves(self._clock.monotonic())
+
+    def on_linked(self, host: str) -> None:
+        """See `StreamHandler.on_linked`."""
+        self.view.on_linked(host)
+
+    def on_unlinked(self, host: str, why: str) -> None:
+        """See `StreamHandler.on_unlinked`."""
+        self.view.on_unlinked(host, why)
+
+    def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
+        """See `StreamHandler.on_batch`."""
+        self.view.feed(host, batch, self._clock.monotonic(), self._clock.time(), took)
+
+    def on_order(self, order: OrderKind, hosts: Collection[str]) -> int:
+        """See `OrderObserver.on_order`."""
+        return self.view.on_order(order, hosts, self._clock.monotonic())
+
+    def on_answer(self, number: int, host: str, answer: EmergencyStopResult | LfieldError) -> None:
+        """See `OrderObserver.on_answer`."""
+        self.view.on_answer(number, host, answer)
+
+    async def start_log(self, said: Awaitable[Sequence[DatedEvent]]) -> None:
+        """Start the log with the backlog of the hosts."""
+        self.view.hold_log()
+        told = await said
+        now, wall = self._clock.monotonic(), self._clock.time()
+        self.view.start_log(((d.host, d.incarnation, d.event) for d in told), now, wall)
+
+    async def tick(self) -> None:
+        """Extend the curves until this is cancelled."""
+        while True:
+            self.view.tick(self._clock.monotonic())
+            await asyncio.sleep(TICK)
+
+
+def read_mission(path: Path) -> Mission | None:
+    """The mission of a team from its files; None if they have mistakes.
+
+    A team can be watched even if its program is not on this computer.
+    """
+    try:
+        is_bundle = path.suffix == bundle.SUFFIX
+        # Simulated devices have the same quantities as real ones.
+        return bundle.read(path) if is_bundle else load_mission(path, simulate=True)
+    except LfieldError:
+        return None
+
+
+def _ignore_epochs(host: str, epochs: Epochs) -> None:
+    """Hosts at Unix sockets get no datagrams."""
+
+
+@asynccontextmanager
+async def watch_team(
+    path: Path,
+    team: Team,
+    targets: TargetTeam,
+    find: Callable[[], Sequence[TargetTeam]],
+    keys: Path | None = None,
+) -> AsyncIterator[TeamWatch]:
+    """The team of a mission while it is looked at; `find` finds its hosts anew, `keys` says where those of
+    this user should be.
+
+    Raises KeysError for keys that cannot be used.
+    """
+    clock = SystemClock()
+    own = own_keys(targets.addresses.values(), keys)
+    desk = order_sender(own, KnownHosts.read(own.authority)) if own is not None else None
+    transport, brings = observer_transport(own, desk.known if desk is not None else None), presented_crl(own)
+    reach = HostLocator(targets, find)
+    mission = await asyncio.to_thread(read_mission, path)
+    shown = TeamWatch(build_inventory(path.stem, team, mission), clock)
+    access = mission.access if mission is not None else NO_RULES
+
+    def asked() -> QueryContext:
+        return read_context(path, team)
+
+    follower = EventFollower(
+        transport,
+        reach.hosts,
+        reach,
+        shown,
+        clock,
+        FollowOptions(
+            telemetry=RATE,
+            crl=brings,
+            hint=reach.hint,
+            learn=desk.learn if desk is not None else _ignore_epochs,
+        ),
+    )
+    shown.actions = OrderService(
+        transport,
+        reach,
+        shown,
+        team,
+        asked,
+        OperatorContext(own, brings, access, sender=desk, standing=follower.order),
+    )
+    past = log_backlog(transport, reach.hosts, reach, clock, brings)
+    async with background_tasks(shown.start_log(past), follower.run(), shown.tick()):
+        yield shown

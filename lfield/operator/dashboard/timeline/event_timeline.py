@@ -1,0 +1,150 @@
+"""Merges the events of many hosts into one order by their hybrid timestamps. Pure (decisions 65 and 92).
+
+Events are ordered by (timestamp, host, number). A timestamp is greater than those of all causes, except
+between hosts whose clocks differ by more than `lfield.hybrid_clock` follows. So the merge keeps the causes
+that it knows besides: the numbers of an incarnation, later incarnations after earlier ones, and of a hop
+`left` before `came` before `hopped`.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from lfield.hybrid_clock import milliseconds_of
+from lfield.wire.events import Event, MigrationArrived, MigrationConfirmed, MigrationStarted
+
+#: So many hops are remembered.
+MAX_HOPS = 1 << 16
+
+HopKey = tuple[str, int, int]
+
+
+class HostIncarnation(NamedTuple):
+    """A host from one start to its end."""
+
+    host: str
+    incarnation: int
+
+
+class Cause(NamedTuple):
+    """An event by where it happened."""
+
+    host: str
+    incarnation: int
+    number: int
+
+
+class DatedEvent(NamedTuple):
+    """An event in its place, with its `cause`, which is None where none is known."""
+
+    host: str
+    incarnation: int
+    event: Event
+    cause: Cause | None
+
+    @property
+    def time(self) -> float:
+        """The time of its timestamp, in seconds since 1970."""
+        return milliseconds_of(self.event.stamp) / 1000.0
+
+    @property
+    def within(self) -> float | None:
+        """By how many seconds the timestamp is ahead of the clock of the host; None where it is not."""
+        return self.event.ahead / 1000.0 if self.event.ahead > 0 else None
+
+
+class _Waiting(NamedTuple):
+    """An event that has not been given out; `received` is the monotonic time of its arrival, in seconds."""
+
+    event: Event
+    received: float
+
+
+class EventTimeline:
+    """Takes the events of each incarnation in their order, and those of several in any order."""
+
+    def __init__(self) -> None:
+        self._streams: dict[HostIncarnation, deque[_Waiting]] = {}
+        #: The newest incarnation of each host, and the one before of each incarnation.
+        self._newest: dict[str, HostIncarnation] = {}
+        self._previous: dict[HostIncarnation, HostIncarnation] = {}
+        #: Where the parts of hops were recorded, and which of them wait here.
+        self._hops: dict[tuple[str, HopKey], Cause] = {}
+        self._waiting: set[tuple[str, HopKey]] = set()
+
+    def add(self, host: str, incarnation: int, event: Event, received: float = 0.0) -> None:
+        """The next event of an incarnation."""
+        life = HostIncarnation(host, incarnation)
+        stream = self._streams.get(life)
+        if stream is None:
+            stream = self._streams[life] = deque()
+            if (before := self._newest.get(host)) is not None:
+                self._previous[life] = before
+                self._discard_if_over(before, life)
+            self._newest[host] = life
+        stream.append(_Waiting(event, received))
+        if (key := hop_of(event)) is not None:
+            part = event.kind, key
+            self._waiting.add(part)
+            self._hops[part] = Cause(host, incarnation, event.number)
+            if len(self._hops) > 3 * MAX_HOPS:
+                del self._hops[next(iter(self._hops))]
+
+    def drain_events(self, received_by: float | None = None) -> list[DatedEvent]:
+        """The events in their order, up to the last that was `received_by` that time; without it all.
+
+        An event waits until then for others that may come before it.
+        """
+        found = []
+        while self._is_due(received_by):
+            found.append(self._next())
+        return found
+
+    def _is_due(self, received_by: float | None) -> bool:
+        firsts = [stream[0].received for stream in self._streams.values() if stream]
+        return bool(firsts) and (received_by is None or min(firsts) <= received_by)
+
+    def _next(self) -> DatedEvent:
+        free: list[tuple[int, HostIncarnation]] = []
+        held: list[tuple[int, HostIncarnation]] = []
+        for life, stream in self._streams.items():
+            if stream:
+                event = stream[0].event
+                (held if self._must_wait(life, event) else free).append((event.stamp, life))
+        # Damaged streams could have all events wait for one another.
+        life = min(free or held)[1]
+        event = self._streams[life].popleft().event
+        self._discard_if_over(life, self._newest[life.host])
+        cause = Cause(life.host, life.incarnation, event.cause) if event.cause else None
+        key, after = hop_of(event), _FOLLOWS.get(type(event.what))
+        if key is not None:
+            self._waiting.discard((event.kind, key))
+            if after is not None:
+                cause = self._hops.get((after, key), cause)
+        return DatedEvent(life.host, life.incarnation, event, cause)
+
+    def _must_wait(self, life: HostIncarnation, event: Event) -> bool:
+        if self._previous.get(life) in self._streams:
+            return True
+        key, after = hop_of(event), _FOLLOWS.get(type(event.what))
+        return after is not None and key is not None and (after, key) in self._waiting
+
+    def _discard_if_over(self, life: HostIncarnation, newest: HostIncarnation) -> None:
+        """Forget an incarnation that has ended when all its events were given out."""
+        if life != newest and not self._streams.get(life):
+            self._streams.pop(life, None)
+            self._previous.pop(life, None)
+
+
+#: What an event follows of the same hop.
+_FOLLOWS: dict[type, str] = {MigrationArrived: "left", MigrationConfirmed: "came"}
+
+
+def hop_of(event: Event) -> HopKey | None:
+    """The hop that an event is a part of, by the name that it has on both hosts; None for any other."""
+    match event.what:
+        case MigrationStarted() | MigrationArrived() | MigrationConfirmed():
+            return (event.what.agent, event.what.generation, event.what.sequence)
+        case _:
+            return None

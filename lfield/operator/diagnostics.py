@@ -1,0 +1,257 @@
+"""Diagnoses of `lfield doctor`: problems between a computer and its devices, with remedies.
+
+Passive: it reads files, asks the system and measures how late the computer is; only `endpoints` opens
+devices, as a mission would.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import grp
+import importlib
+import importlib.metadata
+import os
+import pwd
+import sys
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from lfield import event_loop
+from lfield.clock import Clock
+from lfield.compiler.program_builder import compile_program
+from lfield.devices.device_guards import DeviceGuards
+from lfield.devices.jitter_measurement import measure_jitter
+from lfield.devices.scheduling_jitter import JitterLimit
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.driver_index import DriverLookup
+from lfield.driver.plugin import load_plugin
+from lfield.driver.plugins import Plugins
+from lfield.errors import DevicesError, EngineUnavailable
+from lfield.guard.sandbox import describe_sandbox
+from lfield.lang.frontend import check_text
+from lfield.net.peer_credentials import GROUP, shared_group_id
+from lfield.vm.wasm.engine_selection import has_wasm, wasm_engine
+
+#: Serial ports that robots have: USB adapters, boards with native USB, the pins of a Raspberry Pi or Jetson.
+PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
+#: Milliseconds that a USB adapter may hold bytes back; the usual 16 costs that for every answer.
+SERIAL_LATENCY = 1
+_REINSTALL = "pip install 'lfield[wasm]' again, for this processor, and see 'ulimit -v'"
+#: What is tried of an engine: whatever a version of wasmtime may lack is in the code of any such program.
+_TRIAL_PROGRAM = """
+resource Tried {
+  init(string[] arg) {
+    int k = arg.length();
+    while (k < 1000) k = k * 2 + 1;
+    print(f2s(sin(k / 2.0)) + arg[k]);
+  }
+}
+"""
+#: adjtimex's word for a clock that nothing disciplines.
+_TIME_ERROR = 5
+
+
+@dataclass(frozen=True, slots=True)
+class DiagnosticFinding:
+    """One diagnosis; `details` are lines, `cure` says what to do about a problem.
+
+    A note is what nothing here needs now.
+    """
+
+    state: Literal["ok", "note", "warning", "problem"]
+    what: str
+    cure: str = ""
+    details: Sequence[str] = ()
+
+
+def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[DiagnosticFinding]:
+    """All diagnoses that need no mission. `root` holds /dev and /sys, for tests."""
+    yield DiagnosticFinding("ok", f"Python {sys.version.split()[0]}, {os.cpu_count()} processors")
+    yield engine()
+    for problem in plugins.problems:
+        yield DiagnosticFinding("problem", problem, "install that driver again, or uninstall it")
+    yield from _serial(root)
+    yield from _can(root)
+    yield _clock()
+    yield _promptness()
+    yield confinement()
+    yield shared_runs()
+
+
+def shared_runs() -> DiagnosticFinding:
+    """Whether the group may see and stop what this user starts."""
+    if shared_group_id() is not None:
+        return DiagnosticFinding(
+            "ok", f"members of the group {GROUP} may look at what this user starts, and stop it"
+        )
+    join = "" if os.geteuid() == 0 else f" && sudo usermod -aG {GROUP} $USER, then log in again"
+    return DiagnosticFinding(
+        "note",
+        "only this user and root may observe and stop what this user starts",
+        f"for a group that may: sudo groupadd --force {GROUP}{join}",
+    )
+
+
+def engine() -> DiagnosticFinding:
+    """Whether wasmtime can run programs."""
+    if not has_wasm():
+        what = "the reference engine runs programs: wasmtime is not installed"
+        return DiagnosticFinding(
+            "note", what, "pip install 'lfield[wasm]': loops and calls run a hundred times as fast"
+        )
+    try:
+        with wasm_engine() as wasm:
+            wasm.WasmEngine(compile_program(check_text(_TRIAL_PROGRAM, "tried.L").or_raise()), float)
+    except EngineUnavailable as unusable:
+        what = f"the reference engine runs programs: {unusable}"
+        return DiagnosticFinding("warning", what, _REINSTALL)
+    return DiagnosticFinding("ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs")
+
+
+def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[DiagnosticFinding]:
+    """The installed drivers. What one of them lacks is a problem only where a mission has `used` it."""
+    for name, installed in sorted(plugins.by_driver.items()):
+        if missing := installed.plugin.missing:
+            lacks = f"driver {name}: not installed: {', '.join(missing)}"
+            yield DiagnosticFinding("problem" if name in used else "note", lacks, installed.plugin.to_install)
+        else:
+            yield DiagnosticFinding("ok", f"driver {name}: {', '.join(sorted(installed.manifests))}")
+
+
+def _serial(root: Path) -> Iterator[DiagnosticFinding]:
+    ports = [port for pattern in PORTS for port in sorted((root / "dev").glob(pattern))]
+    if not ports:
+        yield DiagnosticFinding("ok", "no serial ports")
+    for port in ports:
+        yield _port(port)
+    for timer in sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer")):
+        yield _latency(timer)
+
+
+def _port(port: Path) -> DiagnosticFinding:
+    if os.access(port, os.R_OK | os.W_OK):
+        return DiagnosticFinding("ok", f"{port}: may be used")
+    group = grp.getgrgid(port.stat().st_gid).gr_name
+    user = pwd.getpwuid(os.getuid()).pw_name
+    return DiagnosticFinding(
+        "problem", f"{port}: {user} may not use it", f"sudo usermod -aG {group} {user}, then log in again"
+    )
+
+
+def _latency(timer: Path) -> DiagnosticFinding:
+    port, text = timer.parent.name, timer.read_text(encoding="ascii", errors="replace").strip()
+    if text.isdecimal() and int(text) <= SERIAL_LATENCY:
+        return DiagnosticFinding("ok", f"{port}: holds bytes back for {text} ms at most")
+    rule = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
+    return DiagnosticFinding(
+        "warning",
+        f"{port}: holds bytes back for up to {text} ms, which every answer of a servo waits for",
+        f"echo 1 | sudo tee {timer}; for ever: the udev rule {rule}",
+    )
+
+
+def _can(root: Path) -> Iterator[DiagnosticFinding]:
+    for interface in sorted((root / "sys/class/net").glob("*can[0-9]*")):
+        name = interface.name
+        state = (interface / "operstate").read_text(encoding="ascii", errors="replace").strip()
+        if state in ("up", "unknown"):
+            yield DiagnosticFinding("ok", f"{name}: {'up' if state == 'up' else 'there'}")
+        else:
+            yield DiagnosticFinding(
+                "problem",
+                f"{name}: {state}",
+                f"sudo ip link set {name} up type can bitrate 500000 restart-ms 100",
+            )
+
+
+def _clock() -> DiagnosticFinding:
+    """Whether the clock is synchronised; logs of a team are compared by it."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    # struct timex is 208 bytes on 64-bit Linux; modes 0 only asks.
+    state = libc.adjtimex(ctypes.create_string_buffer(256))
+    if state == _TIME_ERROR:
+        return DiagnosticFinding(
+            "warning",
+            "the clock is not synchronised: the logs of the hosts will not fit together",
+            "run chrony or systemd-timesyncd; without a network, a GPS receiver with gpsd",
+        )
+    return DiagnosticFinding("ok", "the clock is synchronised" if state >= 0 else "the clock cannot be asked")
+
+
+def _promptness() -> DiagnosticFinding:
+    """Whether guards get real-time priority; see lfield.guard.process."""
+    if event_loop.may_raise_timer_priority():
+        return DiagnosticFinding("ok", "guards run with real-time priority")
+    return DiagnosticFinding(
+        "warning",
+        "guards may not have real-time priority: on a busy computer their timers can be late",
+        "LimitRTPRIO=1 in the service's unit, or '@dialout - rtprio 1' in /etc/security/limits.conf",
+    )
+
+
+def confinement() -> DiagnosticFinding:
+    """Whether this kernel can confine guards to their devices; see lfield.guard.sandbox."""
+    kept, missing = describe_sandbox()
+    if not kept:
+        return DiagnosticFinding("note", f"guards have all rights of their user: {missing}")
+    if missing:
+        return DiagnosticFinding(
+            "note", f"guards are kept to their devices ({kept}); this kernel cannot for {missing}"
+        )
+    return DiagnosticFinding("ok", f"guards are kept to their devices ({kept})")
+
+
+async def scheduling_lateness(silence: float, clock: Clock, *, bound: bool) -> DiagnosticFinding:
+    """Whether this computer, under its present load, supports a `silence` in seconds; takes about 1 s.
+
+    Not to keep what the bindings of hardware say is a problem (`bound`): a host would not start.
+    """
+    limit = JitterLimit(silence, event_loop.may_raise_timer_priority())
+    late = await measure_jitter(limit, clock)
+    if late <= limit.max_jitter:
+        return DiagnosticFinding("ok", limit.report(late))
+    return DiagnosticFinding("problem" if bound else "warning", limit.report(late), limit.remedy(late))
+
+
+async def endpoints(
+    drivers: DriverLookup,
+    devices: list[DeviceBinding],
+    clock: Clock,
+    on_finding: Callable[[DiagnosticFinding], None],
+    setup: str = "lfield setup",
+) -> None:
+    """Identifies the device at each bound endpoint; nothing is moved or written.
+
+    `setup` is the command that sets up those that are not.
+    """
+    for device in devices:
+        plugin = load_plugin(drivers.by_driver[device.driver].reference)
+        if plugin.missing:
+            on_finding(
+                DiagnosticFinding(
+                    "problem", f"{device.name}: not tried without its driver", plugin.to_install
+                )
+            )
+            continue
+        notes: list[str] = []
+        guards = DeviceGuards(drivers, clock, notes.append)
+        try:
+            await guards.open([device])
+        except DevicesError as error:
+            for problem in error.problems:
+                on_finding(_not_open(device, problem, setup if problem in error.not_set_up else "", notes))
+        else:
+            identity = guards.guard_of(device.name).identities[device.name]
+            on_finding(DiagnosticFinding("ok", f"{device.name}: {identity} at {device.endpoint}"))
+        finally:
+            await guards.close()
+
+
+def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[str]) -> DiagnosticFinding:
+    if not setup:
+        cure = "" if "log in again" in problem else "check power, cable, endpoint and ids"
+        return DiagnosticFinding("problem", problem, cure)
+    details = [note.removeprefix(f"{device.name}: ") for note in notes]
+    return DiagnosticFinding("problem", problem, f"{setup} (it asks first)", details)

@@ -1,0 +1,107 @@
+"""Whether the keys in a folder can be used, and for how long: for `lfield doctor` and `lfield keys show`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from lfield.authority import keystore as folders
+from lfield.authority.identity import Identity, sorted_rights
+from lfield.authority.key_material import WEB_CERTIFICATE, Holder, Keys, certificate_name
+from lfield.authority.peer_verification import RevocationList, format_time
+from lfield.errors import KeysError
+from lfield.operator.diagnostics import DiagnosticFinding
+
+#: So many seconds before their end somebody should renew them.
+EXPIRY_WARNING = 30 * 86400.0
+_HOLDERS: tuple[Holder, ...] = ("host", "person")
+
+
+def local_keys_health(
+    environment: Mapping[str, str], at: float, system: Path = folders.SYSTEM
+) -> Iterator[DiagnosticFinding]:
+    """The same of all keys of this computer, as far as this user may look; a note where there are none."""
+    found = folders.local_folders(environment, system)
+    for folder in found:
+        yield from health(folder, at)
+    if not found:
+        yield DiagnosticFinding(
+            "note",
+            "there are no keys here: no host of this computer listens to others",
+            "'lfield keys init' on the operator's computer, or copy a key folder here",
+        )
+
+
+def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
+    """The finding about the keys in a directory, at this time in seconds since 1970 UTC."""
+    holders = [holder for holder in _HOLDERS if (folder / certificate_name(holder)).exists()]
+    if (folder / WEB_CERTIFICATE).exists():
+        yield _page(folder, at)
+    elif not holders:
+        yield DiagnosticFinding(
+            "problem", f"keys {folder}: there are none", "copy there what 'lfield keys' has made"
+        )
+    for holder in holders:
+        try:
+            keys = folders.read_keys(folder, holder)
+            yield _finding(folder, keys, at)
+        except KeysError as error:
+            # Of a file that cannot be used it names the path.
+            place = "keys" if str(folder) in str(error) else f"keys {folder}:"
+            yield DiagnosticFinding("problem", f"{place} {error}")
+
+
+def _page(folder: Path, at: float) -> DiagnosticFinding:
+    from lfield.authority.web_ca.web_keys import read_web_keys
+
+    try:
+        page = read_web_keys(folder)
+    except KeysError as error:
+        return DiagnosticFinding("problem", f"keys {error}")
+    if refusal := page.refusal(page.names[0], at):
+        return DiagnosticFinding("problem", f"keys {folder}: {refusal}")
+    what = f"keys {folder}: a page at {', '.join(page.names)}, "
+    if page.valid_until - at < EXPIRY_WARNING:
+        days, renew = (
+            int((page.valid_until - at) // 86400),
+            f"'lfield keys page {' '.join(page.names)}' makes the next",
+        )
+        return DiagnosticFinding(
+            "warning", f"{what}end in {days} days, {format_time(page.valid_until)}", renew
+        )
+    return DiagnosticFinding("ok", f"{what}until {format_time(page.valid_until)}")
+
+
+def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
+    """Raises KeysError for keys that do not fit one another."""
+    from lfield.authority.certificate_reader import revoked_in, verify_keys
+
+    who = verify_keys(keys)
+    revoked = revoked_in(keys.revoked, keys.authority) if keys.revoked else RevocationList()
+    what = f"keys {folder}: {who}, "
+    details = list(_details(who, revoked))
+    if who.serial in revoked.serials:
+        return DiagnosticFinding(
+            "problem", f"{what}revoked", f"'lfield keys {who.kind} {who.name}' makes new ones", details
+        )
+    renew = f"'lfield keys renew {who.kind} {who.name}' where the authority is, and copy the folder again"
+    if at >= who.valid_until:
+        cure = f"set the clock if it is wrong: it says {format_time(at)}; else {renew}"
+        return DiagnosticFinding("problem", f"{what}ended {format_time(who.valid_until)}", cure, details)
+    if at < who.valid_from:
+        cure = f"set the clock of this computer, which says {format_time(at)}"
+        return DiagnosticFinding("warning", f"{what}begin {format_time(who.valid_from)}", cure, details)
+    if who.valid_until - at < EXPIRY_WARNING:
+        days = int((who.valid_until - at) // 86400)
+        return DiagnosticFinding(
+            "warning", f"{what}end in {days} days, {format_time(who.valid_until)}", renew, details
+        )
+    return DiagnosticFinding("ok", f"{what}until {format_time(who.valid_until)}", "", details)
+
+
+def _details(who: Identity, revoked: RevocationList) -> Iterator[str]:
+    yield f"certificate {who.serial[:12]} of the authority {who.authority[:12]}"
+    if who.kind == "person":
+        yield f"may {sorted_rights(who.may) or 'nothing'}"
+    if revoked.number:
+        yield f"revoked: {revoked}"

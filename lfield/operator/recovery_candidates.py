@@ -1,0 +1,132 @@
+"""Selects the host that can recover a coordinator after the permanent loss of its holder. Sans-IO."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from lfield.errors import CoordinatorAlive, UsageError
+from lfield.operator.coordinator_location import parked_copies, records, require_no_live_copy
+from lfield.operator.targets import HostRef
+from lfield.operator.team_model.team_state import HostState
+from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState
+from lfield.wire.observer_messages import RecoverRequest
+
+_Hosts = Mapping[HostRef, HostState]
+
+
+@dataclass(frozen=True, slots=True)
+class RecoveryCandidate:
+    """The host with the newest copy of a coordinator, and the request to it.
+
+    `lines` say what is believed, for a person who is asked.
+    """
+
+    host_ref: HostRef
+    request: RecoverRequest
+    lines: Sequence[str]
+
+
+def best_candidate(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> RecoveryCandidate:
+    """The candidate to recover an agent, from the state of all hosts that answer.
+
+    Raises CoordinatorAlive when somebody has it, also for another mission, and UsageError when there is
+    nothing to go on with.
+    """
+    require_no_live_copy(agent, hosts, names)
+    found = list(records(agent, hosts))
+    _require_none_parked(agent, hosts, names)
+    left = [(place, known) for place, known in found if known.state in ("MOVED", "IN DOUBT")]
+    ended = max((known.generation for _, known in found if known.outcome in TERMINATED), default=0)
+    left = [(place, known) for place, known in left if known.generation > ended]
+    if not left:
+        raise UsageError(_nothing_left(agent, found, hosts, names))
+    if len({place.run for place, _ in left}) > 1:
+        raise UsageError(f"several runs here have a coordinator {agent}: name one with --run")
+    left.sort(key=lambda pair: (pair[1].generation, pair[1].hops, pair[1].sequence))
+    readable = [n for n, (_, known) in enumerate(left) if not known.unreadable]
+    if not readable:
+        where = ", ".join(names[place] for place, _ in left)
+        raise UsageError(f"the copy of {agent} on {where} cannot be read: it cannot be recovered")
+    place, newest = left[readable[-1]]
+    above = max(known.generation for _, known in found)
+    word = RecoverRequest(agent, newest.generation, newest.sequence, above)
+    first, *more = _lines(place, newest, hosts, names)
+    newer = [_newer(names[place], known) for place, known in left[readable[-1] + 1 :]]
+    return RecoveryCandidate(place, word, [first, *newer, *more])
+
+
+def _newer(host: str, known: CoordinatorState) -> str:
+    """The sentence about a newer copy that cannot be recovered."""
+    return (
+        f"  {host} has a newer one, of after {_hops(known)}, that cannot be read: what {known.agent} did in "
+        "between may be done again"
+    )
+
+
+def _hops(known: CoordinatorState) -> str:
+    return f"{known.hops} hop{'s' * (known.hops != 1)}"
+
+
+def _require_none_parked(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> None:
+    for place, copy in parked_copies(agent, hosts):
+        if copy.state == "RUN":
+            raise CoordinatorAlive(
+                f"{names[place]} keeps {agent} for another mission ({copy.program.hex()[:16]}), and "
+                f"goes on with it when that is started there; 'lfield forget {agent}' ends it"
+            )
+
+
+def _nothing_left(
+    agent: str,
+    found: Sequence[tuple[HostRef, CoordinatorState]],
+    hosts: _Hosts,
+    names: Mapping[HostRef, str],
+) -> str:
+    place, copy = next(parked_copies(agent, hosts), (None, None))
+    if not found and place and copy:
+        return (
+            f"{agent} is of another mission ({copy.program.hex()[:16]}), for which {names[place]} keeps a "
+            "copy: start that mission again to continue it"
+        )
+    if not found:
+        return (
+            f"no host that answers knows of a coordinator {agent}: if there is one that never left its home, "
+            "that has the only copy, and goes on with it when it is started again"
+        )
+    last = max((known for _, known in found), key=lambda known: known.generation)
+    return f"{agent} has ended on {last.where} ({last.outcome}): it cannot be recovered"
+
+
+def _lines(
+    place: HostRef, newest: CoordinatorState, hosts: _Hosts, names: Mapping[HostRef, str]
+) -> list[str]:
+    to = place._replace(host=newest.where)
+    lines = [
+        f"{newest.agent}, start {newest.generation}: the newest copy is on {names[place]}, as it left for "
+        f"{newest.where} after {_hops(newest)} (transfer {newest.sequence})"
+    ]
+    if newest.detail:
+        lines.append(f"  {newest.detail}")
+    lines += [f"  {line}" for host, line in _unreachable(hosts, names).items() if host.run == place.run]
+    if to in hosts and hosts[to].linked:
+        lines.append(f"  {names[to]} answers, and does not have it")
+    lines.append(
+        f"  that call may have started; {newest.agent} loses its result and everything after it, and "
+        "gets a RestartException"
+    )
+    return lines
+
+
+def _unreachable(hosts: _Hosts, names: Mapping[HostRef, str]) -> dict[HostRef, str]:
+    """A line for each host that does not answer, with the time since its last link."""
+    lines: dict[HostRef, str] = {}
+    linked = [host for host in hosts.values() if host.linked]
+    for place in (place for place, host in hosts.items() if not host.linked):
+        away = min((host.away[place.host] for host in linked if place.host in host.away), default=None)
+        if any(place.host in host.links for host in linked):
+            heard = "others are linked with it: it is up"
+        else:
+            heard = "never heard" if away is None else f"last heard {away:.0f} s ago"
+        lines[place] = f"{names[place]} does not answer; {heard}"
+    return lines

@@ -1,0 +1,176 @@
+"""Tracks the devices after an emergency stop until they are at rest: answers in, lines and a verdict out.
+
+A device is well when its host has confirmed its safe state and it has been seen there, heard lately and at
+rest. Until then it is looked for: `over` says when that has come to an end, well or not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from lfield.errors import LfieldError, NoListener
+from lfield.operator.targets import HostRef
+from lfield.operator.team_model.team_state import DeviceState, HostState
+from lfield.text.value_text import telemetry_text
+from lfield.wire.fields import Telemetry
+from lfield.wire.observer_messages import EmergencyStopResult
+
+#: What a device does is told again after so many seconds at the soonest.
+REPORT_INTERVAL = 1.0
+#: What was last heard of a device longer ago (seconds) says nothing of it now.
+SILENCE_TIMEOUT = 3.0
+
+#: Telemetry is newer than what was seen of a device before when it is by more than this (seconds).
+MIN_ADVANCE = 0.5
+
+#: A host that accepts no connection for so many seconds after the stop has confirmed it by another path, for
+#: example through another host. Its devices cannot be observed.
+UNREACHABLE_TIMEOUT = 10.0
+
+AT_REST = "at rest"
+
+
+@dataclass(slots=True)
+class DeviceProgress:
+    """A device that goes to rest: `problem` is why its safe state was not confirmed, `activity` what it does
+    now.
+
+    `last` is what it was last seen doing, or its telemetry where that is from before the stop, and
+    `last_contact` when that was measured. `last_report` is the text of the last line about it and when that
+    was printed. `has_host_answered`: its host has reported since the stop.
+    """
+
+    host_ref: HostRef
+    name: str
+    problem: str
+    activity: str = ""
+    last: str = ""
+    last_contact: float = -math.inf
+    is_at_rest: bool = False
+    has_host_ended: bool = False
+    has_host_answered: bool = False
+    telemetry: dict[str, Telemetry] | None = None
+    last_report: tuple[str, float] | None = None
+
+    def update(self, found: DeviceState, since: float, now: float) -> None:
+        """Its host has reported its state. Telemetry from before the stop, `since` s ago, proves nothing."""
+        self.telemetry = found.telemetry
+        if found.silent is not None and found.silent >= min(since, SILENCE_TIMEOUT):
+            if now - found.silent > self.last_contact + MIN_ADVANCE:
+                self.last, self.last_contact = telemetry_text(found.telemetry), now - found.silent
+            if found.silent >= SILENCE_TIMEOUT:
+                self.activity = "not heard any more"
+            return
+        self.is_at_rest = found.at_rest
+        self.activity = self.last = _activity(found)
+        self.last_contact = now - (found.silent or 0.0)
+
+    def on_host_answered(self) -> None:
+        """Its host has reported, whether or not the report contains this device."""
+        self.has_host_answered = True
+
+    def on_host_silent(self, error: LfieldError) -> None:
+        """Its host did not tell; when it has ended, that it will not."""
+        self.has_host_ended = isinstance(error, NoListener)
+        if not self.is_at_rest:
+            self.activity = (
+                "its host has ended" if self.has_host_ended else f"its host does not answer: {error}"
+            )
+
+    def is_finished(self, seconds: float) -> bool:
+        """Whether it is observed no longer, `seconds` after the stop."""
+        is_unreachable = not self.has_host_answered and seconds >= UNREACHABLE_TIMEOUT
+        return self.is_at_rest or self.has_host_ended or is_unreachable
+
+    def verdict(self, seconds: float, now: float) -> str:
+        """The problem `seconds` after the stop, '' for none."""
+        if self.is_at_rest:
+            # However late: it has been seen.
+            return ""
+        if self.problem:
+            wrong = f"NOT CONFIRMED: {self.problem}"
+        elif self.has_host_ended:
+            wrong = "NOT SEEN AT REST: its host has ended before"
+        elif self.activity and not self.has_host_answered:
+            return f"NOT SEEN AT REST: it has confirmed its safe state, but {self.activity}"
+        else:
+            wrong = f"NOT AT REST after {seconds:.0f} s"
+            if self.activity != self.last:
+                wrong += f": {self.activity}"
+        if self.last_contact == -math.inf:
+            return f"{wrong}; last seen: never"
+        return f"{wrong}; last seen {now - self.last_contact:.0f} s ago: {self.last or 'without telemetry'}"
+
+
+def _activity(found: DeviceState) -> str:
+    return found.motion or (AT_REST if found.latched else "NOT in its safe state")
+
+
+class SafeStateProgress:
+    """The devices of the hosts that received a stop, which must come to rest within so many seconds."""
+
+    def __init__(self, within: float, now: float) -> None:
+        self._started_at, self._within, self._now = now, within, now
+        self._devices: dict[tuple[HostRef, str], DeviceProgress] = {}
+
+    @property
+    def devices(self) -> Iterable[DeviceProgress]:
+        """All of them, in the order of the answers."""
+        return self._devices.values()
+
+    @property
+    def host_refs(self) -> set[HostRef]:
+        """The hosts to query again."""
+        return {device.host_ref for device in self.devices if not device.has_host_ended}
+
+    @property
+    def is_over(self) -> bool:
+        """Whether all is settled, or the time is up."""
+        seconds = self._now - self._started_at
+        return seconds >= self._within or all(device.is_finished(seconds) for device in self.devices)
+
+    def on_stopped(self, place: HostRef, answer: EmergencyStopResult) -> None:
+        """A host has executed the stop."""
+        for name, problem in answer.devices.items():
+            self._devices[place, name] = DeviceProgress(place, name, problem)
+
+    def on_host(self, place: HostRef, host: HostState) -> None:
+        """A host has answered with the state of its devices, or not."""
+        own = {device.name: device for device in self.devices if device.host_ref == place}
+        for device in own.values():
+            if host.error is not None:
+                device.on_host_silent(host.error)
+            else:
+                device.on_host_answered()
+        for found in host.devices.values() if host.linked else ():
+            if found.name in own:
+                own[found.name].update(found, self._now - self._started_at, self._now)
+
+    def set_time(self, now: float) -> None:
+        """What follows was asked at this time."""
+        self._now = now
+
+    def changes(self) -> list[DeviceProgress]:
+        """The devices whose report has changed, each at most once per report interval."""
+        changed = [device for device in self.devices if _has_changed(device, self._now)]
+        for device in changed:
+            device.last_report = device.activity, self._now
+        return changed
+
+    def verdicts(self) -> list[tuple[DeviceProgress, str]]:
+        """The devices with a problem, each with its last activity."""
+        seconds = self._now - self._started_at
+        found = [(device, device.verdict(seconds, self._now)) for device in self.devices]
+        return [(device, wrong) for device, wrong in found if wrong]
+
+
+def _has_changed(device: DeviceProgress, now: float) -> bool:
+    if device.last_report is None:
+        return bool(device.activity)
+    words, when = device.last_report
+    # What it came to is told at once.
+    return device.activity != words and (
+        now - when >= REPORT_INTERVAL or device.is_at_rest or device.has_host_ended
+    )

@@ -1,1 +1,0 @@
-"""How the streams of hosts are followed over cuts and restarts."""

@@ -1,1 +1,0 @@
-"""What is known of a team now, from what its hosts tell. Pure."""

@@ -1,0 +1,103 @@
+"""Results of orders sent from here: the last one of each pair of opposites (stop and lift, pause and resume).
+Sans-IO.
+
+A result is valid until the host reports another state: a host that did not answer and has stopped all the
+same, by another path, is no longer shown as unreached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+
+from lfield.errors import LfieldError
+from lfield.operator.team_model.team_state import HostState, OrderState
+from lfield.wire.observer_messages import EmergencyStopResult
+from lfield.wire.order_messages import OrderKind
+
+#: The opposite of each order.
+_OPPOSITE: Mapping[OrderKind, OrderKind] = {
+    "stop": "lift",
+    "lift": "stop",
+    "pause": "resume",
+    "resume": "pause",
+}
+#: Whether a host is in the state that an order requires.
+_IS_DONE: Mapping[OrderKind, Callable[[HostState], bool]] = {
+    "stop": lambda host: bool(host.stopped),
+    "lift": lambda host: not host.stopped,
+    "pause": lambda host: host.paused,
+    "resume": lambda host: not host.paused,
+}
+
+_NOT_DONE = "it is linked again and has not executed the order: press again"
+
+
+@dataclass(slots=True)
+class _Command:
+    """An order at `when` (s, own monotonic clock), and the answer of each host, None for none yet."""
+
+    number: int
+    order: OrderKind
+    when: float
+    answers: dict[str, EmergencyStopResult | str | None] = field(default_factory=dict)
+
+    def snapshot(self, now: float, hosts: Mapping[str, HostState], unsafe: Mapping[str, str]) -> OrderState:
+        asked, done = [], []
+        unreached: dict[str, str] = {}
+        unconfirmed: dict[str, str] = {}
+        troubles: dict[str, str] = {}
+        for name, answer in self.answers.items():
+            host = hosts.get(name)
+            is_as_wanted = host is not None and host.linked and _IS_DONE[self.order](host)
+            if isinstance(answer, EmergencyStopResult):
+                if is_as_wanted or host is None or not host.linked:
+                    done.append(name)
+                unconfirmed |= {
+                    device: why for device, why in answer.devices.items() if why and device in unsafe
+                }
+                if answer.trouble:
+                    troubles[name] = answer.trouble
+            elif answer is None:
+                asked.append(name)
+            elif is_as_wanted:
+                done.append(name)
+            else:
+                unreached[name] = _NOT_DONE if host is not None and host.linked else answer
+        age = max(0.0, now - self.when)
+        return OrderState(
+            self.number, self.order, age, tuple(asked), tuple(done), unreached, unconfirmed, troubles
+        )
+
+
+class CommandLog:
+    """All orders sent from here."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._last: dict[OrderKind, _Command] = {}
+
+    def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
+        """An order is sent to those hosts; returns its number."""
+        self._count += 1
+        self._last.pop(_OPPOSITE[order], None)
+        self._last[order] = _Command(self._count, order, now, dict.fromkeys(hosts))
+        return self._count
+
+    def on_answer(self, number: int, host: str, answer: EmergencyStopResult | LfieldError) -> None:
+        """The answer of a host, or why there is none. Superseded orders are ignored."""
+        for press in self._last.values():
+            if press.number == number:
+                press.answers[host] = answer if isinstance(answer, EmergencyStopResult) else str(answer)
+
+    def on_order_event(self, order: OrderKind, when: float) -> None:
+        """Another operator's order has reached a host at `when`, which may end one from here."""
+        other = self._last.get(_OPPOSITE[order])
+        if other is not None and when > other.when:
+            del self._last[_OPPOSITE[order]]
+
+    def snapshot(
+        self, now: float, hosts: Mapping[str, HostState], unsafe: Mapping[str, str]
+    ) -> tuple[OrderState, ...]:
+        """The orders in force; `unsafe` are all devices that are not confirmed in their safe states."""
+        return tuple(press.snapshot(now, hosts, unsafe) for press in self._last.values())

@@ -1,0 +1,214 @@
+"""The devices of a host, from its snapshot and events, and the vehicles that they make. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from lfield.driver.frame import Origin
+from lfield.guard.standstill import UNCONFIRMED
+from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.team_state import (
+    DeviceState,
+    GeoPosition,
+    TelemetryReading,
+    VehicleState,
+    agent_of,
+)
+from lfield.operator.team_model.vehicle_readings import earth, earth_to_frame, frame_to_earth, local, number
+from lfield.wire.events import (
+    DeviceLatched,
+    DeviceMoving,
+    DeviceReleased,
+    DeviceTelemetry,
+    SafeStateConfirmed,
+)
+from lfield.wire.fields import Telemetry
+from lfield.wire.observer_messages import DeviceStatus
+
+#: The most devices of one host: a host may name any number.
+MAX_DEVICES = 4096
+
+DeviceEvent = DeviceLatched | SafeStateConfirmed | DeviceMoving | DeviceReleased | DeviceTelemetry
+
+
+@dataclass(slots=True)
+class _Device:
+    """One device; `last_contact` is when its newest telemetry was measured (s, our monotonic clock)."""
+
+    moves: bool | None = None
+    latched: str = ""
+    confirmed: bool = False
+    moving: str = ""
+    last_contact: float | None = None
+    values: Mapping[str, Telemetry] = field(default_factory=dict)
+
+
+class DeviceTracker:
+    """The devices of a host: at first those that `moves` names, with whether each has a safe state."""
+
+    def __init__(self, moves: Mapping[str, bool | None]) -> None:
+        self._known = {name: _Device(each) for name, each in moves.items()}
+
+    def on_event(self, event: DeviceEvent, when: float) -> None:
+        """An event that happened at `when`."""
+        device = self._device(event.device)
+        match event:
+            case DeviceLatched(_, _, reason):
+                device.latched, device.confirmed, device.moving = reason or "latched", False, ""
+                device.moves = True
+            case SafeStateConfirmed(_, _, reason):
+                device.latched, device.confirmed = reason or device.latched or "latched", True
+                device.moves = True
+            case DeviceMoving(_, moving):
+                device.moving = moving
+                # At rest only counts once the safe state is confirmed.
+                device.confirmed = device.confirmed or not moving
+            case DeviceReleased():
+                device.latched, device.confirmed, device.moving = "", False, ""
+            case DeviceTelemetry(_, values, silent):
+                device.values, device.last_contact = values, when - silent
+
+    def on_snapshot(self, devices: Iterable[DeviceStatus], now: float) -> None:
+        """The state of all devices of the host."""
+        for told in devices:
+            device = self._device(told.name)
+            device.latched, device.confirmed = told.latched, bool(told.latched) and told.moving != UNCONFIRMED
+            device.moving = "" if told.moving == UNCONFIRMED else told.moving
+            device.moves = True if told.latched else device.moves
+            if told.silent is not None:
+                device.last_contact, device.values = now - told.silent, told.telemetry
+
+    def on_restarted(self) -> None:
+        """A new incarnation of the host, which reports the states of its devices again."""
+        for device in self._known.values():
+            device.latched, device.confirmed, device.moving = "", False, ""
+
+    def on_movable(self, names: Iterable[str]) -> None:
+        """These devices have a safe state: the host has reported whether they are in it."""
+        for name in names:
+            self._device(name).moves = True
+
+    @property
+    def problems(self) -> Mapping[str, str]:
+        """The movable devices, each with why it is not safe; '' if it is."""
+        return {
+            name: _unsafe_reason(device)
+            for name, device in self._known.items()
+            if device.moves or (device.moves is None and device.latched)
+        }
+
+    def states(self, host: str, now: float, *, fresh: bool) -> dict[str, DeviceState]:
+        """The devices by name; `fresh` says whether there is a link to the host."""
+        return {name: _state(name, device, host, now, fresh) for name, device in self._known.items()}
+
+    def _device(self, name: str) -> _Device:
+        device = self._known.get(name)
+        if device is None:
+            device = _Device()
+            if len(self._known) < MAX_DEVICES:
+                self._known[name] = device
+        return device
+
+
+def _unsafe_reason(device: _Device) -> str:
+    if device.latched and device.confirmed:
+        return ""
+    return "its safe state is not confirmed yet" if device.latched else "it is not in its safe state"
+
+
+def _state(name: str, device: _Device, host: str, now: float, fresh: bool) -> DeviceState:
+    silent = None if device.last_contact is None else max(0.0, now - device.last_contact)
+    values = device.values if silent is not None else {}
+    return DeviceState(
+        name=name,
+        agent=agent_of(name),
+        host=host,
+        fresh=fresh,
+        moves=device.moves,
+        latched=device.latched,
+        confirmed=device.confirmed,
+        moving=device.moving,
+        silent=silent,
+        readings={each: TelemetryReading(value, silent or 0.0) for each, value in values.items()},
+    )
+
+
+# --- vehicles -----------------------------------------------------------------------------------------------
+
+
+def earth_of(state: Sequence[DeviceState], inventory: Inventory) -> GeoPosition | None:
+    """The position on the Earth according to the devices of an agent."""
+    places = (earth(device.readings.get(inventory.instruments(device.name).earth)) for device in state)
+    return next((place for place in places if place is not None), None)
+
+
+def vehicle_of(
+    entry: InventoryEntry,
+    state: tuple[DeviceState, ...],
+    refusal: str,
+    inventory: Inventory,
+    origin: Origin | None,
+) -> VehicleState:
+    """An agent as a vehicle: each quantity from the first of its devices that has it.
+
+    `origin` is the team's, or a substitute for the map. Without a common frame each vehicle has its own
+    origin, so its position on the Earth takes precedence.
+    """
+    table = [(device, inventory.instruments(device.name)) for device in state]
+
+    def first(what: str) -> TelemetryReading | None:
+        for device, instruments in table:
+            reading = device.readings.get(getattr(instruments, what))
+            if reading is not None and _fits(what, reading):
+                return reading
+        return None
+
+    where, globe = first("place"), first("earth")
+    place, on_globe = local(where), earth(globe)
+    measured = where or globe
+    stated = place is None and on_globe is None
+    height = number(first("height"))
+    if height is None and place is not None and place.down is not None:
+        height = -place.down
+    place = place if not stated else inventory.agent_place(entry.agent)
+    if origin is not None and on_globe is not None and (place is None or not inventory.frames):
+        place = earth_to_frame(on_globe, origin)
+    elif inventory.origin is not None and on_globe is None and place is not None:
+        on_globe = frame_to_earth(place, inventory.origin)
+    mode, armed = first("mode"), first("armed")
+    ages = [device.silent for device in state if device.silent is not None]
+    return VehicleState(
+        agent=entry.agent,
+        type=entry.type,
+        host=state[0].host,
+        fresh=state[0].fresh,
+        place=place,
+        earth=on_globe,
+        measured=measured.age if measured is not None else None,
+        stated=stated and place is not None,
+        heading=number(first("heading")),
+        speed=number(first("speed")),
+        height=height,
+        battery=number(first("battery")),
+        mode=str(mode.value) if mode is not None else "",
+        armed=bool(armed.value) if armed is not None else None,
+        link=min(ages, default=None),
+        refusal=refusal,
+        devices=state,
+    )
+
+
+def _fits(what: str, reading: TelemetryReading) -> bool:
+    """Whether a reading is plausible for its name: hosts may report anything."""
+    match what:
+        case "place":
+            return local(reading) is not None
+        case "earth":
+            return earth(reading) is not None
+        case "mode":
+            return isinstance(reading.value, str)
+        case "armed":
+            return isinstance(reading.value, bool)
+        case _:
+            return number(reading) is not None

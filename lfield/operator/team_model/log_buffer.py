@@ -1,0 +1,129 @@
+"""The log of a team: what hosts and programs say, line by line, the last ones. Pure."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from lfield.hybrid_clock import counter_of, milliseconds_of
+from lfield.operator.team_model.team_state import ShownLogLine
+from lfield.wire.events import EventsDropped, LineLogged, Printed
+
+#: So many lines are kept.
+MAX_LINES = 1000
+#: A line that a program does not end is one after so many characters.
+MAX_LENGTH = 4096
+
+
+#: What of a stream makes lines.
+LogEvent = Printed | LineLogged | EventsDropped
+
+
+class LogRecord(NamedTuple):
+    """What was said on a host, at `when` by our monotonic clock and with the timestamp `stamp`."""
+
+    host: str
+    when: float
+    stamp: int
+    what: LogEvent
+
+
+def lost_events_text(what: str, count: int) -> str:
+    """What is said of what a host did not tell."""
+    return f"{count} {what} were not told: they came too often"
+
+
+def lines_of(text: str) -> list[str]:
+    """Its lines as the log of its host has them: whatever else a program writes begins none."""
+    return text.removesuffix("\n").split("\n")
+
+
+@dataclass(frozen=True, slots=True)
+class _Line:
+    serial: int
+    host: str
+    when: float
+    stamp: int
+    agent: str
+    text: str
+
+
+class LineAssembler:
+    """What programs print, as lines, whatever pieces they write."""
+
+    def __init__(self) -> None:
+        #: What a program on a host has written since its last line ended.
+        self._incomplete: dict[tuple[str, str], str] = {}
+
+    def lines(self, host: str, what: Printed) -> list[str]:
+        """The lines that have ended now."""
+        if what.on == "log":
+            return lines_of(what.text)
+        key = (host, what.agent)
+        *lines, rest = (self._incomplete.pop(key, "") + what.text).split("\n")
+        if len(rest) > MAX_LENGTH:
+            lines, rest = [*lines, rest], ""
+        if rest:
+            self._incomplete[key] = rest
+        return lines
+
+
+class LogBuffer:
+    """The last lines of all hosts, in the order in which they came here."""
+
+    def __init__(self) -> None:
+        #: The timestamp of the last line of each host: a later incarnation may have an earlier clock.
+        self._last: dict[str, int] = {}
+        self._lines: deque[_Line] = deque(maxlen=MAX_LINES)
+        self._serial = 0
+        self._pieces = LineAssembler()
+        #: What waits for what was said before it, None when nothing does.
+        self._held: deque[LogRecord] | None = None
+
+    def hold(self) -> None:
+        """What is said from now on waits until it is known what was said before."""
+        self._held = deque(maxlen=MAX_LINES)
+
+    def start(self, before: Iterable[LogRecord]) -> None:
+        """That was said before all else; nothing waits any more."""
+        held, self._held = self._held or (), None
+        for said in (*before, *held):
+            self.add(said)
+
+    def add(self, record: LogRecord) -> None:
+        """It was said after all that was said before."""
+        if self._held is not None:
+            self._held.append(record)
+            return
+        match record.what:
+            case Printed(agent) as what:
+                # A line, or what a program has written of one.
+                for line in self._pieces.lines(record.host, what):
+                    self._add_line(record, agent, line)
+            case LineLogged(text):
+                self._add_line(record, "", text)
+            case EventsDropped("printed", count):
+                self._add_line(record, "", lost_events_text("lines", count))
+
+    def _add_line(self, record: LogRecord, agent: str, text: str) -> None:
+        stamp = self._last[record.host] = max(record.stamp, self._last.get(record.host, 0))
+        for line in lines_of(text):
+            self._serial += 1
+            self._lines.append(_Line(self._serial, record.host, record.when, stamp, agent, line))
+
+    def snapshot(self, now: float) -> tuple[ShownLogLine, ...]:
+        """All of them, the oldest first."""
+        return tuple(
+            ShownLogLine(
+                line.serial,
+                line.host,
+                milliseconds_of(line.stamp) / 1000.0,
+                max(0.0, now - line.when),
+                line.agent,
+                line.text,
+                counter_of(line.stamp),
+            )
+            for line in self._lines
+        )

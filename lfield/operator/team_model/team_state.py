@@ -1,0 +1,348 @@
+"""State of a team at one moment, as plain data: the result of `TeamView.snapshot`, shown by the web page.
+
+Ages are in seconds since the last confirmation; the state of an unreachable host stays, and ages. Positions
+are metres north, east and down in the frame of the team; angles are radians clockwise from north, degrees
+only for latitude and longitude. None means that no host has reported it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, Protocol
+
+from lfield.errors import LfieldError
+from lfield.guard.standstill import UNCONFIRMED
+from lfield.wire.fields import Telemetry
+from lfield.wire.observer_messages import Status
+from lfield.wire.order_messages import OrderKind
+
+#: The report of a host that has sent none.
+NO_REPORT = Status("", "", 0.0, b"", b"", [], [], [], [], [])
+
+
+class TelemetryReading(NamedTuple):
+    """A quantity of telemetry, `age` seconds old."""
+
+    value: Telemetry
+    age: float
+
+
+class LocalPosition(NamedTuple):
+    """Metres in the frame of the team; `down` is None if the height is unknown."""
+
+    north: float
+    east: float
+    down: float | None = None
+
+
+class GeoPosition(NamedTuple):
+    """Degrees, and metres above mean sea level, None if unknown."""
+
+    latitude: float
+    longitude: float
+    altitude: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class LinkState:
+    """Measurements of a host about one link: the round trip in seconds, the loss rate of sent segments, and
+    the bytes sent and received since the link opened."""
+
+    round_trip: float | None = None
+    loss: float | None = None
+    sent: int | None = None
+    received: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class HostState:
+    """A host. `linked`: we hear it now; else `trouble` says why not, and what it told is as old as `age`.
+
+    `age` is None for one that was never heard. `ending` is why it ends or has ended, where it said so.
+    `stopped` is the reason of an emergency stop that stands there, '' for none. `links` are the hosts that
+    it has links with, and what it measures of them, `away` those it misses, for how many seconds.
+    Coordinators that are not started yet wait for the hosts in `waits_for`, or for an operator's command
+    because of `start_held`; `refused` are the hosts that it cannot be linked with, each with the reason.
+    `bundle` are the first digits of the digest of the bundle that it runs, '' for none. `lost` says by kind
+    how much of what happened there this computer will never hear of, since it looks. `clock` is what its
+    clock shows more than that of this computer (s), and `clock_within` how sure that is. `place` is what the
+    devices file says. `error` is what `trouble` words, of a host that did not answer a request. `devices` are
+    its devices by name. `report` is its last snapshot: read there only what no event changes.
+    """
+
+    host: str
+    linked: bool = False
+    trouble: str = ""
+    age: float | None = None
+    up: float | None = None
+    restarts: int = 0
+    ending: str | None = None
+    stopped: str = ""
+    paused: bool = False
+    waits_for: tuple[str, ...] = ()
+    start_held: str = ""
+    refused: Mapping[str, str] = field(default_factory=dict)
+    bundle: str = ""
+    late: float | None = None
+    links: Mapping[str, LinkState] = field(default_factory=dict)
+    away: Mapping[str, float] = field(default_factory=dict)
+    lost: Mapping[str, int] = field(default_factory=dict)
+    clock: float | None = None
+    clock_within: float | None = None
+    place: LocalPosition | None = None
+    error: LfieldError | None = None
+    devices: Mapping[str, DeviceState] = field(default_factory=dict)
+    report: Status = NO_REPORT
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceState:
+    """A device, `name` is AGENT.FIELD. `latched` is why it is held in its safe state, '' when it is in use.
+
+    `confirmed`: it is in that state; `moving` describes its movement there, '' at rest. `silent` is the age
+    of its telemetry, None if there never was any. `moves` is whether it has a safe state at all, None if
+    unknown. A device that is not `fresh` is drawn grey: its host is unreachable.
+    """
+
+    name: str
+    agent: str
+    host: str
+    fresh: bool
+    moves: bool | None = None
+    latched: str = ""
+    confirmed: bool = False
+    moving: str = ""
+    silent: float | None = None
+    readings: Mapping[str, TelemetryReading] = field(default_factory=dict)
+
+    @property
+    def motion(self) -> str:
+        """What it still does; UNCONFIRMED in a safe state that is not confirmed, '' at rest."""
+        return UNCONFIRMED if self.latched and not self.confirmed else self.moving
+
+    @property
+    def telemetry(self) -> dict[str, Telemetry]:
+        """The values of its readings."""
+        return {name: reading.value for name, reading in self.readings.items()}
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether it is confirmed in its safe state and at rest."""
+        return bool(self.latched) and self.confirmed and not self.moving
+
+
+def agent_of(device: str) -> str:
+    """The agent of a device: `alpha` of `alpha.fc`."""
+    return device.rpartition(".")[0]
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleState:
+    """A resource with devices as a vehicle: the readings of its devices by meaning.
+
+    `place` and `earth` are its position, measured or derived with the origin of the team, and `measured`
+    seconds old; None for an agent without a position. `stated`: never measured, but stated in the devices
+    file. `height` is above the starting point (m), `battery` from 0 to 1, `heading` in radians. `link` is the
+    age of its newest telemetry (s).
+    """
+
+    agent: str
+    type: str
+    host: str
+    fresh: bool
+    place: LocalPosition | None = None
+    earth: GeoPosition | None = None
+    measured: float | None = None
+    stated: bool = False
+    heading: float | None = None
+    speed: float | None = None
+    height: float | None = None
+    battery: float | None = None
+    mode: str = ""
+    armed: bool | None = None
+    link: float | None = None
+    refusal: str = ""
+    devices: tuple[DeviceState, ...] = ()
+
+    @property
+    def latched(self) -> bool:
+        """Whether one of its devices is held in its safe state."""
+        return any(device.latched for device in self.devices)
+
+
+@dataclass(frozen=True, slots=True)
+class HopState:
+    """A hop `of` one host `to` another, started `age` seconds ago, for the call of RESOURCE.PORTAL.
+
+    `seconds` is its duration as measured by the sender, None while unknown. `number` is that of the transfer.
+    `failed` is why it did not arrive, '' otherwise.
+    """
+
+    number: int
+    of: str
+    to: str
+    age: float
+    resource: str = ""
+    portal: str = ""
+    size: int = 0
+    seconds: float | None = None
+    failed: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AgentState:
+    """An agent. `host` is where it last ran; `to` is the destination of its hop, '' if it is not in transit.
+
+    `state` is its activity in a word, `file` and `line` its position in the program (0: unknown), `waits` the
+    portal or instruction that it waits for. `finished` is how it ended: '', done, died, lost, superseded,
+    with the `detail`. `doubt` is why its state is unknown. `hops` counts all, None for one that ended before
+    this computer watched, unless its last host reports it; `trail` are the last hops, newest last.
+    """
+
+    agent: str
+    type: str
+    kind: Literal["coordinator", "resource"]
+    host: str
+    fresh: bool
+    age: float | None = None
+    generation: int = 0
+    hops: int | None = 0
+    served: int = 0
+    to: str = ""
+    state: str = ""
+    file: str = ""
+    line: int = 0
+    waits: str = ""
+    finished: str = ""
+    detail: str = ""
+    doubt: str = ""
+    trail: tuple[HopState, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class OfferState:
+    """Whether an agent can be called, as reported by the host `told_by`: its own if linked, else any.
+
+    `refusal` is why not, '' if it can. `apart` are the hosts that report otherwise, with their reasons.
+    """
+
+    agent: str
+    type: str
+    told_by: str
+    refusal: str
+    fresh: bool
+    apart: Mapping[str, str] = field(default_factory=dict)
+
+
+class ShownLogLine(NamedTuple):
+    """A line of a host's log; `agent` is who said it, '' for the host itself.
+
+    `at` (s since 1970) and `tick` are its timestamp: the log is in the order of timestamp, host and serial.
+    `serial` counts the lines of this picture from 1 in the order in which they came, so that only new ones
+    need be drawn. Within a host both orders are the same.
+    """
+
+    serial: int
+    host: str
+    at: float
+    age: float
+    agent: str
+    text: str
+    tick: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class StopState:
+    """An emergency stop in force on some host, or sent from here: confirmed and unconfirmed devices.
+
+    `hosts` are those where it is in force. `confirmed` and `unconfirmed` are their devices, the latter with
+    the reason; `unreached` are hosts that should have stopped without confirmation, with the reason. `asked`
+    are hosts that have not answered the order from here yet, whatever else they have reported. `before` are
+    unreachable hosts that had stopped when they were last linked, with what was safe then.
+    """
+
+    reason: str = ""
+    by: str = ""
+    age: float | None = None
+    hosts: tuple[str, ...] = ()
+    confirmed: tuple[str, ...] = ()
+    unconfirmed: Mapping[str, str] = field(default_factory=dict)
+    unreached: Mapping[str, str] = field(default_factory=dict)
+    asked: tuple[str, ...] = ()
+    before: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def stands(self) -> bool:
+        """Whether a stop is in force on some linked host."""
+        return bool(self.hosts)
+
+    @property
+    def complete(self) -> bool:
+        """Whether every device of every host of the team is confirmed safe."""
+        return self.stands and not (self.unconfirmed or self.unreached or self.asked or self.before)
+
+
+@dataclass(frozen=True, slots=True)
+class OrderState:
+    """The result of an order that was sent from here `age` seconds ago, as far as it is still true.
+
+    `asked` are the hosts that have not answered yet, `done` those that have executed it, `unreached` those
+    that have not as far as is known, with the reasons. `unconfirmed` are devices that are not safe yet, and
+    `troubles` warnings of hosts. `number` counts all orders from 1.
+    """
+
+    number: int
+    order: OrderKind
+    age: float
+    asked: tuple[str, ...] = ()
+    done: tuple[str, ...] = ()
+    unreached: Mapping[str, str] = field(default_factory=dict)
+    unconfirmed: Mapping[str, str] = field(default_factory=dict)
+    troubles: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A quantity of the last minutes: pairs of seconds before now and value, oldest first. `what` is battery,
+    height, link or hops (per minute), `of` the agent."""
+
+    what: Literal["battery", "height", "link", "hops"]
+    of: str
+    points: tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class TeamState:
+    """The state of a whole team. `revision` grows with every change except ages."""
+
+    team: str
+    revision: int
+    hosts: Mapping[str, HostState]
+    vehicles: Mapping[str, VehicleState]
+    agents: Mapping[str, AgentState]
+    offers: Mapping[str, OfferState]
+    stop: StopState
+    log: tuple[ShownLogLine, ...]
+    #: The last order about stops, and the last one about pauses.
+    orders: tuple[OrderState, ...] = ()
+
+    @property
+    def coordinators(self) -> Mapping[str, AgentState]:
+        """The agents that move between hosts."""
+        return {name: agent for name, agent in self.agents.items() if agent.kind == "coordinator"}
+
+    @property
+    def paused(self) -> tuple[str, ...]:
+        """The linked hosts where the mission is paused."""
+        return tuple(name for name, host in self.hosts.items() if host.paused and host.linked)
+
+
+class TeamStateSource(Protocol):
+    """A source of team states: a follower of its hosts, or a script of a test."""
+
+    def snapshot(self) -> TeamState:
+        """The present state. Cheap enough for five calls per second."""
+
+    def curves(self) -> tuple[Curve, ...]:
+        """The curves of the last minutes."""

@@ -1,0 +1,278 @@
+"""The read model of a team: snapshots and events of its hosts in, `TeamState` out. Pure.
+
+Each host has a `HostModel`; this merges them with the agents, devices and orders of the team.
+
+`now` is always the monotonic clock of this computer in seconds, `wall` its Unix time. What a host told before
+its link broke stays, and grows older; a new life of a host begins with nothing of what the last one did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+
+from lfield.driver.frame import Origin
+from lfield.errors import AddressError, LfieldError
+from lfield.operator.team_model.agent_tracker import AgentEvent, AgentTracker
+from lfield.operator.team_model.command_log import CommandLog
+from lfield.operator.team_model.curve_history import CurveHistory
+from lfield.operator.team_model.device_tracker import earth_of, vehicle_of
+from lfield.operator.team_model.host_model import HostModel
+from lfield.operator.team_model.inventory import Inventory
+from lfield.operator.team_model.log_buffer import LogBuffer, LogEvent, LogRecord
+from lfield.operator.team_model.team_state import (
+    Curve,
+    DeviceState,
+    HostState,
+    OfferState,
+    OrderState,
+    StopState,
+    TeamState,
+    VehicleState,
+    agent_of,
+)
+from lfield.wire import events
+from lfield.wire.events import Event
+from lfield.wire.observer_messages import EmergencyStopResult, Status
+from lfield.wire.order_messages import OrderKind
+from lfield.wire.subscription_messages import EventBatch
+
+#: No host: it has never said anything.
+NO_HOST = HostModel("")
+
+
+class TeamView:
+    """The picture of one team."""
+
+    def __init__(self, inventory: Inventory) -> None:
+        self.inventory = inventory
+        self.revision = 0
+        self._hosts = {host: self._new_host(host) for host in inventory.hosts}
+        self._agents = AgentTracker(inventory)
+        self._log, self._curves, self._commands = LogBuffer(), CurveHistory(), CommandLog()
+        self._origin = inventory.origin
+
+    # --- in -------------------------------------------------------------------------------------------
+
+    def on_linked(self, name: str) -> None:
+        """There is a link to a host."""
+        self._host(name).on_linked()
+        self._agents.on_linked(name)
+
+    def on_unlinked(self, name: str, why: str) -> None:
+        """There is none, or none any more."""
+        self._host(name).on_unlinked(why)
+        self._agents.on_unlinked(name)
+
+    def feed(self, name: str, batch: EventBatch, now: float, wall: float, took: float | None = None) -> None:
+        """What a host has sent. `took` is how long it was asked for, of a first answer: for that long nobody
+        knows what its clock showed."""
+        host = self._host_of(name, batch.incarnation)
+        host.on_batch(batch, now, wall, took)
+        for event in batch.events:
+            self._on_event(name, host, event, now)
+        if batch.snapshot is not None:
+            self._on_snapshot(name, host, batch.snapshot, batch.latest, now)
+
+    def hold_log(self) -> None:
+        """The log begins with what hosts have said before they are heard here: it waits for that."""
+        self._log.hold()
+
+    def start_log(self, before: Iterable[tuple[str, int, Event]], now: float, wall: float) -> None:
+        """The earlier events: of each the host, its incarnation, and the event."""
+        self.revision += 1
+        told = []
+        for name, incarnation, event in before:
+            host, what = self._host(name), event.what
+            comes = host.first_after is not None and event.number > host.first_after
+            same = host.incarnation == incarnation
+            if isinstance(what, LogEvent) and not (comes and same):
+                when = host.when(event.up, now) if same else min(now, now - wall + event.at)
+                told.append(LogRecord(name, when, event.stamp, what))
+                host.on_log_event(what)
+        self._log.start(told)
+
+    def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
+        """An order is given from here to those hosts, and to those of the team of which nobody knows where
+        they are; its number."""
+        self.revision += 1
+        number = self._commands.on_order(order, [*self._hosts, *(set(hosts) - set(self._hosts))], now)
+        for name in set(self._hosts) - set(hosts):
+            self._commands.on_answer(number, name, AddressError(name, "its address is unknown"))
+        return number
+
+    def on_answer(self, number: int, name: str, answer: EmergencyStopResult | LfieldError) -> None:
+        """What a host has said to an order: the devices that are not safe, with the reasons; or why it was
+        not reached."""
+        host = self._host(name)
+        self._commands.on_answer(number, name, answer)
+        if isinstance(answer, EmergencyStopResult):
+            host.on_answer(answer)
+
+    def tick(self, now: float) -> None:
+        """Once a second or so: curves grow also while nobody looks."""
+        self._curves.add(now, self.snapshot(now).vehicles, self._agents.hops_a_minute(now))
+
+    def _host(self, name: str) -> HostModel:
+        self.revision += 1
+        if name not in self._hosts:
+            self._hosts[name] = self._new_host(name)
+        return self._hosts[name]
+
+    def _new_host(self, name: str) -> HostModel:
+        return HostModel(name, self.inventory.host_place(name), self.inventory.moves_of(name))
+
+    def _host_of(self, name: str, incarnation: int) -> HostModel:
+        """A host in that life of it."""
+        host = self._host(name)
+        if host.incarnation not in (0, incarnation):
+            host.on_restarted()
+            self._agents.on_restarted(name)
+        return host
+
+    def _on_snapshot(self, name: str, host: HostModel, report: Status, latest: int, now: float) -> None:
+        host.on_snapshot(report, latest, now)
+        self._agents.on_status(name, report.agents, report.coordinators, now)
+
+    def _on_event(self, name: str, host: HostModel, event: Event, now: float) -> None:
+        when, what = host.when(event.up, now), event.what
+        is_past = event.number <= host.past and not isinstance(what, events.TelemetryEvent)
+        if isinstance(what, AgentEvent):
+            self._agents.on_event(name, what, when, is_past=is_past)
+        elif isinstance(what, LogEvent):
+            self._log.add(LogRecord(name, when, event.stamp, what))
+            host.on_log_event(what)
+        elif is_past:
+            host.on_past_event(what, when)
+        elif isinstance(what, events.PortalCallEnded):
+            self._agents.on_served(name, what.resource)
+        else:
+            self._countermanded(what, when)
+            host.on_event(what, when)
+
+    def _countermanded(self, what: object, when: float) -> None:
+        match what:
+            case events.EmergencyStopChanged(_, _, lifted):
+                self._commands.on_order_event("lift" if lifted else "stop", when)
+            case events.PauseChanged(_, lifted):
+                self._commands.on_order_event("resume" if lifted else "pause", when)
+            case _:
+                pass
+
+    # --- out ------------------------------------------------------------------------------------------
+
+    def curves(self, now: float) -> tuple[Curve, ...]:
+        """What is plotted."""
+        return self._curves.snapshot(now)
+
+    def snapshot(self, now: float) -> TeamState:
+        """All that is known at that moment."""
+        hosts = {name: host.state(now) for name, host in self._hosts.items()}
+        fresh = {name: host.linked for name, host in hosts.items()}
+        devices, offers = self._devices_by_agent(hosts), self._offers(fresh)
+        unsafe = {
+            name: why for host in self._hosts.values() for name, why in host.devices.problems.items() if why
+        }
+        orders = self._commands.snapshot(now, hosts, unsafe)
+        return TeamState(
+            team=self.inventory.team,
+            revision=self.revision,
+            hosts=hosts,
+            vehicles=self._vehicles(devices, offers),
+            agents=self._agents.snapshot(now, fresh),
+            offers=offers,
+            stop=self._stop(now, orders),
+            log=self._log.snapshot(now),
+            orders=orders,
+        )
+
+    def _devices_by_agent(self, hosts: Mapping[str, HostState]) -> dict[str, tuple[DeviceState, ...]]:
+        """Of a device that several hosts name, that on the host of its agent counts."""
+        found: dict[str, dict[str, DeviceState]] = {agent_of(name): {} for name in self.inventory.devices}
+        for name, host in hosts.items():
+            for device in host.devices.values():
+                own, enrolled = found.setdefault(device.agent, {}), self.inventory.agents.get(device.agent)
+                if device.name not in own or (enrolled is not None and enrolled.host == name):
+                    own[device.name] = device
+        return {agent: tuple(own.values()) for agent, own in found.items() if own}
+
+    def _vehicles(
+        self, devices: Mapping[str, tuple[DeviceState, ...]], offers: Mapping[str, OfferState]
+    ) -> dict[str, VehicleState]:
+        self._set_origin(devices)
+        found = {}
+        for agent, own in devices.items():
+            refusal = offers[agent].refusal if agent in offers else ""
+            enrolled = self._agents.entry(agent)
+            found[agent] = vehicle_of(enrolled, own, refusal, self.inventory, self._origin)
+        return found
+
+    def _set_origin(self, devices: Mapping[str, tuple[DeviceState, ...]]) -> None:
+        """Without an origin of the team a map begins where the first vehicle was seen first, and stays."""
+        for own in devices.values() if self._origin is None else ():
+            place = earth_of(own, self.inventory)
+            if place is not None:
+                self._origin = Origin(place.latitude, place.longitude, place.altitude or 0.0)
+                return
+
+    def _offers(self, fresh: Mapping[str, bool]) -> dict[str, OfferState]:
+        """Of each agent counts what its own host says while that is heard, else what any does."""
+        tellers: dict[str, list[str]] = {}
+        for name, host in self._hosts.items():
+            for agent in host.offers:
+                tellers.setdefault(agent, []).append(name)
+        found = {}
+        for agent, names in tellers.items():
+            enrolled = self._agents.entry(agent)
+            teller = min(names, key=lambda name: (not fresh[name], name != enrolled.host))
+            refusal = self._hosts[teller].offers[agent]
+            told = {name: self._hosts[name].offers[agent] for name in names if fresh[name]}
+            apart = {name: other for name, other in told.items() if bool(other) != bool(refusal)}
+            found[agent] = OfferState(agent, enrolled.type, teller, refusal, fresh[teller], apart)
+        return found
+
+    def _stop(self, now: float, orders: Sequence[OrderState]) -> StopState:
+        stopped = {name: host for name, host in self._hosts.items() if host.known.stopped}
+        standing = {name: host for name, host in stopped.items() if host.known.linked}
+        pressed = next((order for order in orders if order.order == "stop"), None)
+        confirmed: list[str] = []
+        unconfirmed: dict[str, str] = {}
+        before: dict[str, tuple[str, ...]] = {}
+        for name, host in stopped.items():
+            states = host.devices.problems
+            safe = [device for device, problem in states.items() if not problem]
+            if host.known.linked:
+                confirmed += safe
+            else:
+                before[name] = tuple(safe)
+            # Of who is not heard that counts for as long as a stop is wanted at all.
+            if host.known.linked or standing or pressed is not None:
+                unconfirmed |= {
+                    device: host.refusals.get(device, why) for device, why in states.items() if why
+                }
+        unreached = dict(pressed.unreached) if pressed is not None else {}
+        asked = pressed.asked if pressed is not None else ()
+        for name, host in self._hosts.items() if standing or pressed is not None else ():
+            if name not in {*stopped, *unreached, *asked}:
+                unreached[name] = _unknown_why(host.known)
+        first = min((standing or stopped).values(), key=lambda host: host.stopped_at or now, default=NO_HOST)
+        age = None if first.stopped_at is None else max(0.0, now - first.stopped_at)
+        return StopState(
+            first.known.stopped,
+            first.stopped_by,
+            age,
+            tuple(standing),
+            tuple(confirmed),
+            unconfirmed,
+            unreached,
+            asked,
+            before,
+        )
+
+
+def _unknown_why(host: HostState) -> str:
+    """Why nobody knows that a host has stopped."""
+    if host.linked:
+        return "it has not said that it has stopped"
+    if host.ending is None:
+        return host.trouble
+    return f"it has ended: {host.ending}" if host.ending else "it has ended"

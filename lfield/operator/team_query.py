@@ -1,0 +1,225 @@
+"""The team as a question from outside sees it: from its files alone, or from what its running hosts tell."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+
+from lfield.capability.directory.agent_profile import AgentIdentity, AgentProfile, agent_profiles, location_of
+from lfield.capability.model import Attribute, Registry, Value
+from lfield.capability.offer import Candidate, Fact, Position
+from lfield.capability.program_types.class_generator import UsableWays
+from lfield.capability.program_types.program_check import check_against, satisfied
+from lfield.capability.program_types.program_resources import resources_of
+from lfield.capability.registry_reader.registry_files import is_shipped, read_registry
+from lfield.capability.registry_reader.unit_signatures import Signature, signatures_of
+from lfield.driver.plugins import discover
+from lfield.errors import BindingError, InputFileError, ProgramError, UsageError
+from lfield.mission import bundle
+from lfield.mission.bindings import Frames, StatedValue
+from lfield.mission.bindings_file import read_frames
+from lfield.mission.loader import CAPABILITIES, DEVICES, load_mission, sibling_file
+from lfield.mission.mission import Mission, with_poses
+from lfield.mission.registry_check import program_files
+from lfield.mission.registry_part import check_stated
+from lfield.mission.team import Team
+from lfield.operator.team_model.team_state import HostState
+from lfield.text.source_text import Diagnostics
+from lfield.vm.offer_objects import ways
+from lfield.wire.observer_messages import AttributeReading, DirectoryEntry
+
+#: For each host, what its directory says of the agents.
+DirectoryViews = Mapping[str, Mapping[str, DirectoryEntry]]
+
+
+class Roster:
+    """Agents by resource type, in the order of the deployment. Implements `offer.Team`.
+
+    Where is asked: where the first agent is whose host is the one that asks, else at that host's `pose`.
+    """
+
+    def __init__(
+        self,
+        candidates: Iterable[Candidate],
+        attributes: Mapping[str, Attribute],
+        pose: Position | None = None,
+    ) -> None:
+        self._by_type: dict[str, list[Candidate]] = {}
+        found = list(candidates)
+        for candidate in found:
+            self._by_type.setdefault(candidate.type, []).append(candidate)
+        self._place = location_of((candidate for candidate in found if candidate.hops == 0), attributes, pose)
+
+    def here(self) -> Position | None:
+        """Where the host is that asks."""
+        return self._place
+
+    def candidates(self, resource: str) -> Sequence[Candidate]:
+        """The agents of a resource type."""
+        return self._by_type.get(resource, ())
+
+
+@dataclass(frozen=True, slots=True)
+class QueryContext:
+    """What is asked about: the registry as hosts have it, and what their bindings state of single agents.
+
+    The registry is as far as the program fulfils it. `ways` are those by which that can have each primitive
+    served; None where it could not be compiled.
+    `frames` say where hosts are; where agents are is in the registry.
+    """
+
+    registry: Registry
+    ways: Mapping[str, Collection[str]] | None = None
+    stated: Mapping[str, Mapping[str, StatedValue]] = field(default_factory=dict)
+    frames: Frames = field(default_factory=Frames)
+
+
+def read_context(path: Path, team: Team, capabilities: Path | None = None) -> QueryContext:
+    """The same as the hosts of a mission have it, from the same files.
+
+    Of a deployment that has mistakes elsewhere the registry and where agents are, alone: ours with
+    `capabilities`, else the file beside it. Raises ProgramError, BindingError, InputFileError and
+    BundleError, and UsageError for a bundle without one.
+    """
+    own = capabilities
+    if path.suffix != bundle.SUFFIX:
+        own = own or sibling_file(path, CAPABILITIES)
+        try:
+            mission = load_mission(path, simulate=True, capabilities=own)
+        except (ProgramError, BindingError, InputFileError):
+            return _partial_context(path, team, own)
+        registry = mission.registry
+    else:
+        mission = bundle.read(path)
+        registry = mission.registry if own is None else None
+        if registry is None and own is None:
+            raise UsageError(f"the program of {path} names no capability: ask its deployment (.dL) instead")
+    return _context(mission, registry or _registry(own, team, resources_of(mission.program)))
+
+
+def _context(mission: Mission, registry: Registry) -> QueryContext:
+    """The ways that the program was built with; of what it does not name those it would have."""
+    program, bindings = mission.program, mission.bindings
+    resources = resources_of(program)
+    fitting = satisfied(registry, resources)
+    check_stated(bindings.attributes, fitting)
+    return QueryContext(
+        with_poses(fitting, mission.team.types, bindings.frames),
+        {**UsableWays(fitting, resources).all_ways(), **ways(program)},
+        bindings.attributes,
+        bindings.frames,
+    )
+
+
+def _partial_context(path: Path, team: Team, own: Path | None) -> QueryContext:
+    """What can be had of a deployment: all ways are open to the resources, as far as they can be read."""
+    program = sibling_file(path, ".L")
+    files = [] if program is None else program_files(program, discover(), Diagnostics())
+    registry = _registry(own, team, signatures_of([file for file in files if not file.broken]))
+    frames = read_frames(sibling_file(path, DEVICES), team.homes)
+    return QueryContext(with_poses(registry, team.types, frames), frames=frames)
+
+
+def _registry(own: Path | None, team: Team, resources: Mapping[str, Signature]) -> Registry:
+    """The registry from its files, as far as these resources fulfil it: a mission's `own` file must fit."""
+    agents = [agent.id for agent in team.deployed]
+    registry, found = (
+        read_registry(mission=own, agents=agents, libraries=discover().capabilities),
+        Diagnostics(),
+    )
+    check_against(registry, resources, found)
+    if wrong := [mistake for mistake in found.in_order() if not is_shipped(mistake)]:
+        raise ProgramError(wrong)
+    return satisfied(registry, resources)
+
+
+def roster_from_files(
+    registry: Registry,
+    agents: Sequence[AgentIdentity],
+    at: str = "",
+    stated: Mapping[str, Mapping[str, StatedValue]] = MappingProxyType({}),
+    pose: Position | None = None,
+) -> Roster:
+    """The agents as the files have them: what only devices could tell is not known.
+
+    `stated` is what their bindings say, `at` the host where the question is asked, for the count of hops, ''
+    for none of them, and `pose` where that host is.
+    """
+    found = (
+        known.candidate(
+            _hops(known, at),
+            "",
+            {name: Fact(_value(said)) for name, said in stated.get(known.agent.id, {}).items()},
+            {},
+            "{0} is not known: the team is not running",
+        )
+        for known in agent_profiles(registry, agents).values()
+    )
+    return Roster(found, registry.attributes, pose)
+
+
+def roster_from_hosts(
+    registry: Registry,
+    agents: Sequence[AgentIdentity],
+    views: DirectoryViews,
+    unanswered: Collection[str],
+    at: str = "",
+    pose: Position | None = None,
+) -> Roster:
+    """The agents as the running hosts know them; the `unanswered` ones have not answered.
+
+    Of each agent counts what the host `at` says, as it does when a program asks there; without one what its
+    own host says, else what any other does. `pose` is where that host is by the devices file.
+    """
+    found = (
+        _candidate(registry, known, at, _view(known.agent, views, unanswered, at))
+        for known in agent_profiles(registry, agents).values()
+    )
+    return Roster(found, registry.attributes, pose)
+
+
+def directory_views(hosts: Mapping[str, HostState]) -> DirectoryViews:
+    """The directories of all hosts that answered."""
+    return {
+        name: {entry.agent: entry for entry in host.report.directory}
+        for name, host in hosts.items()
+        if host.linked
+    }
+
+
+def _view(
+    agent: AgentIdentity, views: DirectoryViews, unanswered: Collection[str], at: str
+) -> DirectoryEntry:
+    for host in (at,) if at else dict.fromkeys((agent.host, *views)):
+        told = views.get(host, {}).get(agent.id)
+        if told is not None:
+            return told
+    why = f"its host {agent.host} does not answer" if agent.host in unanswered else ""
+    return DirectoryEntry(agent.id, why, {}, {})
+
+
+def _candidate(registry: Registry, known: AgentProfile, at: str, reported: DirectoryEntry) -> Candidate:
+    """An agent with what a host has told of it, as far as it makes sense."""
+    facts = {name: _fact(fact) for name, fact in reported.facts.items()}
+    known_as = registry.attributes
+    facts = {
+        name: fact for name, fact in facts.items() if name in known_as and known_as[name].accepts(fact.value)
+    }
+    return known.candidate(
+        _hops(known, at), reported.refusal, facts, reported.unknown, "{0} is not known: no host tells it"
+    )
+
+
+def _hops(known: AgentProfile, at: str) -> int:
+    return 0 if known.agent.host == at else 1
+
+
+def _fact(reported: AttributeReading) -> Fact:
+    return Fact(_value(reported.value), reported.age, reported.of)
+
+
+def _value(said: float | str | list[str] | tuple[str, ...]) -> Value:
+    """A value as the registry has it: members are a set."""
+    return frozenset(said) if isinstance(said, list | tuple) else said

@@ -1,0 +1,105 @@
+"""A background for the map from an MBTiles file: a SQLite database of pictures, read where it lies.
+
+MBTiles 1.3: table `tiles` (zoom_level, tile_column, tile_row, tile_data), rows counted from the south, where
+browsers count from the north; table `metadata` (name, value). Pictures only, no vector tiles.
+"""
+
+from __future__ import annotations
+
+import sqlite3
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from lfield.errors import InputFileError
+
+#: How the pictures begin that browsers show, and what they are.
+_KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
+#: Zooms that can be asked for: at 24 a pixel is 9 mm.
+MAX_ZOOM = 24
+
+_USABLE = "from tiles where typeof(zoom_level) = 'integer' and zoom_level between ? and ?"
+_ZOOMS = f"select min(zoom_level), max(zoom_level) {_USABLE}"
+_SAMPLE = f"select tile_data {_USABLE} limit 1"
+
+
+@dataclass(frozen=True, slots=True)
+class MapTile:
+    """A picture and its media type."""
+
+    data: bytes
+    kind: str
+
+
+class MbtilesSource:
+    """The tiles of one file; `min_zoom` and `max_zoom` are the zooms that it has, `credit` whom to name for
+    it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputFileError for a file that cannot be read, or has no pictures for a map."""
+        self._path = path
+        if not path.is_file():
+            why = "it is no file" if path.exists() else "there is no such file"
+            raise InputFileError(str(path), f"{why}; an MBTiles file is meant")
+        try:
+            self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
+        except sqlite3.Error as error:
+            raise _none(path, str(error)) from None
+        try:
+            self._check()
+        except BaseException:
+            self.close()
+            raise
+
+    def _check(self) -> None:
+        """Read what the map needs to know of the file; raises InputFileError."""
+        path = self._path
+        try:
+            zooms = self._database.execute(_ZOOMS, (0, MAX_ZOOM)).fetchone()
+            sample = self._database.execute(_SAMPLE, (0, MAX_ZOOM)).fetchone()
+            others = self._database.execute("select zoom_level from tiles limit 1").fetchone()
+            self.credit = self._metadata("attribution")
+        except sqlite3.Error as error:
+            raise _none(path, str(error)) from None
+        if sample is None:
+            zoomed = f", only of zoom {others[0]!r}" if others is not None else ""
+            raise _none(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
+        if not isinstance(sample[0], bytes) or _kind(sample[0]) is None:
+            raise _none(path, "its tiles are no pictures (PNG, JPEG or WebP), which vector tiles are not")
+        self.min_zoom, self.max_zoom = zooms
+
+    def tile(self, zoom: int, column: int, row: int) -> MapTile | None:
+        """The tile, its row counted from the north as browsers do; None where the file has none."""
+        if not 0 <= zoom <= MAX_ZOOM or not (0 <= column < 1 << zoom and 0 <= row < 1 << zoom):
+            return None
+        question = "select tile_data from tiles where zoom_level = ? and tile_column = ? and tile_row = ?"
+        try:
+            with closing(self._database.execute(question, (zoom, column, (1 << zoom) - 1 - row))) as found:
+                line = found.fetchone()
+        except sqlite3.Error:
+            # A page that is damaged is a tile that is missing.
+            return None
+        if line is None or not isinstance(line[0], bytes):
+            return None
+        kind = _kind(line[0])
+        return MapTile(line[0], kind) if kind else None
+
+    def close(self) -> None:
+        """Let go of the file."""
+        self._database.close()
+
+    def _metadata(self, name: str) -> str:
+        try:
+            found = self._database.execute("select value from metadata where name = ?", (name,)).fetchone()
+        except sqlite3.Error:
+            return ""
+        return str(found[0]) if found else ""
+
+
+def _kind(data: bytes) -> str | None:
+    return next((kind for start, kind in _KINDS.items() if data.startswith(start)), None)
+
+
+def _none(path: Path, why: str) -> InputFileError:
+    return InputFileError(str(path), f"not an MBTiles file with pictures for a map: {why}")

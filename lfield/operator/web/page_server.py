@@ -1,0 +1,183 @@
+"""Serves the page: its routes, and a server at a site of ours that ends when the command does.
+
+NiceGUI brings server, page and components; it is imported when a page is served, and not before.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import secrets
+import socket
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import uvicorn
+from fastapi import FastAPI, Request, Response
+from nicegui import ui
+
+from lfield.clock import Clock
+from lfield.operator.dashboard.operator_actions import OperatorActions
+from lfield.operator.team_model.team_state import TeamStateSource
+from lfield.operator.web.answer_json import order_json, query_json
+from lfield.operator.web.auth_middleware import AuthMiddleware
+from lfield.operator.web.button_orders import REASON, buttons, refusal, stop_reason
+from lfield.operator.web.mbtiles import MbtilesSource
+from lfield.operator.web.page import page
+from lfield.operator.web.page_sessions import PageSessions
+from lfield.operator.web.page_site import PageSite
+from lfield.operator.web.page_snapshots import PageSnapshots
+
+#: The longest body of a request, in bytes: the longest question has 4000 characters.
+_MOST_BYTES = 20_000
+#: Seconds for which a connection of a browser is kept on which nothing is asked.
+_IDLE = 3600
+
+
+@dataclass(frozen=True, slots=True)
+class ServedPage:
+    """What a page is of: the team, what may be done with it, a background for the map, and a clock."""
+
+    title: str
+    source: TeamStateSource
+    actions: OperatorActions
+    clock: Clock
+    tiles: MbtilesSource | None = None
+
+
+async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], None]) -> None:
+    """Serve the page at that site until this is cancelled; `print_link` gets each link that opens it."""
+    door = PageSessions(site.addresses, lambda: secrets.token_urlsafe(24), site.scheme)
+
+    def show_link() -> None:
+        print_link(site.link(door.token))
+
+    app = FastAPI(openapi_url=None)
+    _add_routes(app, served)
+    ui.run_with(
+        app,
+        title=served.title,
+        favicon=Path(__file__).parent / "browser" / "icon.svg",
+        dark=None,
+        tailwind=False,
+        show_welcome_message=False,
+        binding_refresh_interval=None,
+        cache_control_directives="no-cache",
+        gzip_middleware_factory=None,
+    )
+    config = uvicorn.Config(
+        AuthMiddleware(app, door, f"lfield-{site.port}", show_link, site.limiter.on_authenticated),
+        log_config=None,
+        # Who calls is who is at the other end, whatever they say.
+        proxy_headers=False,
+        access_log=False,
+        lifespan="on",
+        # A process that did not run for a while looks at its timers first: a connection that it gave up then
+        # would take the press with it that has come there meanwhile.
+        timeout_keep_alive=_IDLE,
+        # Pages that are open are not waited for.
+        timeout_graceful_shutdown=1,
+    )
+    server = _Server(config, site)
+    serving = asyncio.create_task(server.serve([]))
+    show_link()
+    try:
+        await asyncio.shield(serving)
+    finally:
+        server.should_exit = True
+        await asyncio.gather(serving, return_exceptions=True)
+        site.close()
+
+
+class _Server(uvicorn.Server):
+    """One that leaves Ctrl-C to the command, and the sockets to a site."""
+
+    def __init__(self, config: uvicorn.Config, site: PageSite) -> None:
+        super().__init__(config)
+        self._site = site
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._site.limiter.start(self._protocol)
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._site.close()
+        await super().shutdown(sockets)
+
+    def _protocol(self) -> asyncio.Protocol:
+        made: Callable[..., asyncio.Protocol] = self.config.http_protocol_class
+        return made(config=self.config, server_state=self.server_state, app_state=self.lifespan.state)
+
+    @contextmanager
+    def capture_signals(self) -> Generator[None, None, None]:
+        yield
+
+
+def _add_routes(app: FastAPI, served: ServedPage) -> None:
+    tiles = served.tiles
+    about = (
+        None if tiles is None else {"least": tiles.min_zoom, "most": tiles.max_zoom, "credit": tiles.credit}
+    )
+    looks = PageSnapshots(served.source, lambda: served.actions.denied_orders, about, served.clock.monotonic)
+    page(served.title)
+
+    @app.get("/look")
+    async def snapshot(after: int = 0) -> Response:
+        return _json(looks.snapshot(after))
+
+    @app.get("/plots")
+    async def plots() -> Response:
+        return _json(looks.plots())
+
+    @app.post("/act")
+    async def act(request: Request) -> Response:
+        said = await _body(request)
+        asked, pressed, now = said.get("action"), said.get("pressed"), served.clock.monotonic()
+        does = buttons(served.actions, stop_reason(REASON, pressed, now)).get(str(asked))
+        if does is None:
+            return _refused("there is no such button")
+        # Hosts would say the same; whoever has no button need not ask them.
+        for order, why in served.actions.denied_orders.items():
+            if order == asked:
+                return _refused(why, 403)
+        if why := refusal(asked, pressed, now):
+            return _refused(why, 409)
+        return _json(order_json(await does()))
+
+    @app.post("/query")
+    async def query(request: Request) -> Response:
+        text = (await _body(request)).get("text")
+        if not isinstance(text, str) or not text.strip():
+            return _refused("ask for something: a capability, or an id of the taxonomy")
+        return _json(query_json(await served.actions.query(text)))
+
+    @app.get("/tiles/{zoom}/{column}/{row}")
+    async def tile(zoom: int, column: int, row: int) -> Response:
+        found = tiles.tile(zoom, column, row) if tiles is not None else None
+        if found is None:
+            return Response(status_code=404)
+        return Response(found.data, media_type=found.kind, headers={"Cache-Control": "max-age=3600"})
+
+
+async def _body(request: Request) -> dict[str, Any]:
+    """The body of a request, {} where it is none."""
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > _MOST_BYTES:
+            return {}
+    try:
+        return msgspec.json.decode(body, type=dict[str, Any])
+    except msgspec.MsgspecError:
+        return {}
+
+
+def _json(data: bytes) -> Response:
+    return Response(data, media_type="application/json", headers={"Cache-Control": "no-store"})
+
+
+def _refused(why: str, status: int = 400) -> Response:
+    return Response(why, status_code=status, media_type="text/plain")

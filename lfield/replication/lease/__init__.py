@@ -1,0 +1,1 @@
+"""Leases, fencing tokens and failover of coordinators by a majority of the team."""

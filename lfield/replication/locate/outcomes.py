@@ -1,0 +1,215 @@
+"""Outcome resolution: whether each coordinator has ended, is alive, is certainly lost, or is unreachable.
+
+Every host records, for each coordinator, the number of the last transfer that it knows. The numbers only grow
+along the coordinator's path, so the record with the highest number names its last location. A loss needs
+proof: that host has ended for good, or has restarted without the coordinator, and no other host can have it.
+Silence is no proof; the outcome is then "unheard".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from msgspec import structs
+
+from lfield.wire.coordinator_messages import TERMINATED, CoordinatorState
+
+_ALIVE = ("RUN", "FROZEN", "PREPARED")
+
+
+@dataclass(frozen=True, slots=True)
+class CoordinatorOutcome:
+    """The end of a coordinator: `outcome` is done, died, lost or unheard; `detail` is one line.
+
+    `starts` are the lost generations, the latest first.
+    """
+
+    agent: str
+    outcome: str
+    detail: str
+    starts: tuple[int, ...] = field(default=(), compare=False)
+
+
+@dataclass(frozen=True, slots=True)
+class UnavailableHosts:
+    """The hosts that did not answer a cluster query, and the state of those that did.
+
+    `ended`: certainly ended. `silent_for`: seconds of silence, longer than allowed. `reachable_by_others`:
+    all others, which some host can reach. `state_ids`: the journal ids of the hosts that answered.
+    `has_journals`: the state of a host survives the host.
+    """
+
+    ended: Collection[str] = ()
+    silent_for: Mapping[str, float] = field(default_factory=dict)
+    reachable_by_others: Collection[str] = ()
+    state_ids: Mapping[str, int] = field(default_factory=dict)
+    has_journals: bool = False
+
+
+StateRecords = Sequence[CoordinatorState]
+
+
+def resolve_outcomes(
+    homes: Mapping[str, str], records: Mapping[str, StateRecords], absent: UnavailableHosts
+) -> dict[str, CoordinatorOutcome]:
+    """The coordinators that have ended, are lost or are unheard.
+
+    `homes` is the home host of each coordinator, `records` what each answering host knows. Hosts do not
+    answer at the same moment: see `OutcomeResolver`.
+    """
+    found = {}
+    for agent, home in homes.items():
+        by_host = {host: [r for r in rows if r.agent == agent] for host, rows in records.items()}
+        if fate := _ClusterQuery(agent, by_host, absent).outcome(home):
+            found[agent] = fate
+    return found
+
+
+def local_outcomes(
+    homes: Mapping[str, str], records: StateRecords, proven: Collection[str]
+) -> dict[str, CoordinatorOutcome]:
+    """The outcomes that a host knows from its own records, without a query.
+
+    A lost record does not exclude a later start, so it counts only for coordinators that were `proven` lost
+    now.
+    """
+    found = resolve_outcomes(homes, {"": records}, UnavailableHosts())
+    return {
+        agent: fate
+        for agent, fate in found.items()
+        if fate.outcome in TERMINATED or (fate.outcome == "lost" and agent in proven)
+    }
+
+
+class OutcomeResolver:
+    """Compares two successive cluster queries, since answers from different moments can look like a loss.
+
+    A copy in transit may be recorded as sent but not yet as received. When the next query misses the same
+    transfer, its receiver was queried after it had accepted it.
+
+    It also remembers the progress of each start, since the host that reported it may be gone.
+    """
+
+    def __init__(self, homes: Mapping[str, str]) -> None:
+        self._homes = homes
+        self._before: Mapping[str, CoordinatorOutcome] = {}
+        self._newest: dict[tuple[str, int], CoordinatorState] = {}
+
+    def resolve(
+        self, records: Mapping[str, StateRecords], absent: UnavailableHosts
+    ) -> dict[str, CoordinatorOutcome]:
+        """The outcomes that are certain now."""
+        remembered = {"": list(self._newest.values())}
+        before, self._before = self._before, resolve_outcomes(self._homes, {**remembered, **records}, absent)
+        for host, rows in records.items():
+            for row in rows:
+                self._note_state(_past_state(row, host, absent.state_ids.get(host, 0)))
+        return {agent: fate for agent, fate in self._before.items() if _is_certain(fate, before.get(agent))}
+
+    def _note_state(self, row: CoordinatorState) -> None:
+        key = row.agent, row.generation
+        known = self._newest.get(key)
+        if known is None or (known.state != "EXITED" and row.sequence >= known.sequence):
+            self._newest[key] = row
+
+
+def _past_state(row: CoordinatorState, host: str, state_id: int) -> CoordinatorState:
+    """What a record implies later: a copy that was alive on a host had arrived there."""
+    if row.state not in _ALIVE:
+        return row
+    return structs.replace(row, state="MOVED", where=host, receiver_memory=state_id)
+
+
+def _is_certain(fate: CoordinatorOutcome, before: CoordinatorOutcome | None) -> bool:
+    match fate.outcome:
+        case "lost":
+            return before is not None and (fate, fate.starts) == (before, before.starts)
+        case "unheard":
+            return before is not None and before.outcome == "unheard"
+        case _:
+            return True
+
+
+class _ClusterQuery:
+    """What all answering hosts know of one coordinator."""
+
+    def __init__(self, agent: str, records: Mapping[str, StateRecords], absent: UnavailableHosts) -> None:
+        self.agent, self.records, self.absent = agent, records, absent
+
+    def outcome(self, home: str) -> CoordinatorOutcome | None:
+        """The outcome; None while the coordinator is or may be alive on a reachable host.
+
+        One live start decides. Otherwise the latest start counts, and an earlier one only if the latest is
+        lost.
+        """
+        rows = [row for known in self.records.values() for row in known]
+        gave_way = {row.generation for row in rows if row.outcome == "superseded"}
+        starts = sorted({row.generation for row in rows} - gave_way, reverse=True)
+        ended = {row.generation: row for row in rows if row.state == "EXITED" and row.outcome != "lost"}
+        if any(
+            row.state in _ALIVE for row in rows if row.generation in starts and row.generation not in ended
+        ):
+            return None
+        if not starts:
+            return self._no_start_found(home, gave_way=bool(gave_way))
+        found = [self._start(generation, ended.get(generation)) for generation in starts]
+        fate = next((fate for fate in found if fate is None or fate.outcome != "lost"), found[0])
+        return replace(fate, starts=tuple(starts)) if fate and fate.outcome == "lost" else fate
+
+    def _start(self, generation: int, ended: CoordinatorState | None) -> CoordinatorOutcome | None:
+        return (
+            CoordinatorOutcome(self.agent, ended.outcome, ended.detail)
+            if ended
+            else self._missing_start(generation)
+        )
+
+    def _no_start_found(self, home: str, *, gave_way: bool) -> CoordinatorOutcome | None:
+        """The outcome when no answering host knows a live start."""
+        if gave_way:
+            return self._lost_unless_elsewhere("no host knows the start that superseded the others")
+        if home in self.absent.ended:
+            return self._lost_unless_elsewhere(f"its host {home} is gone")
+        return self._silent(home, f"it starts on {home}, and") if home in self.absent.silent_for else None
+
+    def _missing_start(self, generation: int) -> CoordinatorOutcome | None:
+        """The outcome of a start that no answering host has, by its last known location."""
+        known = {host: [r for r in rows if r.generation == generation] for host, rows in self.records.items()}
+        rows = [row for records in known.values() for row in records]
+        for row in rows:
+            if row.state == "EXITED":
+                # This start is proven lost; its home may have started it again since.
+                return self._lost_unless_elsewhere(row.detail)
+        last = max(rows, key=lambda row: row.sequence)
+        where, way = last.where, f"it moved to {last.where} (transfer {last.sequence})"
+        if where in self.absent.ended:
+            return self._lost_unless_elsewhere(f"{way}, which is gone")
+        if where in self.absent.silent_for:
+            return self._silent(where, f"{way}, and")
+        there = known.get(where)
+        if there is None or any(row.sequence >= last.sequence for row in there):
+            return None
+        if self.absent.state_ids.get(where) == last.receiver_memory:
+            # It is in transit to that incarnation, or waits there for its devices.
+            return None
+        return self._lost_unless_elsewhere(f"{way}, which was restarted")
+
+    def _lost_unless_elsewhere(self, how: str) -> CoordinatorOutcome | None:
+        """Lost, unless it moved on to a host that does not answer."""
+        if self.absent.reachable_by_others:
+            return None
+        if self.absent.has_journals:
+            return CoordinatorOutcome(
+                self.agent, "unheard", f"{how}; it resumes from that host's journal when the host restarts"
+            )
+        if self.absent.silent_for:
+            return self._silent(
+                min(self.absent.silent_for), f"{how}, but it may have moved on from there, and"
+            )
+        return CoordinatorOutcome(self.agent, "lost", how)
+
+    def _silent(self, host: str, how: str) -> CoordinatorOutcome:
+        seconds = self.absent.silent_for[host]
+        return CoordinatorOutcome(
+            self.agent, "unheard", f"{how} {host} has been unreachable for {seconds:.0f} s"
+        )

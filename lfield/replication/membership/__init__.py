@@ -1,0 +1,1 @@
+"""Gossip failure detector and ring overlay of a team. Pure."""

@@ -1,0 +1,1 @@
+"""Two-phase hand-over of coordinators: sender, receiver, records, epochs, terminations. Pure."""

@@ -1,0 +1,60 @@
+"""Epoch numbers (fencing tokens) of the starts of a coordinator: allocation and order. Sans-IO.
+
+A home host counts its starts 1, 2, 3 ... A recovery needs a number above all known ones that no other host
+allocates: the next multiple of `GENERATION_STRIDE` plus the number of its host. A home that knows of a
+recovery continues with multiples of `GENERATION_STRIDE`. The number shows whether a start is a recovery
+(decision 27).
+
+    1, 2, 3     starts by the home
+    65537       recovered by the first host of the deployment, after any of these
+    131072      started by the home after that
+"""
+
+from __future__ import annotations
+
+#: Leaves numbers for recoveries by every host between two starts of a home; teams are far smaller.
+GENERATION_STRIDE = 1 << 16
+
+
+def next_start(newest: int) -> int:
+    """The number of the next start by the home, after the `newest` known one (0 for none)."""
+    return newest + 1 if newest + 1 < GENERATION_STRIDE else _next_stride(newest)
+
+
+def next_recovery(newest: int, host: int) -> int:
+    """The number of a recovery by this host (numbered from 0); no other host allocates it."""
+    return _next_stride(newest) + host + 1
+
+
+def is_recovery(generation: int) -> bool:
+    """Whether a start is a recovery, authorised by an operator or a majority."""
+    return generation >= GENERATION_STRIDE and generation % GENERATION_STRIDE != 0
+
+
+def outranks(one: int, other: int) -> bool:
+    """Whether start `one` continues when both may be alive.
+
+    The newest recovery wins; without one, the earliest start, which has done work.
+    """
+    if is_recovery(one) != is_recovery(other):
+        return is_recovery(one)
+    return one > other if is_recovery(one) else one < other
+
+
+def blocks(one: int, other: int, *, alive: bool) -> bool:
+    """Whether a start, given whether it is `alive`, prevents another one from running.
+
+    A recovery supersedes everything before it, whatever became of the recovery.
+    """
+    return (alive and outranks(one, other)) or (is_recovery(one) and one > other)
+
+
+def stop_reason(agent: str, generation: int, by: int, host: str) -> str:
+    """The log sentence for a start that was stopped because of another one, known to `host`."""
+    if is_recovery(by):
+        return f"{agent} was recovered (start {by}, says {host}), so start {generation} was stopped"
+    return f"an earlier start of {agent} is alive on {host}, so this later one was stopped"
+
+
+def _next_stride(newest: int) -> int:
+    return (newest // GENERATION_STRIDE + 1) * GENERATION_STRIDE

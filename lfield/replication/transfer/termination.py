@@ -1,0 +1,253 @@
+"""Terminations of coordinators: their announcement to all hosts, and precedence between two starts. Sans-IO.
+
+The home host of a coordinator may restart while the coordinator is on another host, and start it again. Then
+there are two starts. The earlier one has done work and continues; the later one is superseded wherever a host
+learns of both. A recovery is the exception: a host that knows of one runs no earlier start, whatever became
+of the recovery.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from lfield.replication.transfer.coordinator_copies import LIVE_STATES, CoordinatorCopy, CopyTable
+from lfield.replication.transfer.effects import DropTerminated, Effect, Send, TerminateCopy
+from lfield.replication.transfer.generations import blocks, is_recovery, outranks, stop_reason
+from lfield.wire.coordinator_messages import CoordinatorState, Outcome, Terminated, TerminatedAck
+from lfield.wire.fields import truncate
+from lfield.wire.messages import Hello
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Iterable, Mapping
+
+
+class Termination:
+    """The terminations of one host's copies. `links` are the Hellos of the linked hosts."""
+
+    def __init__(
+        self, host: str, peers: frozenset[str], copies: CopyTable, links: Mapping[str, Hello]
+    ) -> None:
+        self._host, self._peers, self._copies, self._links = host, peers, copies, links
+        self._unconfirmed: dict[tuple[str, int], tuple[Terminated, set[str]]] = {}
+        #: The losses reported by a host that was shutting down, and the time of the first report.
+        self._losses: dict[tuple[str, int], float] = {}
+        #: Whether a reported termination must not be stored or confirmed yet.
+        self.is_delayed: Callable[[Terminated], bool] = lambda ended: False
+
+    def set_delay_rule(self, is_delayed: Callable[[Terminated], bool]) -> None:
+        """Set which remote terminations are neither stored nor confirmed yet."""
+        self.is_delayed = is_delayed
+
+    def terminate(self, copy: CoordinatorCopy, outcome: Outcome, detail: str) -> list[Effect]:
+        """End a copy here, and notify every host until it confirms."""
+        detail = truncate(detail)
+        copy.mark_ended(outcome, detail, self._host)
+        message = Terminated(copy.agent, copy.generation, outcome, detail, self._host)
+        self._unconfirmed[copy.agent, copy.generation] = message, set(self._peers)
+        told: list[Effect] = [Send(host, message) for host in sorted(self._peers & self._links.keys())]
+        return self._copies.persist(copy) + told
+
+    def on_restored(self, copy: CoordinatorCopy) -> None:
+        """Restore a termination from before a restart: the confirmations are unknown."""
+        if copy.outcome and copy.ended_on == self._host:
+            message = Terminated(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
+            self._unconfirmed[copy.agent, copy.generation] = message, set(self._peers)
+
+    def declare_lost(self, agent: str, generations: Iterable[int], detail: str) -> list[Effect]:
+        """Announce the proven loss of these starts to all linked hosts.
+
+        Not to hosts that link later: meanwhile the coordinator may have been started again.
+        """
+        effects: list[Effect] = []
+        for generation in generations:
+            copy = self._copies.find_or_create(agent, generation)
+            if copy is None or copy.is_alive or (copy.state == "EXITED" and copy.outcome != "lost"):
+                continue
+            detail = truncate(detail)
+            if copy.state != "EXITED":
+                copy.mark_ended("lost", detail, self._host)
+                effects += self._copies.persist(copy)
+                effects.append(DropTerminated(agent, generation, "lost", detail, self._host))
+            message = Terminated(agent, generation, "lost", detail, self._host)
+            self._unconfirmed[agent, generation] = message, set(self._links)
+            effects += [Send(host, message) for host in sorted(self._links)]
+        return effects
+
+    def broadcast_all(self) -> list[Effect]:
+        """This host is about to shut down: send every known termination but losses to all linked hosts."""
+        effects: list[Effect] = []
+        for copy in self._copies:
+            if copy.state == "EXITED" and copy.outcome and copy.outcome != "lost":
+                message = Terminated(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
+                _, waiting = self._unconfirmed.setdefault((copy.agent, copy.generation), (message, set()))
+                more = self._links.keys() - waiting - {copy.ended_on}
+                waiting |= more
+                effects += [Send(host, message) for host in sorted(more)]
+        return effects
+
+    def has_unconfirmed(self, hosts: Collection[str]) -> bool:
+        """Whether one of these hosts has not confirmed a termination."""
+        return any(not waiting.isdisjoint(hosts) for _, waiting in self._unconfirmed.values())
+
+    @property
+    def unconfirmed_hosts(self) -> set[str]:
+        """The hosts that have not confirmed a termination."""
+        return {host for _, hosts in self._unconfirmed.values() for host in hosts}
+
+    @property
+    def pending_notices(self) -> set[tuple[str, int]]:
+        """The starts whose terminations this host announces: mostly those that ended here."""
+        return set(self._unconfirmed)
+
+    def on_linked(self, host: str) -> list[Effect]:
+        """Repeat to a host the announcements that it has not confirmed."""
+        return [Send(host, message) for message, hosts in self._unconfirmed.values() if host in hosts]
+
+    def on_notice(self, host: str, message: Terminated, now: float) -> list[Effect]:
+        """A host announces a termination."""
+        effects = self.on_remote_termination(message)
+        key = message.agent, message.generation
+        copy = self._copies.find(*key)
+        if copy is not None and copy.state != "EXITED" and self.is_delayed(message):
+            return effects
+        if copy is not None and copy.outcome == message.outcome == "lost":
+            self._losses.setdefault(key, now)
+        return [*effects, Send(host, TerminatedAck(message.agent, message.generation))]
+
+    def proven_losses(self, since: float) -> set[str]:
+        """The coordinators reported as lost since then, with proof, by hosts that were shutting down."""
+        return {agent for (agent, _), at in self._losses.items() if at >= since}
+
+    def on_ack(self, host: str, message: TerminatedAck) -> list[Effect]:
+        """A host confirms an announcement."""
+        key = message.agent, message.generation
+        if key in self._unconfirmed:
+            hosts = self._unconfirmed[key][1]
+            hosts.discard(host)
+            if not hosts:
+                del self._unconfirmed[key]
+        return []
+
+    def unconfirmed_by(self, agent: str, generation: int) -> Collection[str]:
+        """The hosts that have not confirmed this termination."""
+        _, hosts = self._unconfirmed.get((agent, generation), (None, ()))
+        return hosts
+
+    def on_remote_termination(self, ended: Terminated) -> list[Effect]:
+        """Apply a termination on another host, unless the copy held here disproves it, or it is delayed."""
+        return self.fence(ended.agent, ended.generation, ended.host) + self._apply_termination(
+            ended, self.is_delayed
+        )
+
+    def on_delay_over(self, ended: Terminated) -> list[Effect]:
+        """`on_remote_termination`, for one whose delay is over; confirms it to the host where it ended."""
+        effects = self._apply_termination(ended, lambda ended: False)
+        if ended.host in self._links:
+            effects.append(Send(ended.host, TerminatedAck(ended.agent, ended.generation)))
+        return effects
+
+    def _apply_termination(self, ended: Terminated, is_delayed: Callable[[Terminated], bool]) -> list[Effect]:
+        parked = self._copies.parked.get((ended.agent, ended.generation))
+        if parked is not None and parked.state == "RUN" and ended.outcome != "superseded":
+            return []
+        copy = self._copies.find_or_create(ended.agent, ended.generation)
+        if copy is None or (copy.state == "EXITED" and (copy.outcome != "lost" or ended.outcome == "lost")):
+            return []
+        if ended.outcome == "superseded":
+            return self.stop_for_other_start(copy, ended.detail, ended.host)
+        # A copy held here cannot have ended elsewhere, nor be lost while it may continue here.
+        if copy.state in ("RUN", "FROZEN"):
+            return []
+        if copy.state == "PREPARED" and ended.outcome == "lost" and not self._is_unanswerable(copy):
+            return []
+        if is_delayed(ended):
+            return []
+        copy.mark_ended(ended.outcome, ended.detail, ended.host)
+        return [
+            *self._copies.persist(copy),
+            DropTerminated(ended.agent, ended.generation, ended.outcome, ended.detail, ended.host),
+        ]
+
+    def _is_unanswerable(self, copy: CoordinatorCopy) -> bool:
+        """Whether a copy in doubt waits for an answer from an incarnation that has ended: it will never
+        arrive."""
+        target = self._links.get(copy.target)
+        return bool(copy.doubt_reason) and target is not None and target.state_id != copy.receiver_memory
+
+    def stop_for_other_start(self, copy: CoordinatorCopy, reason: str, host: str) -> list[Effect]:
+        """End a copy because `host` reports another start; other hosts need not be notified."""
+        held = copy.state in LIVE_STATES
+        copy.mark_ended("superseded", reason, host)
+        kept = self._copies.persist(copy)
+        return [*kept, TerminateCopy(copy.agent, copy.generation, reason)] if held else kept
+
+    def compare_starts(self, host: str, known: CoordinatorState) -> list[Effect]:
+        """`host` holds a live copy of a start: supersede that start, or those here that it outranks."""
+        by = self._outranking_generation(known.agent, known.generation)
+        if by is not None:
+            beaten = self._copies.find_or_create(known.agent, known.generation)
+            return [] if beaten is None else self._supersede(beaten, by, self._host)
+        return self.supersede(known.agent, known.generation, host)
+
+    def supersede(self, agent: str, generation: int, host: str) -> list[Effect]:
+        """A start is alive on `host`: supersede all that it outranks."""
+        effects = self.fence(agent, generation, host)
+        for copy in self._copies.starts_of(agent):
+            if copy.state != "EXITED" and outranks(generation, copy.generation):
+                effects += self._supersede(copy, generation, host)
+        return effects
+
+    def fence(self, agent: str, generation: int, host: str) -> list[Effect]:
+        """`host` knows of a start. If it is a recovery, earlier ones stop, whatever became of it."""
+        effects: list[Effect] = []
+        for copy in self._copies.starts_of(agent) if is_recovery(generation) else ():
+            if copy.state != "EXITED" and copy.generation < generation:
+                effects += self.stop_for_other_start(
+                    copy, stop_reason(agent, copy.generation, generation, host), host
+                )
+        return effects
+
+    def terminate_outranked(self, recovery: CoordinatorCopy) -> list[Effect]:
+        """A recovery is made here: all other starts end, and every host is notified until it confirms."""
+        effects: list[Effect] = []
+        for copy in self._copies.starts_of(recovery.agent):
+            if copy.state != "EXITED" and copy is not recovery:
+                effects += self._supersede(copy, recovery.generation, self._host)
+        return effects
+
+    def displace_in_doubt(self, arrived: CoordinatorCopy) -> list[Effect]:
+        """A start was injected here: an earlier one in doubt leaves the machine, which has room for one.
+
+        This is no proof of a loss: the receiver is still queried, and the copy is still reported.
+        """
+        effects: list[Effect] = []
+        for copy in self._copies.starts_of(arrived.agent):
+            if copy.doubt_reason and copy.state == "PREPARED":
+                reason = f"{copy.agent} was in doubt on {self._host} when a later start arrived"
+                effects.append(TerminateCopy(copy.agent, copy.generation, reason))
+                copy.displace()
+                effects += self._copies.persist(copy)
+        return effects
+
+    def supersede_arrival(self, copy: CoordinatorCopy) -> list[Effect]:
+        """Supersede a start that arrives where one that outranks it is alive, or a recovery is known."""
+        by = self._outranking_generation(copy.agent, copy.generation)
+        return [] if by is None else self._supersede(copy, by, self._host)
+
+    def _outranking_generation(self, agent: str, generation: int) -> int | None:
+        """The start that supersedes this one, as far as is known here."""
+        starts = (
+            c.generation
+            for c in self._copies.starts_of(agent)
+            if blocks(c.generation, generation, alive=c.is_alive)
+        )
+        return next(starts, None)
+
+    def _supersede(self, copy: CoordinatorCopy, by: int, host: str) -> list[Effect]:
+        if copy.state == "EXITED" and copy.outcome != "lost":
+            return []
+        reason = stop_reason(copy.agent, copy.generation, by, host)
+        stop: list[Effect] = (
+            [TerminateCopy(copy.agent, copy.generation, reason)] if copy.state in LIVE_STATES else []
+        )
+        return stop + self.terminate(copy, "superseded", reason)

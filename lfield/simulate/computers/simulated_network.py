@@ -1,0 +1,160 @@
+"""The network between simulated machines: listeners, connections, and paths."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import random
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from lfield.simulate.computers.event_queue import EventQueue
+from lfield.simulate.computers.process_loop import ProcessLoop, unsupported
+from lfield.simulate.computers.simulated_connection import (
+    Address,
+    ConnectionEnd,
+    SimulatedConnection,
+    SimulatedSocket,
+    reset,
+)
+from lfield.simulate.computers.simulated_machine import NetworkPaths, SimulatedMachine
+from lfield.simulate.computers.simulated_serial import SimulatedSerialPort
+
+#: Seconds between two connection attempts without an answer: the mean of TCP's growing delays.
+RETRY_DELAY = 1.0
+LOOPBACK = "127.0.0.1"
+
+
+class SimulatedNetwork:
+    """All connections between `machines`, by name. `rng` determines everything random."""
+
+    def __init__(
+        self, timeline: EventQueue, machines: Mapping[str, SimulatedMachine], rng: random.Random
+    ) -> None:
+        self._timeline, self._machines = timeline, dict(machines)
+        self.ways = NetworkPaths(rng)
+        self._listening: dict[Address, ListeningPort] = {}
+        self._connections: list[SimulatedConnection] = []
+        self._free_port = 40_000
+        #: Serial ports by path, with their far ends.
+        self.ports: dict[str, SimulatedSerialPort] = {}
+        #: The process that has an exclusive resource, by name.
+        self.ports_in_use: dict[str, ProcessLoop] = {}
+        #: Objects shared by fakes, by name.
+        self.common: dict[str, Any] = {}
+
+    def join(self, machine: SimulatedMachine) -> None:
+        """Connects a machine."""
+        self._machines[machine.name] = machine
+
+    def plug_in(self, machine: SimulatedMachine) -> None:
+        """Connects a machine by a cable: no path between others leads through it."""
+        self.join(machine)
+        self.ways.cabled.add(machine.name)
+
+    # --- faults ---------------------------------------------------------------------------------------
+
+    def silence(self, near: str, far: str) -> None:
+        """Silences a path."""
+        self.ways.silent.add((near, far))
+
+    def heal(self, near: str, far: str) -> None:
+        """Restores a path, and delivers pending data."""
+        self.ways.silent.discard((near, far))
+        for end in self._ends():
+            if end.way == (near, far):
+                end.push()
+
+    def heal_all(self) -> None:
+        """Restores all paths, with default latency."""
+        self.ways.slow.clear()
+        for way in sorted(self.ways.silent):
+            self.heal(*way)
+
+    def reset(self, one: str, other: str) -> None:
+        """Breaks every connection of two machines at once, with pending data."""
+        for end in self._ends():
+            if set(end.way) == {one, other}:
+                end.lose(reset())
+
+    def half_open(self, gone: str, left: str) -> None:
+        """One end of every connection of two machines breaks without notifying the other."""
+        for end in self._ends():
+            if end.way == (gone, left):
+                end.lose(reset())
+
+    def process_died(self, loop: ProcessLoop, *, silently: bool) -> None:
+        """Its ports are free, its connections reset; `silently` when its machine is gone."""
+        self._listening = {at: found for at, found in self._listening.items() if found.loop is not loop}
+        for end in self._ends():
+            if end.loop is loop:
+                end.cut_off(silently=silently)
+
+    def _ends(self) -> list[ConnectionEnd]:
+        self._connections = [connection for connection in self._connections if not connection.is_over]
+        return [end for connection in self._connections for end in connection.ends]
+
+    # --- for processes --------------------------------------------------------------------------------
+
+    def listen(
+        self, loop: ProcessLoop, host: str, port: int, made: Callable[[], asyncio.Protocol]
+    ) -> ListeningPort:
+        """Listens at an address; loopback is the machine itself. Raises OSError when it is in use."""
+        host = loop.machine.name if host == LOOPBACK else host
+        if port == 0:
+            self._free_port += 1
+            port = self._free_port
+        if (host, port) in self._listening:
+            raise OSError(errno.EADDRINUSE, "Address already in use")
+        listening = self._listening[host, port] = ListeningPort(self, loop, (host, port), made)
+        return listening
+
+    def remove_listener(self, address: Address) -> None:
+        """Stops listening."""
+        self._listening.pop(address, None)
+
+    async def connect(
+        self, loop: ProcessLoop, made: Callable[[], asyncio.Protocol], host: str, port: int
+    ) -> tuple[asyncio.Transport, asyncio.Protocol]:
+        """Connects to a listener; waits for ever without an answer. Raises ConnectionRefusedError."""
+        here, there = loop.machine, self._machines.get(host)
+        if there is None:
+            unsupported(f"connect to {host}:{port}")
+        await asyncio.sleep(self.ways.delay((here.name, there.name)))
+        while self.ways.silences(here.name, there.name) or not there.on:
+            await asyncio.sleep(RETRY_DELAY)
+        listening = self._listening.get((host, port))
+        if listening is None:
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
+        self._free_port += 1
+        connection = SimulatedConnection(
+            self.ways, loop, listening.loop, ((here.name, self._free_port), (host, port))
+        )
+        self._connections.append(connection)
+        near, far = connection.ends
+        self._timeline.after(0.0, partial(far.arrive, partial(far.start, listening.made)))
+        await asyncio.sleep(self.ways.delay((there.name, here.name)))
+        if near.is_over:
+            raise ConnectionRefusedError(errno.ECONNREFUSED, "Connection refused")
+        protocol = made()
+        near.start(lambda: protocol)
+        return near, protocol
+
+
+class ListeningPort:
+    """A listening port of a process, as its server."""
+
+    def __init__(
+        self,
+        network: SimulatedNetwork,
+        loop: ProcessLoop,
+        address: Address,
+        made: Callable[[], asyncio.Protocol],
+    ) -> None:
+        self._network, self.loop, self._address, self.made = network, loop, address, made
+        self.sockets = [SimulatedSocket(address)]
+
+    def close(self) -> None:
+        """Stops accepting connections."""
+        self._network.remove_listener(self._address)

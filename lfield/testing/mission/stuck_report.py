@@ -1,0 +1,149 @@
+"""Describes what every agent of a team waits for, for a mission that does not end."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+
+from lfield.simulate.host_fleet import Fleet, HostLife
+from lfield.testing.mission.recorders import Hop
+from lfield.text.suggestions import listed
+from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.inspection import traceback
+from lfield.vm.memory.layout import (
+    BLOCKED,
+    CALLING,
+    STATE_NAMES,
+    THREAD_PC,
+    THREAD_STATE,
+    W_GENERATION,
+    W_HOPS,
+    W_OWNER,
+    WAITING,
+)
+from lfield.vm.memory.threads import place_of, threads
+
+
+def stuck_report(fleet: Fleet, ended: Mapping[str, str], hops: Sequence[Hop]) -> list[str]:
+    """A line for every thread of every agent, every missing host, and every lost coordinator. `ended` has the
+    outcomes of coordinators, `hops` their migrations.
+    """
+    lines = []
+    for name in fleet.mission.team.hosts:
+        life = fleet.lives.get(name)
+        if life is None:
+            lines.append(f"{name} is not running")
+            continue
+        lines += _links(life, fleet.mission.team.hosts)
+        if life.core.coordinators.paused:
+            lines.append(f"{name} is paused")
+        for agent in life.core.machine.agents.values():
+            if not _has_left(fleet, agent):
+                lines += _agent(fleet, life, agent)
+    present = {id for life in fleet.lives.values() for id in life.core.machine.agents}
+    missing = (member for member in fleet.mission.team.coordinators if member.id not in present)
+    return lines + [_missing(fleet, member, ended.get(member.id, ""), hops) for member in missing]
+
+
+def _missing(fleet: Fleet, member: TeamMember, outcome: str, hops: Sequence[Hop]) -> str:
+    """A coordinator that is on no host."""
+    if outcome:
+        return f"{member.id}: {outcome}"
+    origin = fleet.mission.team.hosts[member.host]
+    last = next((hop.target for hop in reversed(hops) if hop.agent == member.id), "")
+    host = last or origin
+    if host not in fleet.lives:
+        return (
+            f"{member.id} is missing: {'it was on' if last else 'it starts on'} {host}, which is not running"
+        )
+    about = re.compile(rf"(^|.* and ){re.escape(member.id)} ")
+    messages = [text.strip() for _, name, text in fleet.log if name == host and about.match(text)]
+    why = f"; {host} logged: {messages[-1]}" if messages else ""
+    return f"{member.id} is on no host: {'it was last on' if last else 'it has not started on'} {host}{why}"
+
+
+def _has_left(fleet: Fleet, agent: Agent) -> bool:
+    """Whether a coordinator has migrated already, with the confirmation still on its way."""
+    copies = [life.core.machine.agents.get(agent.id) for life in fleet.lives.values()]
+    return agent.frozen and any(copy is not None and _is_later(copy, agent) for copy in copies)
+
+
+def _is_later(copy: Agent, agent: Agent) -> bool:
+    """Whether it is the same epoch after more hops."""
+    mine, other = agent.block.w, copy.block.w
+    return other[W_GENERATION] == mine[W_GENERATION] and other[W_HOPS] > mine[W_HOPS]
+
+
+def _links(life: HostLife, hosts: Sequence[str]) -> list[str]:
+    """Peers that the host has tried to reach and is not connected to."""
+    unreachable = [host for host in hosts if host in life.host.peers.down_since]
+    return [f"{life.core.name} has no link with {listed(unreachable)}"] if unreachable else []
+
+
+def _agent(fleet: Fleet, life: HostLife, agent: Agent) -> list[str]:
+    core = life.core
+    if agent.ended:
+        return [f"{agent.id} on {core.name}: {agent.ended}"]
+    prefix = f"{agent.id} on {core.name}:"
+    found = [
+        f"{prefix} {_activity(fleet, life, agent, place)} {_position(life, agent, place)}".rstrip()
+        for place in threads(agent.block)
+    ]
+    return found or [f"{prefix} idle"]
+
+
+def _position(life: HostLife, agent: Agent, place: int) -> str:
+    """The position of a thread: `at Post.work (walk.L:4)`."""
+    return " ".join(traceback.lines(agent.block, life.core.mission.program, place)[:1])
+
+
+def _activity(fleet: Fleet, life: HostLife, agent: Agent, place: int) -> str:
+    """What a thread does, and the portal, device or lock that it waits for."""
+    state = agent.block.w[place + THREAD_STATE]
+    if state == WAITING:
+        return f"waits for {_instruction(life, agent, place)}"
+    if agent.id in life.core.machine.hooks.stubs:
+        return "its double has not returned yet"
+    if state == BLOCKED:
+        return f"waits for the lock {_holder(life, agent)},"
+    if agent.member.kind == "coordinator":
+        return _waits(fleet, life, agent, state)
+    return STATE_NAMES[state]
+
+
+def _waits(fleet: Fleet, life: HostLife, agent: Agent, state: int) -> str:
+    """What a coordinator waits for: its call, or the calls of its `together`."""
+    core = life.core
+    called = core.machine.itinerary.current_target(agent) if agent.frozen or state == CALLING else None
+    lives = fleet.lives.values()
+    pending = [
+        call for one in lives for call in one.core.machine.pending_calls.calls() if call.agent == agent.id
+    ]
+    names = [f"{call.resource}.{call.portal}()" for call in pending if call.state == "running"]
+    if called:
+        first = f"{called[0].id}.{called[1]}()"
+        others = [name for name in names if name != first]
+        what = f"for {first}" if called[1] else f"to reserve {called[0].id}"
+        text = f"{core.wait_reason(agent) or 'waits'} {what}"
+        return f"{text}, beside {listed(others)}" if others else text
+    running = listed(names) if names else ""
+    if running and state == CALLING:
+        return f"waits for {running}"
+    return core.wait_reason(agent) or STATE_NAMES[state]
+
+
+def _holder(life: HostLife, agent: Agent) -> str:
+    """Who has the lock of a resource, and its position."""
+    thread = agent.block.w[W_OWNER]
+    place = place_of(agent.block, thread)
+    if not place:
+        return "that is free"
+    caller = life.core.machine.caller(agent, thread)
+    return f"that {caller.id if caller else agent.id} holds {_position(life, agent, place)}"
+
+
+def _instruction(life: HostLife, agent: Agent, place: int) -> str:
+    """The device instruction that a thread waits for."""
+    group = life.core.machine.engine.groups[agent.block.w[place + THREAD_PC]]
+    call = life.core.mission.program.core.device_calls[group.head.a]
+    return f"{call.field}.{call.instruction}()"

@@ -1,0 +1,76 @@
+"""Reading files that users name: with a size limit, and errors a user can act on. A base module.
+
+A named pipe is read too, and waits for its writer, as with any other program.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from lfield.errors import InputFileError
+from lfield.text.source_text import Source, Span
+
+#: The largest file of a program, or deployment, in bytes.
+MAX_TEXT = 16 << 20
+_CHUNK = 1 << 20
+
+
+def require_file(path: Path) -> None:
+    """Check that a file exists before others are named after it. Raises InputFileError."""
+    try:
+        if stat.S_ISDIR(path.stat().st_mode):
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), error_reason(error)) from None
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """The bytes of a file. Raises InputFileError, also for more than `most` bytes."""
+    try:
+        return read_within(path, most)
+    except (OSError, ValueError) as error:
+        raise InputFileError(str(path), error_reason(error)) from None
+
+
+def read_within(path: Path, most: int) -> bytes:
+    """The same with system errors: OSError (EFBIG above the limit), ValueError for an invalid file name."""
+    data = read_head(path, most + 1)
+    if len(data) > most:
+        raise OSError(errno.EFBIG, os.strerror(errno.EFBIG))
+    return data
+
+
+def read_head(path: Path, most: int) -> bytes:
+    """At most `most` bytes from the start of a file, with system errors."""
+    with path.open("rb") as stream:
+        return read_up_to(stream, most)
+
+
+def read_up_to(stream: BinaryIO, most: int) -> bytes:
+    """At most `most` remaining bytes of a stream.
+
+    Python would allocate memory for a single read of `most` bytes at once.
+    """
+    pieces: list[bytes] = []
+    while most > 0 and (piece := stream.read(min(most, _CHUNK))):
+        pieces.append(piece)
+        most -= len(piece)
+    return b"".join(pieces)
+
+
+def error_reason(error: OSError | ValueError) -> str:
+    """Why a file cannot be read, in a few words."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror.lower()
+    return "not a file name"
+
+
+def invalid_byte(name: str, error: UnicodeDecodeError) -> tuple[Span, str]:
+    """The position where a file stops being UTF-8, in a source that ends there, and the invalid byte."""
+    readable = error.object[: error.start].decode("utf-8")
+    source = Source(name, readable + "\N{REPLACEMENT CHARACTER}")
+    return Span(source, len(readable), len(readable) + 1), f"0x{error.object[error.start]:02X}"

@@ -1,0 +1,396 @@
+"""The table of log lines: each has a stable code, a level and a template.
+
+A host logs only the `LogLine`s that `LogMessage.line` makes. Drivers have tables of their own, with
+`LogMessage`s of the same kind. `lfield/docs/messages.md` lists all tables; events carry code and level
+(`lfield events --json`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["info", "warning", "error"]
+
+
+class LogLine(str):
+    """The text of a log line, with the code and the level of its message."""
+
+    __slots__ = ("code", "level")
+
+    def __new__(cls, text: str, code: str, level: Level) -> LogLine:
+        """Only `LogMessage.line` and `report_line` call this."""
+        made = super().__new__(cls, text)
+        made.code, made.level = code, level
+        return made
+
+    code: str
+    level: Level
+
+
+@dataclass(frozen=True, slots=True)
+class LogMessage:
+    """One kind of log line; `meaning` explains the template where necessary."""
+
+    code: str
+    template: str
+    level: Level = "info"
+    meaning: str = ""
+
+    def line(self, **values: object) -> LogLine:
+        """The line with the values of its template."""
+        return LogLine(self.template.format(**values), self.code, self.level)
+
+
+#: Every message by its code.
+LOG_MESSAGES: dict[str, LogMessage] = {}
+
+
+def _message(code: str, template: str, level: Level = "info", meaning: str = "") -> LogMessage:
+    assert code not in LOG_MESSAGES, code
+    LOG_MESSAGES[code] = LogMessage(code, template, level, meaning)
+    return LOG_MESSAGES[code]
+
+
+# --- the host and its journal ---------------------------------------------------------------------------
+
+HOST_LISTENING = _message("host-listening", "{host} listening {where}{journal}")
+HOST_FAILED = _message("host-failed", "{host} stopped: {reason}", "error")
+TRACEBACK = _message(
+    "traceback", "traceback of the failure:\n{text}", "error", "only with LFIELD_TRACEBACK=1"
+)
+HOST_ENDING_ERROR = _message("host-ending-error", "{host} stopped with another error: {reason}", "error")
+NO_CONTROL_SOCKET = _message(
+    "no-control-socket",
+    "no control socket: {reason}; commands reach this host over the network only, with an operator's keys",
+    "warning",
+)
+BUNDLE_KEPT = _message(
+    "bundle-kept", "bundle {bundle} accepted because its mission has already started: {reason}", "warning"
+)
+CLOCK_BEHIND = _message(
+    "clock-behind",
+    "system clock behind: it shows {shown}, and it is at least {least}, since {evidence}; set the clock",
+    "warning",
+)
+CLOCK_AHEAD = _message(
+    "clock-ahead",
+    "event timestamps of {host} ignored: {seconds:.0f} s ahead of the clock of this host; set both clocks, "
+    "and restart the host whose clock was ahead",
+    "warning",
+    "the order of its events and those of this host is not certain",
+)
+CLOCK_SET = _message("clock-set", "system clock set: it changed by {seconds:+.0f} s", "warning")
+ENGINE_FALLBACK = _message("engine-fallback", "the reference engine runs the program: {reason}", "warning")
+METHOD_UNCOMPILED = _message(
+    "method-uncompiled", "method {method} not compiled: {reason}; the reference engine runs it", "warning"
+)
+BLOCK_OUTSIDE_ARENA = _message(
+    "block-outside-arena",
+    "{agent} running slowly: its block of {size:.1f} MiB does not fit into the WebAssembly memory with "
+    "those of the other agents, so the reference engine runs it",
+    "warning",
+)
+CODE_CACHE_IGNORED = _message(
+    "code-cache-ignored", "machine code compiled again: {file}: {reason}", "warning"
+)
+JOURNAL_BLOCKED = _message("journal-blocked", "coordinators blocked: journal write failed: {reason}", "error")
+JOURNAL_WRITABLE = _message("journal-writable", "journal writable again")
+MIGRATIONS_REJECTED = _message(
+    "migrations-rejected", "rejecting migrations to this host: {reason}", "warning"
+)
+MIGRATIONS_ACCEPTED = _message("migrations-accepted", "accepting migrations to this host again")
+WAITING_FOR_REST = _message(
+    "waiting-for-rest",
+    "waiting for the devices to come to rest; a second Ctrl-C or SIGTERM does not wait for them",
+)
+
+# --- agents ---------------------------------------------------------------------------------------------
+
+PROGRAM_OUTPUT = _message("program-output", "{agent}: {text}", meaning="what a program prints")
+AGENT_DIED = _message("agent-died", "{agent} died of an uncaught {report}", "error")
+AGENT_DUMPED = _message("agent-dumped", "{agent} dumped: read it with 'lfield inspect {path}'")
+AGENT_NOT_DUMPED = _message("agent-not-dumped", "{agent} not dumped to {path}: {reason}", "error")
+INIT_WAIT = _message(
+    "init-wait", "{agent} waiting: the init of {resource} has neither returned nor yielded yet"
+)
+START_WAIT = _message(
+    "start-wait",
+    "{agents} not started: waiting for {hosts}; start these hosts, or start the mission without them: "
+    "'lfield start {options}'",
+)
+START_HELD = _message("start-held", "{agents} not started: {reason}; then run 'lfield start'")
+START_NEEDS_HISTORY = _message(
+    "start-needs-history",
+    "{agents} not started: this host has no record of earlier starts, and {hosts} has to answer first; "
+    "--first-start states that there was no earlier start",
+)
+START_WITHOUT_PROOF = _message(
+    "start-without-proof",
+    "{agents} started without proof: this host has no record of earlier starts, and {hosts} did not answer; "
+    "an earlier start that still runs there would run twice",
+    "warning",
+)
+START_PAUSED = _message("start-paused", "{agents} not started: {reason}")
+START_WITHOUT_HOSTS = _message(
+    "start-without-hosts", "start without {hosts}: requested by an operator", "warning"
+)
+START_NEEDS_MAJORITY = _message(
+    "start-needs-majority", "{agents} not started: no majority of the members responds yet"
+)
+START_REFUSED = _message("start-refused", "{agent} not started again: it {reason}", "warning")
+START_REQUESTED = _message("start-requested", "start requested: 'lfield start' by {operator}")
+AGENT_RESUMED = _message("agent-resumed", "{agent} resumed from the journal")
+AGENT_RESTARTED = _message(
+    "agent-restarted",
+    "{agent} restarted: {host} stopped before its first call with side effects",
+)
+AGENT_UNREADABLE = _message(
+    "agent-unreadable", "{agent} not resumed: its record in the journal cannot be read: {reason}", "error"
+)
+AGENT_RECOVERED = _message(
+    "agent-recovered", "{agent} recovered on this host as start {generation}", "warning"
+)
+AGENT_IN_DOUBT = _message("agent-in-doubt", "{agent} in doubt: {reason}", "warning")
+AGENT_STOPPED = _message("agent-stopped", "{agent} stopped: {reason}", "warning")
+AGENT_UNREACHABLE = _message("agent-unreachable", "{agent} unreachable, outcome unknown: {reason}", "error")
+AGENT_LOST = _message("agent-lost", "{agent} lost: {reason}", "error")
+AGENT_ENDED_ELSEWHERE = _message("agent-ended-elsewhere", "{agent} ended on {host}: {outcome}")
+AGENT_GIVEN_UP = _message("agent-given-up", "{agent} declared lost: 'lfield forget'", "warning")
+MIGRATION_REFUSED = _message("migration-refused", "migration of {agent} rejected: {reason}", "warning")
+MIGRATION_ANOMALY = _message(
+    "migration-anomaly",
+    "message about {agent} ignored: {host} sent it to an earlier incarnation of this host",
+    "warning",
+)
+
+# --- leases and failover --------------------------------------------------------------------------------
+
+NO_HEARTBEAT_INTERVAL = _message(
+    "no-heartbeat-interval", "heartbeatInterval ignored: {host} has no journal", "warning"
+)
+NO_LEASE_GIVEN = _message(
+    "no-lease-given",
+    "votes for leases withheld: the journal of {host} is new or has lost a vote, and {members} must respond "
+    "first; if a member is gone for good, restart all hosts with a 'recovery: {{members: [...]}}' without "
+    "it; --first-start states that this host has never run this deployment",
+    "warning",
+)
+LEASE_LOST = _message(
+    "lease-lost",
+    "lease of {host} ended: no majority of the members responds; calls of its coordinators fail, and their "
+    "devices go to their safe states",
+    "error",
+)
+FAILOVER_SUSPECTED = _message(
+    "failover-suspected",
+    "{agent} suspected lost: no heartbeat of its host for {seconds:g} s; querying every host",
+)
+FAILOVER_DEFERRED = _message(
+    "failover-deferred", "failover of {agent} left to {host}: it has a newer checkpoint"
+)
+FAILOVER_WAITING = _message(
+    "failover-waiting", "failover of {agent} waiting: no majority of the members responds; retrying"
+)
+FAILOVER_DECIDED = _message(
+    "failover-decided",
+    "failover of {agent} to this host: no other host has resumed it, and {promised} of {members} members "
+    "have fenced its earlier starts",
+    "warning",
+)
+FAILOVER_IMPOSSIBLE = _message(
+    "failover-impossible",
+    "failover of {agent} impossible: its newest checkpoint, on {host}, cannot be read; if the host that held "
+    "{agent} is gone for good, 'lfield recover {agent}' resumes an older checkpoint, and 'lfield forget "
+    "{agent}' ends it",
+    "error",
+)
+END_NOT_FINAL = _message(
+    "end-not-final",
+    "end of {agents} not final: no majority of the members has stored it; {host} is waiting for that",
+)
+END_UNCONFIRMED = _message(
+    "end-unconfirmed",
+    "end of {agents} not confirmed: no majority of the members responded for {seconds:g} s; another host may "
+    "resume an earlier checkpoint",
+    "warning",
+)
+
+# --- operators ------------------------------------------------------------------------------------------
+
+EMERGENCY_STOP = _message("emergency-stop", "EMERGENCY STOP by {operator}: {reason}", "warning")
+EMERGENCY_STOP_ACTIVE = _message(
+    "emergency-stop-active",
+    "EMERGENCY STOP still active: {reason}; end it with 'lfield estop --lift'",
+    "warning",
+)
+EMERGENCY_STOP_LIFTED = _message(
+    "emergency-stop-lifted", "emergency stop lifted by {operator}: programs may release their devices"
+)
+MISSION_PAUSED = _message(
+    "mission-paused", "mission paused: no agent runs here until 'lfield resume'", "warning"
+)
+MISSION_STILL_PAUSED = _message(
+    "mission-still-paused",
+    "mission still paused: no agent runs here until 'lfield resume'",
+    "warning",
+)
+MISSION_RESUMED = _message("mission-resumed", "mission resumed")
+ORDER_DENIED = _message("order-denied", "order of {operator} not executed: {reason}", "warning")
+STOP_NOT_STORED = _message(
+    "stop-not-stored",
+    "emergency stop not stored: {reason}; after a restart this host would not restore it",
+    "error",
+)
+STOP_END_NOT_STORED = _message(
+    "stop-end-not-stored",
+    "end of the emergency stop not stored: {reason}; after a restart this host would hold its devices again",
+    "error",
+)
+
+# --- links ----------------------------------------------------------------------------------------------
+
+LINKED = _message("linked", "link to {host} established{restarted}")
+LINK_LOST = _message("link-lost", "link to {host} lost", "warning")
+LINK_TIMED_OUT = _message(
+    "link-timed-out", "link to {host} timed out after {seconds:.1f} s; closing", "warning"
+)
+LINK_REFUSED = _message("link-refused", "link to {host} refused: {reason}", "error")
+HOST_UNREACHABLE = _message(
+    "host-unreachable", "{host} unreachable at {address}: {reason}; retrying every {interval:g} s", "warning"
+)
+LINK_CLOSED = _message("link-closed", "link from {caller} closed: {reason}", "warning")
+PEER_REFUSED = _message("peer-refused", "{peer} rejected: {reason}", "warning")
+PEER_RESTRICTED = _message(
+    "peer-restricted", "{peer} restricted to stops and to running calls: {reason}", "warning"
+)
+PEER_SLOWED = _message(
+    "peer-slowed",
+    "{peer} at {caller} throttled: {reason}; the link is closed if this lasts {seconds:g} s",
+    "warning",
+)
+PEER_BANNED = _message(
+    "peer-banned",
+    "{peer} at {caller} disconnected: {reason}; {name} is accepted again after {seconds:g} s",
+    "error",
+)
+NO_DATAGRAMS = _message(
+    "no-datagrams",
+    "no UDP port at {address}: {reason}; emergency stops need a TCP connection",
+    "warning",
+)
+NO_DESCRIPTORS = _message("no-descriptors", "new connections rejected: {reason}", "error")
+LISTENING_ALSO = _message("listening-also", "also listening on {address}: {host} now resolves to it")
+LISTENING_ENDED = _message(
+    "listening-ended", "no longer listening on {address}: {host} resolves to another address"
+)
+LISTENING_FAILED = _message("listening-failed", "not listening on {address}: {reason}; retrying", "error")
+LINES_SUPPRESSED = _message(
+    "lines-suppressed", "log lines about invalid messages of peers suppressed for {period:g} s: too many"
+)
+LINES_DROPPED = _message("lines-dropped", "{count} log lines about invalid messages of peers suppressed")
+CRL_RECEIVED = _message("crl-received", "certificate revocation list {number} received")
+CRL_INCOMPLETE = _message(
+    "crl-incomplete",
+    "certificate revocation list {newest} incomplete: it does not revoke {serials}, and {other} does, so the "
+    "authority was restored from an older copy; this host treats them as revoked until it stops; revoke them "
+    "again with 'lfield keys revoke serial {first}'",
+    "error",
+)
+CRL_NOT_STORED = _message(
+    "crl-not-stored",
+    "certificate revocation list {number} not stored: {reason}; after a restart this host would accept the "
+    "certificates that it revokes{holders}; free disk space, or copy the list to the keys of this host",
+    "error",
+)
+CRL_STORED = _message("crl-stored", "certificate revocation list {number} stored")
+REPORT_INVALID = _message("report-invalid", "status report ignored: {reason}", "warning")
+
+# --- devices --------------------------------------------------------------------------------------------
+
+DEVICE_REPORT = _message(
+    "device-report", "{device}: {text}", meaning="a report of a driver that has no code of its own"
+)
+DEVICE_OPENED = _message("device-opened", "{device} opened: {identity} at {endpoint}")
+DEVICE_RELEASED = _message("device-released", "{device} released from its safe state")
+DEVICE_GOES_SAFE = _message("device-goes-safe", "{device} entering safe state '{state}': {reason}", "warning")
+DEVICE_SAFE = _message("device-safe", "{device} in safe state '{state}': {reason}", "warning")
+DEVICE_AT_REST = _message("device-at-rest", "{device} at rest")
+DEVICE_MOVING = _message(
+    "device-moving", "{device} still moving: {moving}", meaning="progress of a stop, every few seconds"
+)
+DEVICE_LOCKED_OUT = _message(
+    "device-locked-out",
+    "{device} LOCKED OUT: {reason}; inspect it, then run 'lfield estop --lift'",
+    "error",
+)
+DEVICE_NOT_SAFE = _message("device-not-safe", "{device} NOT SAFE: {reason}", "error")
+GUARD_HANGS = _message("guard-hangs", "guard of {bus} unresponsive: restarting it", "error")
+GUARD_DIED = _message("guard-died", "guard of {bus} died with status {status}: restarting it", "error")
+GUARD_RESTART_FAILED = _message(
+    "guard-restart-failed", "guard of {bus} not restarted: {reason}; retrying", "error"
+)
+GUARD_PROTOCOL = _message(
+    "guard-protocol", "guard of {bus} sent invalid bytes: {reason}; restarting it", "error"
+)
+HEARTBEAT_LATE = _message(
+    "heartbeat-late",
+    "heartbeats to the guards late by {late} (longest so far {longest}): this computer is overloaded; reduce "
+    "its load, since guards make their devices safe at {limit}",
+    "warning",
+)
+
+# --- reports of guards and of the base class of drivers; each follows "DEVICE: " ----------------------------
+
+#: Their lines, without the name of the device, by code.
+DEVICE_MESSAGES: dict[str, LogMessage] = {}
+
+
+def _device_message(code: str, template: str, level: Level = "info", meaning: str = "") -> LogMessage:
+    assert code not in LOG_MESSAGES, code
+    made = DEVICE_MESSAGES[code] = LogMessage(code, template, level, meaning)
+    return made
+
+
+GUARD_SIGNAL_IGNORED = _device_message(
+    "guard-signal-ignored",
+    "{signal} ignored: the guard ends with its host, after it has made its devices safe",
+)
+DRIVER_TASK_FAILED = _device_message("driver-task-failed", "task of the driver failed: {reason}", "error")
+SAFE_STATE_UNCONFIRMED = _device_message(
+    "safe-state-unconfirmed", "safe state not confirmed: {reason}; retrying", "error"
+)
+SENSOR_NOT_LATCHED = _device_message(
+    "sensor-not-latched", "sensor has no safe state: {reason}", meaning="why its host would make it safe"
+)
+DEVICE_REOPENED_WRONG = _device_message(
+    "device-reopened-wrong", "settings differ after a restart of the guard: {reason}", "warning"
+)
+WATCHDOG_WAIVED = _device_message(
+    "watchdog-waived", "own watchdog acts after {own}, required within {longest:g} s: accepted by waiver"
+)
+SETTING_MISMATCH = _device_message("setting-mismatch", "setting {setting}: {reason}", "error")
+SERIAL_LATENCY = _device_message(
+    "serial-latency",
+    "{port} delays every response by {milliseconds} ms: write 1 into {file} (as root, or by a udev rule) "
+    "for a faster bus",
+    "warning",
+)
+SERIAL_LOST = _device_message("serial-lost", "serial port lost: {reason}; reopening it", "warning")
+ENDPOINT_LOST = _device_message("endpoint-lost", "{endpoint} is lost: {reason}", "warning")
+ENDPOINT_UNOPENED = _device_message(
+    "endpoint-unopened", "{endpoint} is not open yet: {reason} (attempt {count})", "warning"
+)
+ENDPOINT_REOPENED = _device_message("endpoint-reopened", "{endpoint} is open again{details}")
+SERIAL_BACK = _device_message("serial-back", "serial port {port} open again")
+
+
+def report_line(device: str, text: str, code: str, level: Level) -> LogLine:
+    """The log line of a report of a driver or guard; `code` is '' for a report without a code."""
+    line = DEVICE_REPORT.line(device=device, text=text)
+    return LogLine(line, code, level) if code else line
+
+
+def report_fields(text: str) -> tuple[str, str, Level]:
+    """Text, code and level of a report; '' and "info" for a plain string."""
+    return (str(text), text.code, text.level) if isinstance(text, LogLine) else (text, "", "info")

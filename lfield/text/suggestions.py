@@ -1,0 +1,48 @@
+"""Did-you-mean suggestions: the known name that is most similar to an unknown one."""
+
+from __future__ import annotations
+
+from bisect import bisect
+from collections.abc import Iterable
+from difflib import get_close_matches
+from functools import lru_cache
+
+#: The longest name that is compared, and the maximum number of names it is compared with.
+MAX_LENGTH, MAX_NAMES = 64, 100
+
+
+def closest(name: str, known: Iterable[str]) -> str | None:
+    """The known name that is most similar, or None; case is ignored.
+
+    Among more than MAX_NAMES names only the alphabetical neighbours are compared, so that a file with
+    thousands of errors is checked in seconds.
+    """
+    if len(name) > MAX_LENGTH:
+        return None
+    names = sorted(known)
+    if len(names) > MAX_NAMES:
+        at = bisect(names, name)
+        names = names[max(at - MAX_NAMES // 2, 0) : at + MAX_NAMES // 2]
+    return _closest(name.lower(), tuple(names))
+
+
+@lru_cache(maxsize=64)
+def _closest(name: str, known: tuple[str, ...]) -> str | None:
+    """Cached, because one missing declaration causes the same look-up at each use."""
+    by_lower = {k.lower(): k for k in known}
+    found = get_close_matches(name, list(by_lower), n=1, cutoff=0.65)
+    return by_lower[found[0]] if found else None
+
+
+def did_you_mean(name: str, known: Iterable[str]) -> str | None:
+    """`did you mean 'x'?`, or None when no name is similar."""
+    close = closest(name, known)
+    return f"did you mean '{close}'?" if close is not None else None
+
+
+def listed(names: Iterable[str], nothing: str = "none") -> str:
+    """Names for a sentence: `a, b and c`."""
+    items = list(names)
+    if not items:
+        return nothing
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

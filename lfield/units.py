@@ -1,0 +1,219 @@
+"""Units as data: what a symbol means, how compound units are read, and how one unit becomes another.
+
+A unit is written as in the manifests of drivers: factors with their exponents, `/` before what divides:
+`m/s`, `m/s2`, `N m`, `kg m2/s2`. Numbers inside lfield are SI; other units end at the edge, where somebody
+wrote them. An angle is kept as a dimension of its own, so that nobody's hertz become radians per second.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+
+from lfield.text.suggestions import did_you_mean
+
+#: What units are made of, in the order of the exponents: SI's base units, the radian, and the byte.
+BASE = ("m", "kg", "s", "A", "K", "mol", "cd", "rad", "B")
+
+#: Exponents of the base units, in the order of BASE.
+Dimension = tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class MeasurementUnit:
+    """A unit: `amount * factor + offset` is the same in SI. Exact, but where pi is in it."""
+
+    dimension: Dimension
+    factor: Fraction = Fraction(1)
+    offset: Fraction = Fraction(0)
+
+
+#: The pure number: the unit of a ratio, a count, or of nothing at all.
+ONE = MeasurementUnit((0,) * len(BASE))
+
+_DEGREE = Fraction(math.pi) / 180
+
+#: Symbol, what it is in units that stand above it, and how many of them.
+_TABLE: tuple[tuple[str, str, Fraction], ...] = (
+    ("%", "", Fraction(1, 100)),
+    ("ppm", "", Fraction(1, 10**6)),
+    ("km", "m", Fraction(1000)),
+    ("dm", "m", Fraction(1, 10)),
+    ("cm", "m", Fraction(1, 100)),
+    ("mm", "m", Fraction(1, 1000)),
+    ("um", "m", Fraction(1, 10**6)),
+    ("in", "m", Fraction(254, 10**4)),
+    ("ft", "m", Fraction(3048, 10**4)),
+    ("mi", "m", Fraction(1609344, 1000)),
+    ("nmi", "m", Fraction(1852)),
+    ("L", "m3", Fraction(1, 1000)),
+    ("t", "kg", Fraction(1000)),
+    ("g", "kg", Fraction(1, 1000)),
+    ("mg", "kg", Fraction(1, 10**6)),
+    ("lb", "kg", Fraction(45359237, 10**8)),
+    ("ms", "s", Fraction(1, 1000)),
+    ("us", "s", Fraction(1, 10**6)),
+    ("min", "s", Fraction(60)),
+    ("h", "s", Fraction(3600)),
+    ("d", "s", Fraction(86400)),
+    ("kn", "m/s", Fraction(1852, 3600)),
+    ("mrad", "rad", Fraction(1, 1000)),
+    ("deg", "rad", _DEGREE),
+    ("°", "rad", _DEGREE),
+    ("rev", "rad", _DEGREE * 360),
+    ("rpm", "rad/s", _DEGREE * 6),
+    ("Hz", "1/s", Fraction(1)),
+    ("kHz", "Hz", Fraction(10**3)),
+    ("MHz", "Hz", Fraction(10**6)),
+    ("GHz", "Hz", Fraction(10**9)),
+    ("N", "kg m/s2", Fraction(1)),
+    ("kN", "N", Fraction(1000)),
+    ("Pa", "N/m2", Fraction(1)),
+    ("hPa", "Pa", Fraction(100)),
+    ("kPa", "Pa", Fraction(1000)),
+    ("MPa", "Pa", Fraction(10**6)),
+    ("mbar", "Pa", Fraction(100)),
+    ("bar", "Pa", Fraction(10**5)),
+    ("J", "N m", Fraction(1)),
+    ("kJ", "J", Fraction(1000)),
+    ("Wh", "J", Fraction(3600)),
+    ("kWh", "J", Fraction(3600000)),
+    ("W", "J/s", Fraction(1)),
+    ("mW", "W", Fraction(1, 1000)),
+    ("kW", "W", Fraction(1000)),
+    ("mA", "A", Fraction(1, 1000)),
+    ("C", "A s", Fraction(1)),
+    ("Ah", "C", Fraction(3600)),
+    ("mAh", "C", Fraction(36, 10)),
+    ("V", "W/A", Fraction(1)),
+    ("mV", "V", Fraction(1, 1000)),
+    ("kV", "V", Fraction(1000)),
+    ("ohm", "V/A", Fraction(1)),
+    ("T", "V s/m2", Fraction(1)),
+    ("mT", "T", Fraction(1, 1000)),
+    ("uT", "T", Fraction(1, 10**6)),
+    ("lx", "cd/m2", Fraction(1)),
+    ("kB", "B", Fraction(1000)),
+    ("MB", "B", Fraction(10**6)),
+    ("KiB", "B", Fraction(1 << 10)),
+    ("MiB", "B", Fraction(1 << 20)),
+    ("bit", "B", Fraction(1, 8)),
+)
+
+#: Scales whose zero is elsewhere: symbol, kelvins in one degree, kelvins at zero. They stand alone.
+_SCALES: tuple[tuple[str, Fraction, Fraction], ...] = (
+    ("degC", Fraction(1), Fraction(27315, 100)),
+    ("°C", Fraction(1), Fraction(27315, 100)),
+    ("degF", Fraction(5, 9), Fraction(45967, 100) * Fraction(5, 9)),
+)
+
+#: What stands in the registry beside SI: places on the earth are in degrees, temperatures in degrees Celsius.
+EXTRA_UNITS = frozenset({"deg", "degC", "°C"})
+
+_FACTOR = re.compile(r"(?P<symbol>[^\s/0-9^]+)\^?(?P<exponent>-?[0-9])?|1")
+_LONGEST = 40
+
+
+def unit(text: str) -> MeasurementUnit | None:
+    """The unit that a text names, '' and '1' the pure number; None when there is no such unit."""
+    return _read(text.strip()) if len(text) <= _LONGEST else None
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text names a unit."""
+    return unit(text) is not None
+
+
+def conversion(source: str, target: str) -> tuple[float, float] | None:
+    """(factor, offset): `amount * factor + offset` in `target` is what `amount` is in `source`.
+
+    None when one of them is no unit, or they measure different things.
+    """
+    before, after = unit(source), unit(target)
+    if before is None or after is None or before.dimension != after.dimension:
+        return None
+    return float(before.factor / after.factor), float((before.offset - after.offset) / after.factor)
+
+
+def is_registry_unit(text: str) -> bool:
+    """Whether values of the registry may be in it: SI without prefixes, or one of HOUSE_UNITS."""
+    meant = unit(text)
+    if meant is None:
+        return False
+    return text.strip() in EXTRA_UNITS or (meant.factor == 1 and meant.offset == 0)
+
+
+def in_si(text: str) -> str:
+    """The SI unit of what a unit measures, written with base units: `kg m/s2` for `kN`, '' for none."""
+    meant = unit(text) or ONE
+    pairs = list(zip(BASE, meant.dimension, strict=True))
+    over = " ".join(base + _exponent(power) for base, power in pairs if power > 0)
+    under = "".join(f"/{base}{_exponent(-power)}" for base, power in pairs if power < 0)
+    return (over or "1") + under if over or under else ""
+
+
+def suggestion(text: str) -> str:
+    """A hint for a text that is not a unit."""
+    return did_you_mean(text.strip()[:_LONGEST], _symbols()) or "write units like m, kg, m/s2, N m, rad/s"
+
+
+def _exponent(power: int) -> str:
+    return str(power) if power != 1 else ""
+
+
+@lru_cache(maxsize=1)
+def _symbols() -> dict[str, MeasurementUnit]:
+    """All symbols of the tables. A row is read with what the rows above it say."""
+    symbols: dict[str, MeasurementUnit] = {}
+    for index, base in enumerate(BASE):
+        symbols[base] = MeasurementUnit(tuple(int(i == index) for i in range(len(BASE))))
+    for symbol, meaning, amount in _TABLE:
+        whole = _product(meaning, symbols)
+        assert whole is not None, symbol
+        symbols[symbol] = MeasurementUnit(whole.dimension, whole.factor * amount)
+    for symbol, amount, zero in _SCALES:
+        symbols[symbol] = MeasurementUnit(symbols["K"].dimension, amount, zero)
+    return symbols
+
+
+@lru_cache(maxsize=1024)
+def _read(text: str) -> MeasurementUnit | None:
+    symbols = _symbols()
+    return symbols.get(text) or _product(text, symbols)
+
+
+def _product(text: str, symbols: dict[str, MeasurementUnit]) -> MeasurementUnit | None:
+    """`N m/s2`: words are multiplied; in the last of them everything after a `/` divides."""
+    whole: MeasurementUnit | None = ONE
+    words = text.split()
+    for index, word in enumerate(words):
+        over, *under = word.split("/")
+        if under and index < len(words) - 1:
+            return None  # `J/kg K`: nobody can tell on which side the K is
+        whole = _times(whole, _factor(over, symbols), 1)
+        for divisor in under:
+            whole = _times(whole, _factor(divisor, symbols), -1)
+    return whole
+
+
+def _factor(text: str, symbols: dict[str, MeasurementUnit]) -> MeasurementUnit | None:
+    """`s2`: a symbol of the table with its exponent; `1` in front of a `/`."""
+    match = _FACTOR.fullmatch(text)
+    if match is None:
+        return None
+    if match["symbol"] is None:
+        return ONE
+    symbol = symbols.get(match["symbol"])
+    if symbol is None or symbol.offset:
+        return None
+    return _times(ONE, symbol, int(match["exponent"] or 1))
+
+
+def _times(left: MeasurementUnit | None, right: MeasurementUnit | None, power: int) -> MeasurementUnit | None:
+    if left is None or right is None:
+        return None
+    exponents = zip(left.dimension, right.dimension, strict=True)
+    return MeasurementUnit(tuple(a + b * power for a, b in exponents), left.factor * right.factor**power)

@@ -1,1 +1,0 @@
-"""What the host itself asks the resources that it runs."""

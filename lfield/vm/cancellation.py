@@ -1,0 +1,115 @@
+"""Cancellation of portal calls: exception in the serving thread, grace period, forced end (decision 46)."""
+
+from __future__ import annotations
+
+from lfield.bytecode.opcodes import BY_NAME
+from lfield.vm.agent import Agent
+from lfield.vm.engine_interface import Trap
+from lfield.vm.memory.layout import (
+    BLOCKED,
+    PARKED,
+    READY,
+    SLEEPING,
+    THREAD_FRAME,
+    THREAD_PC,
+    THREAD_STATE,
+    WAITING,
+)
+from lfield.vm.memory.threads import place_of, serving
+from lfield.vm.memory.word_codec import new_exception
+from lfield.vm.scheduler import Scheduler
+
+CANCELLED = "CancelledException"
+
+_YIELD, _SLEEP, _DEVICE = (BY_NAME[name].code for name in ("yield", "sleep", "device"))
+
+
+class Cancellation:
+    """The cancelled calls of one host, per serving thread (`Agent.pending_cancels`)."""
+
+    def __init__(self, scheduler: Scheduler) -> None:
+        self._scheduler = scheduler
+
+    def cancel_call(self, resource: Agent, number: int, reason: str) -> None:
+        """Cancel a portal call by its number, if still served; at once if its thread waits.
+
+        A thread that runs, or whose wait cannot be cancelled, gets the exception at its next waiting
+        instruction. After `AgentLimits.tidy` seconds it is ended.
+        """
+        thread = serving(resource.block, number)
+        if resource.ended or not thread or thread in resource.pending_cancels:
+            return
+        resource.pending_cancels[thread] = reason
+        tidy = resource.limits.tidy
+        self._scheduler.run_queue.set_alarm(resource, tidy, lambda: self._end_grace_period(resource, thread))
+        state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
+        if state == WAITING:
+            self._scheduler.world.cancel(resource, thread)
+        elif state != READY or self._is_queued(resource, thread):
+            wake_thread(self._scheduler, resource, thread)
+            self.deliver(resource, thread)
+
+    def _is_queued(self, resource: Agent, thread: int) -> bool:
+        """Whether a ready thread has not started, since its resource's init or another call was busy."""
+        w, place = resource.block.w, place_of(resource.block, thread)
+        method = self._scheduler.program.core.methods[w[w[place + THREAD_FRAME]] >> 8 & 0xFFFFFF]
+        enters = method.synchronized and w[place + THREAD_PC] == method.entry
+        return enters or (resource, thread) in resource.waiting
+
+    def deliver_at_head(self, resource: Agent, thread: int, op: int, operand: int) -> bool:
+        """Throw the cancellation at a host call, if pending. Returns whether it was thrown."""
+        if not resource.pending_cancels.get(thread):
+            return False
+        if op == _DEVICE:
+            call = self._scheduler.program.core.device_calls[operand]
+            if call.effect == "query":
+                return False
+        elif op not in (_YIELD, _SLEEP):
+            return False
+        self.deliver(resource, thread)
+        return True
+
+    def deliver(self, resource: Agent, thread: int) -> None:
+        """Throw the cancellation at the thread's position, if not done yet."""
+        reason, resource.pending_cancels[thread] = resource.pending_cancels[thread], ""
+        self._scheduler.throw_builtin(resource, thread, CANCELLED, reason, resource.id)
+
+    def _end_grace_period(self, resource: Agent, thread: int) -> None:
+        """The grace period is over: end the thread, unless its wait cannot be cancelled."""
+        scheduler = self._scheduler
+        place = place_of(resource.block, thread)
+        if not place:
+            return
+        tidy = resource.limits.tidy
+        waits = resource.block.w[place + THREAD_STATE] == WAITING
+        if waits and not scheduler.world.cancel(resource, thread):
+            scheduler.run_queue.set_alarm(resource, tidy, lambda: self._end_grace_period(resource, thread))
+            return
+        wake_thread(scheduler, resource, thread)
+        message = f"it was cancelled, and ended because its clean-up took longer than {tidy:g} s"
+        try:
+            thrown = scheduler.run_with_collection(
+                resource,
+                lambda: new_exception(resource.block, scheduler.layouts, CANCELLED, message, resource.id),
+            )
+        except Trap as trap:
+            scheduler.die(resource, f"{trap.kind}: {trap.message}", thread)
+            return
+        scheduler.uncaught(resource, thread, thrown)
+
+
+def wake_thread(scheduler: Scheduler, agent: Agent, thread: int) -> None:
+    """Remove a thread from any wait except for a device.
+
+    A sleeping or yielding thread is after its instruction; it is moved back, so that the exception is
+    thrown there.
+    """
+    w, place = agent.block.w, place_of(agent.block, thread)
+    scheduler.run_queue.remove(agent, thread)
+    agent.remove_waiting(agent, thread)
+    if w[place + THREAD_STATE] in (SLEEPING, PARKED):
+        agent.pollers.discard(thread)
+        w[place + THREAD_PC] -= 1
+    elif w[place + THREAD_STATE] == BLOCKED and thread in agent.blocked:
+        agent.blocked.remove(thread)
+    w[place + THREAD_STATE] = READY

@@ -1,0 +1,137 @@
+"""The services that the machine needs from its host."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, Protocol
+
+from lfield.bytecode.program import DeviceCallRecord
+from lfield.manifest import DeviceValue
+from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.engine_interface import Reading
+from lfield.vm.offer_objects import FoundOffer
+from lfield.vm.pending_call import CallRequest, PendingCall
+
+
+class Pending:
+    """Type of PENDING: the answer follows later."""
+
+
+PENDING: Final = Pending()
+
+
+class HostInterface(Protocol):
+    """The host's side. Every method returns at once."""
+
+    def write(self, agent: Agent, text: str) -> None:
+        """Program output: whole lines, or the remainder of one when its thread ends."""
+
+    def log(self, agent: Agent, text: str) -> None:
+        """A line of `print`."""
+
+    def depart(self, agent: Agent, resource: TeamMember) -> None:
+        """The suspended coordinator must migrate to the host of the resource. Answered by `Machine.release`
+        when it has left, or `Machine.resume` with the reason of failure."""
+
+    def may_start_call(self, agent: Agent, has_side_effects: bool) -> bool:
+        """Whether the portal of this host that the suspended coordinator calls may start now.
+
+        `has_side_effects`: the portal may have side effects.
+
+        True: it starts at once, with the block unchanged. False: it has not started. After `Machine.unfreeze`
+        this is called again, unless `Machine.resume` gives a reason against the call.
+
+        For a fenced coordinator it is called before every portal, otherwise only before portals with side
+        effects while not `Agent.is_persisted`: the implementation sets that when the present block is on
+        disk. It is set on arrival, since the block was stored then.
+        """
+
+    def acquire_reservation(self, agent: Agent, resource: TeamMember, *, nested: bool) -> int:
+        """The reservation number of a resource of this host, for a suspended coordinator.
+
+        If this start already has the resource, it keeps it under this number. 0: not yet; after
+        `Machine.unfreeze` this is called again, unless `Machine.resume` gives a reason against it. After that
+        or `abandon_wait`, it is not granted. `nested`: it has another reservation and must not wait.
+
+        Raises Trap (ReservedException, UnreachableResourceException) if refused. A coordinator whose rules
+        allow no call of the resource is refused before.
+        """
+
+    def release_reservations(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator here leaves a `reserve`: these resources, here or not, and their numbers.
+
+        Does not wait. A release that is lost without a link takes effect with the end of its lease.
+        """
+
+    def may_serve(self, agent: Agent, resource: TeamMember, number: int) -> bool:
+        """Whether a portal of a resource of this host may start for a suspended coordinator.
+
+        `number` is that of its reservation, 0 for none. Called while the resource is `Agent.reserved`, and
+        with any number: before `may_start_call` for a call, before `may_start_calls` for each call of a
+        `together`, where a Trap is the outcome of that call.
+
+        False: not yet. After `Machine.unfreeze` this is called again, unless `Machine.resume` gives a reason
+        against it, with the resource as `source`. Raises Trap (ReservedException, ReservationLostException).
+        """
+
+    def may_start_calls(self, agent: Agent, calls: Sequence[CallRequest]) -> bool:
+        """Whether the calls of the suspended coordinator's `together` for this host may start now.
+
+        True: they start at once, with the block unchanged. False: nothing has started. After
+        `Machine.unfreeze` this is called again, unless `Machine.resume` gives a reason against it. Called
+        before every such visit: a host with a journal first stores a page per call, and the present block.
+        """
+
+    def on_call_completed(self, pending: PendingCall) -> None:
+        """A pending call here has ended (`PendingCall.state`, `result`).
+
+        When the host has stored that, or at once without a journal, it calls `PendingCalls.on_persisted`;
+        only then the coordinator can fetch the result.
+        """
+
+    def abandon_wait(self, agent: Agent) -> bool:
+        """The limit of a suspended coordinator has expired. Whether it is here and can be resumed.
+
+        True: nothing was sent or started, and the host waits no longer; the machine throws. False: it may
+        have left, or is resumed soon by `Machine.unfreeze`, `resume` or `release`.
+        """
+
+    def cancel(self, agent: Agent, thread: int) -> bool:
+        """Cancel the device instruction that a thread waits for, as its manifest says.
+
+        True: `Machine.throw_builtin` (CancelledException) or `answer` follows. False: it cannot be cancelled
+        (a landing, a safe state), and is answered as usual.
+        """
+
+    def is_superseded(self, agent: str, generation: int) -> bool:
+        """Whether that start of a coordinator was stopped in favour of an earlier one."""
+
+    def host_of(self, member: TeamMember) -> str:
+        """The name of the host of an agent of the team."""
+
+    def call_device(
+        self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
+    ) -> DeviceValue | Pending:
+        """Execute a device instruction: its value, or PENDING and later `Machine.answer` or
+        `Machine.throw_builtin`. Raises DeviceError."""
+
+    def telemetry_reading(self, agent: Agent, call: DeviceCallRecord) -> Reading | None:
+        """The reading behind an immediate query answer; None when it must be queried each time."""
+
+    def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[FoundOffer]:
+        """The present offers of a capability that fulfil the condition, best first.
+
+        Only by realisations with which the program was built (`offer_objects.ways`). Raises ConstraintError,
+        and SearchIncomplete if no offer was found and the search was not exhaustive.
+        """
+
+    def teams(
+        self, agent: Agent, capability: str, constraint: str | None, size: int
+    ) -> Sequence[Sequence[FoundOffer]]:
+        """Combinations of that many offers without common agents, best first. Raises what `offers` does."""
+
+    def explain(self, agent: Agent, capability: str, constraint: str | None) -> str:
+        """Why each other agent is no offer, a line each; '' for none. Raises ConstraintError."""
+
+    def ended(self, agent: Agent) -> None:
+        """A coordinator has ended, or an agent died of an uncaught exception (`agent.report`)."""

@@ -1,1 +1,0 @@
-"""Blocks shown to people: decoded, dumped, traced."""

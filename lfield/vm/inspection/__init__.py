@@ -1,0 +1,1 @@
+"""Inspection of blocks: decoding, dumps, stack traces."""

@@ -1,0 +1,234 @@
+"""Offers of capabilities as found by the host, and their objects in a block.
+
+The compiler creates a class for a capability: the first field is an offer's description (FACTS), each other
+field stands for one realisation of the capability. In an offer only the fields of its realisation are set: a
+proxy, or the offers of its components.
+"""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from lfield.bytecode.program import ARRAY, FACTS, OBJECT, OLDEST_FACTS, PROXY, Program, TypeRecord
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import header
+
+
+@dataclass(frozen=True, slots=True)
+class FoundOffer:
+    """One present offer.
+
+    `way` is the field of the capability's class for its realisation. A direct one is a proxy for the agent
+    number `member`; otherwise `parts` are the offers by field. `kind` is its name. Attributes have a name, a
+    number (NaN for none), a text (None: show the number), an age in seconds (NaN: constant) and a source; the
+    five are equally long. `found` is the number of offers (of a component 0), and `note` describes what was
+    omitted.
+    """
+
+    way: str
+    agent: str
+    host: str
+    kind: str
+    score: float
+    member: int = -1
+    parts: Mapping[str, FoundOffer] = field(default_factory=dict)
+    names: tuple[str, ...] = ()
+    numbers: tuple[float, ...] = ()
+    texts: tuple[str | None, ...] = ()
+    ages: tuple[float, ...] = ()
+    sources: tuple[str, ...] = ()
+    found: int = 0
+    note: str = ""
+
+
+class SearchIncomplete(Exception):
+    """No offer was found, and the search was not exhaustive; the message has the reason."""
+
+
+class UnknownWay(Exception):
+    """An offer by a realisation that is not in the program; the message names it."""
+
+
+class OfferClass:
+    """The class of a capability: its index, and the fields of its objects after the first, in order.
+
+    The object that combines several components is created by L at the first call.
+    """
+
+    def __init__(self, program: Program, index: int) -> None:
+        core = program.core
+        record = core.classes[index]
+        self.name, self.index = record.name, index
+        self.fields = [f.name for f in record.fields[1:]]
+        kinds = [core.types[f.type] for f in record.fields[1:]]
+        self._ways = {name: (kind.kind, kind.of) for name, kind in zip(self.fields, kinds, strict=True)}
+        self._parts = {kind.of for kind in kinds if kind.kind == OBJECT and core.classes[kind.of].capability}
+
+    def proxy(self, way: str) -> int:
+        """The resource type of a field that holds a proxy. Raises UnknownWay."""
+        kind, of = self._ways.get(way, (OBJECT, -1))
+        if kind != PROXY:
+            raise self._unknown(way)
+        return of
+
+    def part(self, way: str) -> int:
+        """The capability of a field that holds another offer. Raises UnknownWay."""
+        kind, of = self._ways.get(way, (PROXY, -1))
+        if kind != OBJECT or of not in self._parts:
+            raise self._unknown(way)
+        return of
+
+    def _unknown(self, way: str) -> UnknownWay:
+        return UnknownWay(
+            f"the program has no realisation '{way}' of {self.name}: "
+            "build it again with the registry that the hosts have"
+        )
+
+
+class OfferClasses:
+    """The classes of a program's capabilities by class index, and the common types of offers."""
+
+    def __init__(self, program: Program) -> None:
+        core = program.core
+        kinds = {record: i for i, record in enumerate(core.types)}
+        self.of: dict[int, OfferClass] = {}
+        #: The type of an array of offers, and of an array of such arrays, if the program has them.
+        self.arrays: dict[int, int] = {}
+        self.teams: dict[int, int] = {}
+        for index, record in enumerate(core.classes):
+            if not record.capability:
+                continue
+            self.of[index] = OfferClass(program, index)
+            array = kinds.get(TypeRecord(ARRAY, kinds.get(TypeRecord(OBJECT, index), -1)))
+            if array is not None:
+                self.arrays[index] = array
+                self.teams[index] = kinds.get(TypeRecord(ARRAY, array), -1)
+            #: The class of descriptions, and its two array types.
+            self.facts = core.types[record.fields[0].type].of
+            #: Its number of fields: fewer in programs of an older lfield.
+            self.fact_count = len(core.classes[self.facts].fields)
+            self.strings, self.reals = (core.classes[self.facts].fields[i].type for i in (4, 5))
+
+
+def ways(program: Program) -> dict[str, frozenset[str]]:
+    """The capabilities in a program, each with its realisations."""
+    return {
+        record.name: frozenset(f.name for f in record.fields if f.name != FACTS)
+        for record in program.core.classes
+        if record.capability
+    }
+
+
+def write_offers(
+    block: Block, offer_classes: OfferClasses, capability: int, found: Sequence[FoundOffer], now: float
+) -> int:
+    """An array of offers on the heap. Raises HeapFull before any write, and UnknownWay.
+
+    `now` is the coordinator's clock in seconds, from which ages grow.
+    """
+    writer = _Writer(offer_classes, block.top, now)
+    return _written(block, writer, writer.offers(capability, found))
+
+
+def write_teams(
+    block: Block,
+    offer_classes: OfferClasses,
+    capability: int,
+    found: Sequence[Sequence[FoundOffer]],
+    now: float,
+) -> int:
+    """An array of teams, each an array of offers. Raises what `write_offers` does."""
+    writer = _Writer(offer_classes, block.top, now)
+    teams = [writer.offers(capability, team) for team in found]
+    return _written(block, writer, writer.put(layout.ARRAY, offer_classes.teams[capability], teams))
+
+
+def _written(block: Block, writer: _Writer, place: int) -> int:
+    block.require(len(writer.words))
+    end = block.top + len(writer.words)
+    block.w[block.top : end] = memoryview(writer.words)
+    block.set_top(end)
+    return place
+
+
+class _Writer:
+    """Writes new objects from the word `base` on; equal ones are written once."""
+
+    def __init__(self, offer_classes: OfferClasses, base: int, now: float) -> None:
+        self.words = array("q")
+        self._shapes, self._base, self._now = offer_classes, base, now
+        self._made: dict[tuple[int, object], int] = {}
+
+    def offers(self, capability: int, found: Sequence[FoundOffer]) -> int:
+        """An array of offers; returns its place."""
+        offers = [self.offer(self._shapes.of[capability], one) for one in found]
+        return self.put(layout.ARRAY, self._shapes.arrays[capability], offers)
+
+    def offer(self, shape: OfferClass, found: FoundOffer) -> int:
+        """An offer with its components; returns its place."""
+        if found.parts:
+            of = self._shapes.of
+            filled = {way: self.offer(of[shape.part(way)], part) for way, part in found.parts.items()}
+        else:
+            filled = {found.way: self.put(layout.PROXY, shape.proxy(found.way), [found.member, 0])}
+        own = [self._facts(found), *(filled.get(way, 0) for way in shape.fields)]
+        return self.put(layout.OBJECT, shape.index, own)
+
+    def put(self, kind: int, index: int, body: Iterable[int]) -> int:
+        """An object with its header; returns its place."""
+        words = array("q", body)
+        place = self._base + len(self.words)
+        self.words.append(header(kind, index, 1 + len(words)))
+        self.words.extend(words)
+        return place
+
+    def _facts(self, found: FoundOffer) -> int:
+        """The description of an offer, in the order of the fields of `Offer`."""
+        strings, reals = self._shapes.strings, self._shapes.reals
+        description = [self._text(found.agent), self._text(found.host), self._text(found.kind)]
+        description += _bits([found.score])
+        description.append(self._shared_array(strings, found.names, lambda: map(self._text, found.names)))
+        description.append(self.put(layout.ARRAY, reals, _bits(found.numbers)))
+        description.append(self._shared_array(strings, found.texts, lambda: map(self._text, found.texts)))
+        ages = found.ages if self._shapes.fact_count > OLDEST_FACTS else tuple(map(_still, found.ages))
+        description.append(self._shared_array(reals, _same(ages), lambda: _bits(ages)))
+        description += [found.found, self._text(found.note)]
+        description.append(self._shared_array(strings, found.sources, lambda: map(self._text, found.sources)))
+        description += _bits([self._now])
+        return self.put(layout.OBJECT, self._shapes.facts, description[: self._shapes.fact_count])
+
+    def _shared_array(self, type: int, value: tuple[object, ...], body: Callable[[], Iterable[int]]) -> int:
+        """The array of some values, shared by all offers with equal ones."""
+        place = self._made.get((type, value))
+        if place is None:
+            place = self._made[type, value] = self.put(layout.ARRAY, type, body())
+        return place
+
+    def _text(self, text: str | None) -> int:
+        if text is None:
+            return 0
+        place = self._made.get((layout.STRING, text))
+        if place is None:
+            raw = text.encode("utf-8", "replace")
+            padded = array("q", raw.ljust(len(raw) + 7 & ~7, b"\0"))
+            place = self._made[layout.STRING, text] = self.put(layout.STRING, 0, [len(raw), *padded])
+        return place
+
+
+def _still(age: float) -> float:
+    """An age as programs of lfield 0.4 have it: 0 if constant."""
+    return 0.0 if math.isnan(age) else age
+
+
+def _same(numbers: Iterable[float]) -> tuple[object, ...]:
+    """Comparable numbers: NaN equals NaN."""
+    return tuple(None if number != number else number for number in numbers)
+
+
+def _bits(numbers: Iterable[float]) -> array[int]:
+    """Reals as words of a block."""
+    return array("q", array("d", numbers).tobytes())

@@ -1,0 +1,72 @@
+"""Pending calls of a `together` on this host, which run independently of their coordinator."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal
+
+from lfield.vm.agent import Agent
+
+#: Key of a call: the coordinator's id, the generation that started it, and the number of its ticket.
+CallKey = tuple[str, int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class CallRequest:
+    """Request of a coordinator to start a call here: ticket number, resource id, portal.
+
+    `has_side_effects`: the portal may have side effects.
+    """
+
+    number: int
+    resource: str
+    portal: str
+    has_side_effects: bool
+
+
+@dataclass(slots=True, eq=False)
+class PendingCall:
+    """A call started here by a start (`generation`) of the coordinator `agent`.
+
+    `state` is "running", then "done" or "thrown" with the result or exception in `result` (see
+    `lfield.vm.memory.serialised_results`); "lost" if an earlier incarnation of this host started it without a
+    result. `is_persisted`: the result is on disk, and may be fetched. A call that will never be fetched is
+    `dropped`.
+
+    `deadline` is its nearest time limit in ns of the coordinator's clock, 0 for none; `is_expired`: that
+    limit cancelled it.
+
+    `call` is the number of the portal call and `method` the portal's index, 0 if not running in this
+    incarnation; `waiter` is the coordinator and thread that wait here for it.
+    """
+
+    agent: str
+    generation: int
+    number: int
+    resource: str
+    portal: str
+    fenced: bool = False
+    state: Literal["running", "done", "thrown", "lost"] = "running"
+    result: bytes = b""
+    is_persisted: bool = False
+    dropped: bool = False
+    deadline: int = 0
+    is_expired: bool = False
+    call: int = 0
+    method: int = 0
+    waiter: tuple[Agent, int] | None = field(default=None, repr=False)
+
+    @property
+    def key(self) -> CallKey:
+        """The key of the call."""
+        return self.agent, self.generation, self.number
+
+    @property
+    def id(self) -> str:
+        """The id of the coordinator, as an agent has it, for `Machine.caller`."""
+        return self.agent
+
+    @property
+    def ended(self) -> str:
+        """Why it must not be served any more; '' while it runs (`Agent.ended`)."""
+        return "dropped" if self.dropped else ""

@@ -1,0 +1,1 @@
+"""`reserve`: exclusive resources of a coordinator, granted host by host (decision 53)."""

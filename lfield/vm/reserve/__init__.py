@@ -1,1 +1,0 @@
-"""`reserve`: what a coordinator keeps for itself, host by host (decision 53)."""

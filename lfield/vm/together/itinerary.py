@@ -1,0 +1,244 @@
+"""The next hosts and pending work of a coordinator's `together`. Read-only."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from lfield.bytecode.opcodes import BY_CODE, BY_NAME
+from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.memory import layout
+from lfield.vm.memory.call_tickets import tickets_of
+from lfield.vm.memory.layout import (
+    FRAME_SLOTS,
+    PROXY_MEMBER,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_PC,
+    TICKET_CANCELLING,
+    TICKET_COLLECTED,
+    TICKET_GENERATION,
+    TICKET_METHOD,
+    TICKET_NUMBER,
+    TICKET_PROXY,
+    TICKET_STARTED,
+    TICKET_STATE,
+    TICKET_THROWN,
+)
+from lfield.vm.memory.threads import only_thread, place_of
+from lfield.vm.pending_call import CallRequest
+from lfield.vm.reservations.held_reservations import HeldReservations
+from lfield.vm.scheduler import Scheduler
+
+#: The instructions that visit hosts, each with the states of the tickets that it visits them for, in order.
+VISITED_STATES = {
+    "start": (TICKET_COLLECTED,),
+    "fetch": (TICKET_COLLECTED, TICKET_STARTED),
+    "leave": (TICKET_STARTED, TICKET_CANCELLING),
+}
+
+
+_PUSH = BY_NAME["push"].code
+
+
+class Ticket:
+    """View of a ticket in the block; invalid after a collection."""
+
+    __slots__ = ("place", "w")
+
+    def __init__(self, w: memoryview[int], place: int) -> None:
+        self.w, self.place = w, place
+
+    @property
+    def number(self) -> int:
+        """Its number; numbers increase in the order of collection."""
+        return self.w[self.place + TICKET_NUMBER]
+
+    @property
+    def state(self) -> int:
+        """COLLECTED, STARTED, CANCELLING or RETURNED."""
+        return self.w[self.place + TICKET_STATE]
+
+    @property
+    def generation(self) -> int:
+        """The start of the coordinator that started the call."""
+        return self.w[self.place + TICKET_GENERATION]
+
+    @property
+    def method(self) -> int:
+        """The portal, by index."""
+        return self.w[self.place + TICKET_METHOD]
+
+    @property
+    def proxy(self) -> int:
+        """The proxy of the call."""
+        return self.w[self.place + TICKET_PROXY]
+
+    @property
+    def member(self) -> int:
+        """The resource, by number."""
+        return self.w[self.proxy + PROXY_MEMBER]
+
+    @property
+    def thrown(self) -> int:
+        """The exception of the call, or 0."""
+        return self.w[self.place + TICKET_THROWN]
+
+
+class Itinerary:
+    """Reads the tickets of the coordinators on one host (`here`, a number); `team` has all agents.
+
+    Also for coordinators that wait for a portal or a reservation.
+    """
+
+    def __init__(
+        self, scheduler: Scheduler, team: Sequence[TeamMember], here: int, held: HeldReservations
+    ) -> None:
+        self._scheduler, self._team, self._here, self._held_reservations = scheduler, team, here, held
+        self._program = scheduler.program
+
+    def head(self, agent: Agent) -> str:
+        """The instruction at a coordinator's position if it visits hosts for tickets; else ''."""
+        name = self._current_head(agent)
+        return name if name in VISITED_STATES else ""
+
+    def _current_head(self, agent: Agent) -> str:
+        """The instruction at a coordinator's position, '' for none."""
+        pc = agent.block.w[agent.block.w[layout.W_THREADS] + THREAD_PC]
+        group = self._scheduler.engine.groups.get(pc)
+        return BY_CODE[group.head.op].name if group is not None else ""
+
+    def call_arguments(self, agent: Agent, thread: int) -> list[int]:
+        """The arguments of the group at a coordinator's position, as in the block now."""
+        w = agent.block.w
+        place = place_of(agent.block, thread)
+        slots = w[place + THREAD_FRAME] + FRAME_SLOTS
+        quads, pc = self._program.quads, w[place + THREAD_PC]
+        words = []
+        while quads[pc].op == _PUSH:
+            # The only constant among them is null.
+            words.append(w[slots + quads[pc].a] if quads[pc].a >= 0 else 0)
+            pc += 1
+        return words
+
+    def tickets(self, agent: Agent, thread: int) -> list[Ticket]:
+        """The tickets of the `together` at a coordinator's position, in the order of collection."""
+        sentinel = self.call_arguments(agent, thread)[0]
+        # A block of another host may have none; the engine throws when it executes the instruction.
+        found = tickets_of(agent.block, sentinel) if sentinel else []
+        return [Ticket(agent.block.w, place) for place in found]
+
+    def own_tickets(self, agent: Agent) -> list[Ticket]:
+        """The tickets of a coordinator's only thread."""
+        return self.tickets(agent, only_thread(agent.block))
+
+    def is_here(self, ticket: Ticket) -> bool:
+        """Whether its resource is on this host."""
+        return self._team[ticket.member].host == self._here
+
+    def resource(self, ticket: Ticket) -> TeamMember:
+        """Its resource."""
+        return self._team[ticket.member]
+
+    @property
+    def ids(self) -> list[str]:
+        """The ids of the team."""
+        return [member.id for member in self._team]
+
+    def name(self, ticket: Ticket) -> str:
+        """The call as `resource.portal()`."""
+        return f"{self.resource(ticket).id}.{self.portal(ticket)}()"
+
+    def portal(self, ticket: Ticket) -> str:
+        """The portal's name."""
+        return self._program.core.methods[ticket.method].name
+
+    def call_request(self, ticket: Ticket) -> CallRequest:
+        """The request to the host for starting a call."""
+        acts = ticket.method in self._scheduler.effectful_methods
+        return CallRequest(ticket.number, self.resource(ticket).id, self.portal(ticket), acts)
+
+    def tickets_elsewhere(self, tickets: list[Ticket], state: int) -> list[Ticket]:
+        """The tickets in a state on one other host: that of the ticket that was collected first."""
+        elsewhere = [ticket for ticket in tickets if ticket.state == state and not self.is_here(ticket)]
+        host = self.resource(elsewhere[0]).host if elsewhere else self._here
+        return [ticket for ticket in elsewhere if self.resource(ticket).host == host]
+
+    def awaited_tickets(self, agent: Agent) -> list[Ticket]:
+        """The tickets that a suspended coordinator waits for: to start them here, or to reach their host."""
+        head, found = self.head(agent), self.own_tickets(agent)
+        if head != "leave" and (
+            mine := [t for t in found if t.state == TICKET_COLLECTED and self.is_here(t)]
+        ):
+            return mine
+        return next(
+            (
+                elsewhere
+                for state in VISITED_STATES[head]
+                if (elsewhere := self.tickets_elsewhere(found, state))
+            ),
+            [],
+        )
+
+    def current_target(self, agent: Agent) -> tuple[TeamMember, str] | None:
+        """The resource and portal that a suspended coordinator waits for, the first of several.
+
+        The portal is '' where it is reserving the resource.
+        """
+        if self._current_head(agent) == "take":
+            entry = self._held_reservations.next_ungranted(agent)
+            return (entry.resource, "") if entry is not None else None
+        if self.head(agent):
+            awaited = self.awaited_tickets(agent)
+            return (self.resource(awaited[0]), self.portal(awaited[0])) if awaited else None
+        w = agent.block.w
+        thread = w[layout.W_THREADS]
+        words = self.call_arguments(agent, w[thread + THREAD_ID])
+        if not words or not words[0]:
+            return None
+        portal = self._scheduler.engine.groups[w[thread + THREAD_PC]].head.a
+        return self._team[w[words[0] + PROXY_MEMBER]], self._program.core.methods[portal].name
+
+    def current_call(self, agent: Agent) -> str:
+        """The same as `resource.portal()`; '' for none."""
+        resource, portal = self.current_target(agent) or (None, "")
+        return f"{resource.id}.{portal}()" if resource else ""
+
+    def blocked_action(self, agent: Agent) -> str:
+        """What a suspended coordinator is prevented from doing, as the end of a sentence; '' for nothing."""
+        if self._current_head(agent) == "take":
+            entry = self._held_reservations.next_ungranted(agent)
+            return f" before {entry.resource.id} could be reserved" if entry is not None else ""
+        called = self.current_call(agent)
+        if not called:
+            return ""
+        is_started = self.is_fetching(agent)
+        return (
+            f"; {called} has begun, and its outcome is unknown"
+            if is_started
+            else f" before {called} could begin"
+        )
+
+    def is_heartbeat_pending(self, agent: Agent) -> bool:
+        """Whether a heartbeat of the destination host of a suspended coordinator is still awaited."""
+        signs, awaited = self._scheduler.hooks.liveness, self.awaited_tickets(agent)
+        return signs is not None and bool(awaited) and signs.is_heartbeat_pending(self.resource(awaited[0]))
+
+    def wait_reason(self, agent: Agent) -> str:
+        """Why a suspended coordinator cannot continue at once: it may have left, or is being stored."""
+        called = self.current_target(agent)
+        if called is None or called[0].host == self._here:
+            return "it was being written to disk"
+        host = self._scheduler.world.host_of(called[0])
+        return f"it was sent to {host} and may have arrived there"
+
+    def is_fetching(self, agent: Agent) -> bool:
+        """Whether a suspended coordinator waits for a started call of a `together`."""
+        awaited = self.awaited_tickets(agent) if self.head(agent) else []
+        return bool(awaited) and awaited[0].state != TICKET_COLLECTED
+
+    def may_continue(self, agent: Agent) -> bool:
+        """Whether all effects of a restored coordinator's instruction are known."""
+        head = self._current_head(agent)
+        if head not in VISITED_STATES or head == "leave":
+            return head in ("take", "leave")
+        return not any(t.state == TICKET_COLLECTED and self.is_here(t) for t in self.own_tickets(agent))

@@ -1,1 +1,0 @@
-"""From bytecode to WebAssembly, as text: the graph of a method, its control, its instructions, a module."""

@@ -1,0 +1,1 @@
+"""Lowering of bytecode to WebAssembly text: control-flow graph, control structure, instructions, module."""

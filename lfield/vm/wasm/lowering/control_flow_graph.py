@@ -1,0 +1,235 @@
+"""Control-flow graph of a method: basic blocks and how each ends.
+
+A block also ends after each call and each engine exit: the next instruction is a *point* where the method
+can be resumed, with its slots from the block.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from lfield.bytecode.opcodes import BY_CODE, Opcode
+from lfield.bytecode.program import CATCH, FINALLY, MethodRecord, Quad
+from lfield.vm.reference.step_compiler import PreparedProgram
+from lfield.vm.wasm.lowering.instruction_table import CONTROL
+from lfield.vm.wasm.stack_depth import STRETCH
+
+#: A method is long if its instructions times slots (with those of the engine) exceed this.
+LONG_METHOD = 10_000
+
+
+@dataclass(frozen=True, slots=True)
+class LoweredInstruction:
+    """An instruction that costs one of the budget: a quad, or a group with its operands.
+
+    `into` is the slot of its result, -1 for none.
+    """
+
+    pc: int
+    after: int
+    row: Opcode
+    quad: Quad
+    arguments: tuple[int, ...] = ()
+    into: int = -1
+
+
+@dataclass(frozen=True, slots=True)
+class JumpExit:
+    """Continues there."""
+
+    to: int
+
+
+@dataclass(frozen=True, slots=True)
+class BranchExit:
+    """Continues at `yes` if the boolean in a slot is true, else at `no`."""
+
+    slot: int
+    yes: int
+    no: int
+
+
+@dataclass(frozen=True, slots=True)
+class CallExit:
+    """Calls a method, then continues."""
+
+    what: LoweredInstruction
+    to: int
+
+
+@dataclass(frozen=True, slots=True)
+class ReturnExit:
+    """Leaves the method."""
+
+    what: LoweredInstruction
+
+
+@dataclass(frozen=True, slots=True)
+class ThrowExit:
+    """Throws the object in a slot."""
+
+    what: LoweredInstruction
+
+
+@dataclass(frozen=True, slots=True)
+class EngineCallExit:
+    """Exits the engine for an instruction that it does not support; continues there later."""
+
+    what: LoweredInstruction
+    to: int | None
+
+
+BlockExit = JumpExit | BranchExit | CallExit | ReturnExit | ThrowExit | EngineCallExit
+
+
+@dataclass(slots=True)
+class BasicBlock:
+    """Consecutive instructions from `pc` on, and how they end."""
+
+    pc: int
+    work: list[LoweredInstruction] = field(default_factory=list)
+    end: BlockExit | None = None
+
+    @property
+    def cost(self) -> int:
+        """Its cost; an instruction that exits is charged where it is executed."""
+        return len(self.work) + (
+            isinstance(self.end, (BranchExit, CallExit, ReturnExit, ThrowExit)) or self._jumps
+        )
+
+    @property
+    def last(self) -> tuple[int, int]:
+        """The instruction that ends it, and the next one: the same if it only falls through."""
+        if isinstance(self.end, (CallExit, ReturnExit, ThrowExit, EngineCallExit)):
+            return self.end.what.pc, self.end.what.after
+        pc = self.work[-1].after if self.work else self.pc
+        return pc, pc + (not self.falls)
+
+    @property
+    def _jumps(self) -> bool:
+        return isinstance(self.end, JumpExit) and not self.falls
+
+    #: Whether it only falls through, at no cost.
+    falls: bool = False
+
+
+class ControlFlowGraph:
+    """The blocks of one method by their first instruction, and its points.
+
+    `lowered` says whether the engine executes an instruction itself.
+    """
+
+    def __init__(
+        self, prepared: PreparedProgram, method: MethodRecord, lowered: Callable[[LoweredInstruction], bool]
+    ) -> None:
+        self.method = method
+        self._prepared, self._lowered = prepared, lowered
+        self._quads = prepared.program.quads
+        self.entry = method.entry if method.synchronized else method.entry + 1
+        self.instructions = {i.pc: i for i in self._decoded()}
+        self.long = len(self.instructions) * (8 + len(method.slots)) > LONG_METHOD
+        self.points = {self.entry}
+        self.points.update(h.target for h in method.handlers if h.kind in (CATCH, FINALLY))
+        #: Targets of the handlers around an instruction.
+        self._handler_targets: dict[int, list[int]] = {}
+        for handler in method.handlers:
+            if handler.kind in (CATCH, FINALLY):
+                for pc in range(handler.start, handler.end):
+                    self._handler_targets.setdefault(pc, []).append(handler.target)
+        heads = self._heads()
+        self.blocks: dict[int, BasicBlock] = {}
+        for pc in sorted(heads):
+            self.blocks[pc] = self._block(pc, heads)
+
+    def _decoded(self) -> list[LoweredInstruction]:
+        found = []
+        pc = self.method.entry
+        while pc < self.method.end:
+            group = self._prepared.groups.get(pc)
+            quad = self._quads[pc]
+            if group is None:
+                found.append(LoweredInstruction(pc, pc + 1, BY_CODE[quad.op], quad))
+            else:
+                row = BY_CODE[group.head.op]
+                result_fetch = group.after - (group.destination >= 0)
+                pushed = tuple(push.a for push in self._quads[pc : result_fetch - 1])
+                found.append(LoweredInstruction(pc, group.after, row, group.head, pushed, group.destination))
+            pc = found[-1].after
+        return found
+
+    def _heads(self) -> set[int]:
+        """Starts of blocks; records the points after calls and exits."""
+        heads = set(self.points)
+        for i in self.instructions.values():
+            ends = CONTROL.get(i.row.name)
+            if ends in ("JumpExit", "BranchExit"):
+                heads.update((i.quad.a, i.after))
+                if i.quad.a <= i.pc:
+                    self.points.add(i.quad.a)
+            elif ends == "CallExit" or not (ends or self._lowered(i)):
+                heads.add(i.after)
+                self.points.add(i.after)
+        heads |= self._stretched()
+        return {pc for pc in heads if pc in self.instructions}
+
+    def _stretched(self) -> set[int]:
+        """Additional points, to cut long chains of values that cost the compiler too much time and stack."""
+        since: dict[int, int] = {}
+        for pc, i in self.instructions.items():
+            if since.get(pc, 0) >= STRETCH:
+                self.points.add(pc)
+            passed = 1 if pc in self.points else since.get(pc, 0) + 1
+            ends = CONTROL.get(i.row.name)
+            ways = [i.quad.a] if ends in ("JumpExit", "BranchExit") else []
+            for to in ways if ends == "JumpExit" else [*ways, i.after]:
+                since[to] = max(since.get(to, 0), passed)
+        return self.points
+
+    def _block(self, pc: int, heads: set[int]) -> BasicBlock:
+        run = BasicBlock(pc)
+        while run.end is None:
+            i = self.instructions[pc]
+            run.end = self._end(i)
+            if run.end is None:
+                run.work.append(i)
+                pc = i.after
+                if pc in heads:
+                    run.end, run.falls = JumpExit(pc), True
+        return run
+
+    def _end(self, i: LoweredInstruction) -> BlockExit | None:
+        """How an instruction ends its block; None if it does not."""
+        match CONTROL.get(i.row.name):
+            case "JumpExit":
+                return JumpExit(i.quad.a)
+            case "BranchExit":
+                ways = (i.quad.a, i.after) if i.row.name == "bnz" else (i.after, i.quad.a)
+                return BranchExit(i.quad.b, *ways)
+            case "CallExit":
+                return CallExit(i, i.after)
+            case "ReturnExit":
+                return ReturnExit(i)
+            case "ThrowExit":
+                return ThrowExit(i)
+        if self._lowered(i):
+            return None
+        return EngineCallExit(i, i.after if i.after in self.instructions else None)
+
+    def leads_to(self, pc: int) -> list[int]:
+        """Successors of a block: normal, by exceptions, and when resumed."""
+        run = self.blocks[pc]
+        ways: list[int] = []
+        match run.end:
+            case JumpExit(to) | CallExit(_, to):
+                ways.append(to)
+            case BranchExit(_, yes, no):
+                ways += [yes, no]
+            case EngineCallExit(_, to) if to is not None:
+                ways.append(to)
+        inside = [
+            *run.work,
+            *([run.end.what] if isinstance(run.end, (CallExit, ThrowExit, EngineCallExit)) else []),
+        ]
+        targets = dict.fromkeys(target for i in inside for target in self._handler_targets.get(i.pc, ()))
+        return [*ways, *targets]

@@ -1,0 +1,37 @@
+"""The runtime's functions over one memory: text, compiled once, and calls."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+
+import wasmtime
+
+from lfield.vm.wasm.native_calls import bind_function
+
+#: Its files: common, whole-heap operations, functions of compiled methods.
+PARTS = ("words", "collect", "copy", "sound", "travels", "strings", "texts")
+
+
+@cache
+def runtime_text() -> str:
+    """The whole module, without a memory of its own."""
+    folder = files(__package__)
+    parts = "\n".join(folder.joinpath(f"{part}.wat").read_text(encoding="utf-8") for part in PARTS)
+    return f'(module $runtime\n(import "arena" "memory" (memory 0))\n\n{parts})\n'
+
+
+class RuntimeFunctions:
+    """The runtime over one memory.
+
+    Functions take and return integers, explained in the .wat files; addresses are in bytes from the beginning
+    of the memory. Any trap in them is a bug of lfield.
+    """
+
+    def __init__(self, code: wasmtime.Module, store: wasmtime.Store, memory: wasmtime.Memory) -> None:
+        #: For modules that import its functions.
+        self.instance = wasmtime.Instance(store, code, [memory])
+        self.collect = bind_function(store, self.instance, "collect", 6)
+        self.deep_copy = bind_function(store, self.instance, "deep_copy", 10)
+        self.verify_heap = bind_function(store, self.instance, "sound", 6)
+        self.can_migrate = bind_function(store, self.instance, "travels", 6)

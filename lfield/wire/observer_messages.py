@@ -1,0 +1,322 @@
+"""Orders of observers, with the answers (`lfield estop`, `forget`), and the snapshot of a host.
+
+An `EventBatch` carries the snapshot. Messages as in `messages`, which has the union of all.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+from msgspec.structs import replace
+
+from lfield.wire.coordinator_messages import CoordinatorState, CopyState
+from lfield.wire.fields import (
+    Count,
+    Duration,
+    FactValue,
+    Hash,
+    Label,
+    Moment,
+    Name,
+    OptionalName,
+    OrderId,
+    Ordinal,
+    Share,
+    Telemetry,
+    Text,
+    ValueSource,
+)
+from lfield.wire.order_messages import UNKNOWN_EPOCH, Epoch, Epochs, OrderKind
+
+
+class AgentStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """An agent that a host runs. `state` is its state; `heap` and `limit` are bytes."""
+
+    id: Name
+    type: Text
+    kind: Literal["coordinator", "resource"]
+    state: Label
+    hops: Ordinal
+    served: Count
+    heap: Count
+    limit: Count
+    threads: Count
+
+
+class DeviceStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A device of a host, with its last telemetry by quantity, however old.
+
+    `silent` is the age of the telemetry, None if there never was any. `latched` is why it is held in its safe
+    state, '' when it is in use; `moving` describes its movement there, '' at rest; until its safe state is
+    confirmed it says that this is pending.
+    """
+
+    name: Text
+    telemetry: Annotated[dict[Label, Telemetry], Meta(max_length=1024)]
+    silent: Duration | None
+    latched: Text
+    moving: Text = ""
+
+
+class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Another host: for how long there has been no link to it, None while there is one.
+
+    Of a link the smoothed round-trip time in seconds, the share of segments lost in the last minute, and the
+    bytes sent (retransmissions included) and received since it opened, with TLS overhead and without headers
+    of TCP and IP; None for values that are not available.
+    """
+
+    host: Name
+    away: Duration | None
+    round_trip: Duration | None = None
+    loss: Share | None = None
+    sent: Count | None = None
+    received: Count | None = None
+
+
+class AttributeReading(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The value of an attribute: `measured` by a device `age` seconds ago, or stated."""
+
+    value: FactValue
+    age: Duration
+    of: ValueSource = "measured"
+
+
+class DirectoryEntry(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """What a host's directory says of an agent of the team.
+
+    `refusal` is why it cannot be called, '' if it can. A measured attribute is among `facts`, or `unknown`
+    with the reason.
+    """
+
+    agent: Name
+    refusal: Text
+    facts: Annotated[dict[Label, AttributeReading], Meta(max_length=1024)]
+    unknown: Annotated[dict[Label, Text], Meta(max_length=1024)]
+
+
+class ParkedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A coordinator in a journal that belongs to another program or deployment, with the digest of both.
+
+    With `state` RUN it is here; with another state it left, or may have left, for `where`.
+    """
+
+    agent: Name
+    generation: Ordinal
+    hops: Ordinal
+    program: Hash
+    state: CopyState
+    where: OptionalName
+
+
+class PendingCallStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A portal call that a coordinator has started here and fetches later: it runs, has ended, or is lost."""
+
+    agent: Name
+    generation: Ordinal
+    resource: Name
+    portal: Text
+    state: Literal["running", "done", "thrown", "lost"]
+
+
+class ReservedStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """A resource that a coordinator has reserved, for how many seconds already; `left` is the remaining time
+    of its lease if it is not renewed."""
+
+    resource: Name
+    agent: Name
+    generation: Ordinal
+    held: Duration
+    left: Duration
+
+
+class JournalStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The journal of a host: its commits in the last minute, and the stored coordinators.
+
+    `trouble` is why no new coordinator should be admitted, '' for no reason.
+    """
+
+    commits: Count
+    trouble: Text
+    parked: Annotated[list[ParkedStatus], Meta(max_length=4096)]
+
+
+class BundleStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The bundle that a host runs: its digest, its signer ('' if no signature was required), and the time."""
+
+    digest: Hash
+    by: Text = ""
+    at: Moment = 0.0
+
+
+class UnlinkableHost(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """Another host to which no link can be made, and why; `bundle` is the digest of its bundle, b"" if
+    unknown."""
+
+    host: Name
+    reason: Text
+    bundle: Hash = b""
+
+
+class StartStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The coordinators of a host that have not started yet, and what they wait for.
+
+    `hosts` are those with resources that are not linked, or whose vehicles do not report whether they are on
+    the ground; `without` are those that the start does not wait for. `held` is why the start waits for an
+    operator's command, '' if it does not.
+    """
+
+    agents: Annotated[list[Name], Meta(max_length=4096)]
+    hosts: Annotated[list[Name], Meta(max_length=4096)]
+    without: Annotated[list[Name], Meta(max_length=4096)] = []
+    held: Text = ""
+
+
+class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
+    """The snapshot of a host that has been `up` for so many seconds: its agents, devices and links.
+
+    `coordinators` are all that it has records of, `directory` is what it knows of the agents of the team.
+    `late` is the longest delay of its heartbeats to its guards in the last minute, in seconds, and `silence`
+    the permitted silence; both None without devices. `journal` is None for a host without one. `paused`: no
+    agent runs here until the mission is resumed. `lease` is the remaining time in seconds for which
+    coordinators may act, None if they need no lease. `pending_calls` are the calls started here that have not
+    been fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None for a
+    mission from files. `stopped` is why an emergency stop locks its devices, '' for none, and `unkept`
+    describes security state that it could not store and will lose at its end. `refused` are the hosts to
+    which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
+    numbers that orders must name (see `orders`).
+    """
+
+    host: Name
+    address: Text
+    up: Duration
+    program: Hash
+    deployment: Hash
+    agents: Annotated[list[AgentStatus], Meta(max_length=4096)]
+    coordinators: Annotated[list[CoordinatorState], Meta(max_length=4096)]
+    devices: Annotated[list[DeviceStatus], Meta(max_length=4096)]
+    links: Annotated[list[LinkStatus], Meta(max_length=4096)]
+    directory: Annotated[list[DirectoryEntry], Meta(max_length=4096)]
+    late: Duration | None = None
+    silence: Duration | None = None
+    journal: JournalStatus | None = None
+    lease: Duration | None = None
+    paused: bool = False
+    pending_calls: Annotated[list[PendingCallStatus], Meta(max_length=4096)] = []
+    reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
+    bundle: BundleStatus | None = None
+    stopped: Text = ""
+    unkept: Text = ""
+    refused: Annotated[list[UnlinkableHost], Meta(max_length=4096)] = []
+    start: StartStatus | None = None
+    epochs: Epochs = Epochs()
+
+
+class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
+    """From an observer: bring every device of this host into its safe state and lock `release()`.
+
+    With `lift` the lock is removed; the devices stay latched until the program releases them. `id` and
+    `epoch` as in `orders`: an order with the id of an executed one is only confirmed again, and one that
+    names another epoch than the host has is answered by an `EpochChallenge`.
+    """
+
+    id: OrderId
+    reason: Text
+    lift: bool = False
+    epoch: Epoch = UNKNOWN_EPOCH
+
+    @property
+    def kind(self) -> OrderKind:
+        """The kind of this order."""
+        return "lift" if self.lift else "stop"
+
+
+class EmergencyStopResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=11):
+    """The answer: every device of the host, with '' when its safe state is confirmed, else why it is not.
+
+    `trouble` is why the host may not remember the order after a restart, '' if it will (also for a host
+    without a journal, which never does), or that a later order has replaced it. `id` is that of the order,
+    and `epochs` are the present ones of the host.
+    """
+
+    devices: dict[str, Text]
+    trouble: Text = ""
+    id: Annotated[bytes, Meta(max_length=16)] = b""
+    epochs: Epochs = Epochs()
+
+
+class ForgetRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=15):
+    """From an observer: declare a coordinator lost, except starts that are known to be alive."""
+
+    agent: Name
+
+
+class ForgetResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=16):
+    """The answer: the starts that were ended here by the request."""
+
+    starts: Annotated[list[Count], Meta(max_length=4096)]
+
+
+class RecoverRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=17):
+    """From an observer: the holder of a coordinator is permanently lost; recover it here.
+
+    (generation, sequence) is the copy of this host that the operator confirmed, `above` the highest start
+    that any host knows.
+    """
+
+    agent: Name
+    generation: Ordinal
+    sequence: Ordinal
+    above: Ordinal
+
+
+class RecoverResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=18):
+    """The answer: the new start, once it is durable; 0 for a refusal, with the reason."""
+
+    generation: Ordinal
+    reason: Text = ""
+
+
+class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=19):
+    """From an observer: suspend all agents and bring every device into its safe state; with `lift` resume.
+
+    Answered by an EmergencyStopResult once it is stored. `id` and `epoch` as in EmergencyStop.
+    """
+
+    id: OrderId
+    lift: bool = False
+    epoch: Epoch = UNKNOWN_EPOCH
+
+    @property
+    def kind(self) -> OrderKind:
+        """The kind of this order."""
+        return "resume" if self.lift else "pause"
+
+
+class OrderChallenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=46):
+    """The answer to an EmergencyStop or a Pause that names another epoch than the host has: it may be old,
+    and is not executed. To confirm it, the sender repeats it with the present epoch of its kind."""
+
+    id: OrderId
+    epochs: Epochs
+
+
+class StartRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=37):
+    """From an observer: start the coordinators that wait, and do not wait for the hosts in `without`."""
+
+    without: Annotated[list[Name], Meta(max_length=4096)] = []
+
+
+class StartResponse(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=38):
+    """The answer: the coordinators that were `started` by the request, and what others of this host still
+    wait for, None if none waits. `trouble` is why nothing was done, '' if it was."""
+
+    started: Annotated[list[Name], Meta(max_length=4096)]
+    waiting: StartStatus | None = None
+    trouble: Text = ""
+
+
+def with_epoch(order: EmergencyStop | Pause, epochs: Epochs) -> EmergencyStop | Pause:
+    """The order with the epoch of its kind from a host's `epochs`."""
+    return replace(order, epoch=epochs.of(order.kind))

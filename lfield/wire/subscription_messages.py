@@ -1,0 +1,70 @@
+"""The subscription protocol for the events of a host: request, batches, acknowledgements.
+
+The subscriber controls the flow: a host sends at most WINDOW batches beyond the last acknowledged one, so a
+subscriber that stops reading costs its host a bounded number of bytes. Messages as in `messages`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+from lfield.wire.events import Event
+from lfield.wire.fields import Count, Duration, Label, Moment, Ordinal
+from lfield.wire.observer_messages import Status
+
+#: The most events of a batch; their bytes are bounded too (`lfield.host.events`).
+MAX_EVENTS = 1024
+
+#: Maximum telemetry rate for each device and agent, per second.
+MAX_RATE = 20.0
+
+#: The most batches in flight without an acknowledgement.
+WINDOW = 8
+
+
+class Subscribe(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=40):
+    """From an observer: subscribe to events. A second one on a link replaces the first.
+
+    `incarnation` 0: from now on. The present incarnation of the host (its `Hello` has it): all stored states
+    after number `after`. Another one: all stored states of this incarnation. `telemetry` is the maximum rate
+    for each device and agent in 1/s; 0 for never. Answered by `EventBatch`, the first one at once.
+    `once`: the answer is one batch with a snapshot and without events, and no subscription.
+    """
+
+    incarnation: Count = 0
+    after: Ordinal = 0
+    telemetry: Annotated[float, Meta(ge=0.0, le=MAX_RATE)] = 0.0
+    once: bool = False
+
+
+class EventBatch(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=41):
+    """Events: the `batch` counts from 1 since the Subscribe.
+
+    Its states are ordered by number, and begin after number `after`; the host's last one was `latest` when
+    this was sent, at `now` (Unix time) and `up` (seconds of its monotonic clock). `lost` counts by kind the
+    events dropped for this subscriber since the batch before; of states (as 'state') these are the ones whose
+    numbers are missing, from the batch before to `after` and between its states. `snapshot` is the state of
+    the host just after `latest`: in the answer to a request for it `once`, in the first batch for a new
+    subscriber, and in a batch without states before states are lost.
+    """
+
+    incarnation: Count
+    batch: Ordinal
+    now: Moment
+    up: Duration
+    after: Ordinal
+    latest: Ordinal
+    events: Annotated[list[Event], Meta(max_length=MAX_EVENTS)]
+    lost: Annotated[dict[Label, Count], Meta(max_length=64)] = {}
+    snapshot: Status | None = None
+
+
+class EventAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=42):
+    """From an observer: it has processed events up to that batch. At most WINDOW are sent beyond it."""
+
+    batch: Ordinal
+
+
+SubscriptionMessage = Subscribe | EventBatch | EventAck

@@ -1,0 +1,97 @@
+"""Payload of a vehicle: battery, servos, relays, gripper, winch, camera and gimbal.
+
+SI units, radians; charges in mAh.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+#: Amperes: switched on, motors turning, flying.
+IDLE_CURRENT, ARMED_CURRENT, FLYING_CURRENT = 0.5, 2.0, 18.0
+FULL_VOLTS, EMPTY_VOLTS, RESISTANCE = 16.8, 13.2, 0.02
+#: Line of the winch in metres, its default speed, and the rate of the gimbal in rad/s.
+LINE, LINE_SPEED, GIMBAL_RATE = 20.0, 0.5, math.radians(90.0)
+#: Range of the gimbal's pitch and yaw.
+PITCH_RANGE = (math.radians(-90.0), math.radians(30.0))
+YAW_RANGE = (math.radians(-170.0), math.radians(170.0))
+SERVOS, RELAYS = 16, 6
+#: Optional payload; servos and relays are outputs of each autopilot.
+HARDWARE = frozenset({"gripper", "winch", "camera", "gimbal"})
+
+
+@dataclass(slots=True)
+class Battery:
+    """Four cells that drain by the vehicle's activity, and sag under load.
+
+    `charge` is from 0 to 1, `capacity` in mAh, `current` in amperes.
+    """
+
+    charge: float = 1.0
+    capacity: float = 3300.0
+    current: float = IDLE_CURRENT
+
+    @property
+    def volts(self) -> float:
+        """Voltage under the present load."""
+        return EMPTY_VOLTS + (FULL_VOLTS - EMPTY_VOLTS) * self.charge - RESISTANCE * self.current
+
+    @property
+    def used(self) -> float:
+        """Charge drawn since it was full, in mAh."""
+        return (1.0 - self.charge) * self.capacity
+
+    def step(self, dt: float, *, armed: bool, flying: bool, load: float = 1.0) -> None:
+        """Advances time by `dt` seconds; `load` is the draw of a flight relative to still air."""
+        self.current = FLYING_CURRENT * load if flying else ARMED_CURRENT if armed else IDLE_CURRENT
+        self.charge = max(0.0, self.charge - self.current * dt / (self.capacity * 3.6))
+
+
+@dataclass(slots=True)
+class Payload:
+    """The payload; `fitted` are its parts of HARDWARE.
+
+    Servos are in microseconds by number from 1, `line` is the length paid out.
+    """
+
+    fitted: frozenset[str] = HARDWARE
+    servos: dict[int, int] = field(default_factory=lambda: dict.fromkeys(range(1, SERVOS + 1), 0))
+    relays: dict[int, bool] = field(default_factory=lambda: dict.fromkeys(range(RELAYS), False))
+    gripped: bool = False
+    line: float = 0.0
+    line_goal: float = 0.0
+    line_speed: float = 0.0
+    pictures: int = 0
+    pitch: float = 0.0
+    yaw: float = 0.0
+    pitch_goal: float = 0.0
+    yaw_goal: float = 0.0
+
+    def wind_by(self, length: float, speed: float) -> None:
+        """Pays out (positive) or in by a length, within its line."""
+        self.wind_to(self.line + length, speed)
+
+    def wind_to(self, length: float, speed: float) -> None:
+        """Pays out or in until so much line is out."""
+        self.line_goal = min(max(length, 0.0), LINE)
+        self.line_speed = min(abs(speed) or LINE_SPEED, 5.0)
+
+    def wind(self, speed: float) -> None:
+        """Pays out (positive) or in at a speed, to the end of the line; 0 stops."""
+        self.wind_to(self.line if speed == 0.0 else math.copysign(LINE, speed), speed)
+
+    def point(self, pitch: float, yaw: float) -> None:
+        """Turns the gimbal, within its range."""
+        self.pitch_goal = min(max(pitch, PITCH_RANGE[0]), PITCH_RANGE[1])
+        self.yaw_goal = min(max(yaw, YAW_RANGE[0]), YAW_RANGE[1])
+
+    def step(self, dt: float) -> None:
+        """Advances time by `dt` seconds."""
+        self.line = _towards(self.line, self.line_goal, self.line_speed * dt)
+        self.pitch = _towards(self.pitch, self.pitch_goal, GIMBAL_RATE * dt)
+        self.yaw = _towards(self.yaw, self.yaw_goal, GIMBAL_RATE * dt)
+
+
+def _towards(value: float, goal: float, change: float) -> float:
+    return value + max(-change, min(change, goal - value))

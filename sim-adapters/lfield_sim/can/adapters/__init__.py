@@ -1,0 +1,1 @@
+"""Client access to the bus: socketcand over TCP, and slcan adapters on ptys."""

@@ -1,0 +1,147 @@
+"""Devices of the command line and of bindings, and their models."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence, Set
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from lfield.driver.binding import DeviceBinding, OptionValue
+from lfield.errors import PluginError, UsageError
+from lfield_sim.can.bus_world import BusDevice
+from lfield_sim.can.can_bus import FaultLookup
+from lfield_sim.can.can_motor import CanMotorData
+from lfield_sim.can.cia402.cia402_device import Cia402Device
+from lfield_sim.can.cia402.cia402_table import INCREMENTS
+from lfield_sim.can.odrive.odrive_node import OdriveNode
+from lfield_sim.faults import Faults
+
+_MOTOR = {field.name for field in fields(CanMotorData)} - {"brake"}
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceSpec:
+    """`KIND:PLACE[:NAME][,KEY=VALUE...]`: a node id or a DBC file, and the name of its binding."""
+
+    kind: str
+    place: str
+    name: str
+    options: Mapping[str, str]
+
+    @property
+    def id(self) -> str:
+        """Its name in faults."""
+        return Path(self.place).stem if self.kind == "dbc" else self.place
+
+
+def parse(text: str) -> DeviceSpec:
+    """Parses a device of the command line. Raises UsageError."""
+    head, *pairs = text.split(",")
+    kind, _, rest = head.partition(":")
+    place, _, name = rest.partition(":")
+    options = dict(pair.partition("=")[::2] for pair in pairs)
+    if kind not in _KINDS or not place or not all(options.values()):
+        raise UsageError(
+            f"'{text}' is not a device; write cia402:NODE[:NAME], odrive:NODE[:NAME] or dbc:FILE[:NAME], "
+            "with ,KEY=VALUE for other properties"
+        )
+    return DeviceSpec(kind, place, name, options)
+
+
+def spec_of(binding: DeviceBinding) -> str:
+    """The command-line text of a binding's device. Raises UsageError."""
+    if binding.options.get("velocity_unit", "counts") != "counts":
+        raise UsageError(f"{binding.name}: the fake drive supports velocities in counts per second only")
+    if binding.type == "CanSignals":
+        text = f"dbc:{binding.option('dbc')}:{binding.name}"
+        if commands := binding.options.get("commands"):
+            text += f",commands={'+'.join(map(str, _listed(commands)))}"
+    else:
+        text = f"{binding.option('protocol')}:{binding.option('node')}:{binding.name}"
+        if counts := binding.options.get("counts"):
+            text += f",counts={counts}"
+    parse(text)
+    return text
+
+
+def _listed(value: OptionValue) -> list[int | str]:
+    return value if isinstance(value, list) else [str(value)]
+
+
+def build(specs: Sequence[DeviceSpec], faults: Faults) -> list[BusDevice]:
+    """Creates the models. Raises UsageError."""
+    if len({spec.id for spec in specs}) < len(specs):
+        raise UsageError("two devices have the same node id or name; give each its own")
+    return [_KINDS[spec.kind](spec, partial(faults.get, device=spec.id)) for spec in specs]
+
+
+def _drive(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
+    turn = round(number(spec, "counts")) if "counts" in spec.options else INCREMENTS
+    motor = CanMotorData(brake=bool(_choice(spec, "brake", ("no", "yes"))))
+    return Cia402Device(_node(spec, 1, 127), flaw, _motor(spec, motor, {"counts", "brake"}), turn)
+
+
+def _node(spec: DeviceSpec, lowest: int, highest: int) -> int:
+    if not spec.place.isdecimal() or not lowest <= int(spec.place) <= highest:
+        raise UsageError(f"'{spec.place}' is not a node id of {spec.kind}; it is from {lowest} to {highest}")
+    return int(spec.place)
+
+
+def _motor(spec: DeviceSpec, data: CanMotorData, others: Set[str] = frozenset()) -> CanMotorData:
+    """The motor with modified data, such as `load=0.5`; `others` are not the motor's."""
+    check_options(spec, _MOTOR | others)
+    changed: dict[str, Any] = {key: number(spec, key) for key in _MOTOR & spec.options.keys()}
+    return replace(data, **changed)
+
+
+def check_options(spec: DeviceSpec, known: Set[str]) -> None:
+    """Refuses an unknown option of a device. Raises UsageError."""
+    for key in spec.options:
+        if key not in known:
+            raise UsageError(f"{spec.kind} has no '{key}'; it has: {', '.join(sorted(known))}")
+
+
+def number(spec: DeviceSpec, key: str) -> float:
+    """A positive number among the options (a load may be negative). Raises UsageError."""
+    try:
+        value = float(spec.options[key])
+    except ValueError:
+        value = float("nan")
+    if not (1e-9 < value < 1e9 or (key == "load" and abs(value) < 1e9)):
+        raise UsageError(f"{key} of {spec.kind} must be a number above 0, not '{spec.options[key]}'")
+    return value
+
+
+def _choice(spec: DeviceSpec, key: str, choices: Sequence[str]) -> int:
+    """The index of an option's word, the first by default. Raises UsageError."""
+    word = spec.options.get(key, choices[0])
+    if word not in choices:
+        raise UsageError(f"{key} of {spec.kind} must be one of {', '.join(choices)}, not '{word}'")
+    return choices.index(word)
+
+
+def _odrive(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
+    watchdog = number(spec, "watchdog") if "watchdog" in spec.options else 0.0
+    data = _motor(spec, CanMotorData(), {"watchdog"})
+    return OdriveNode(_node(spec, 0, 63), flaw, data, watchdog=watchdog)
+
+
+def _dbc(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:
+    try:
+        from lfield_sim.can.dbc_device import DbcDevice, load
+    except ImportError:
+        raise PluginError("a device by DBC file needs cantools: pip install 'lfield[can]'") from None
+    texts = ("node", "commands", "command", "status")
+    check_options(spec, {*texts, "lag", "timeout"})
+    data = load(spec.place, **{key: spec.options.get(key, "") for key in texts})
+    times: dict[str, Any] = {key: number(spec, key) for key in ("lag", "timeout") if key in spec.options}
+    return DbcDevice(spec.id, flaw, replace(data, **times))
+
+
+_KINDS: Mapping[str, Callable[[DeviceSpec, FaultLookup], BusDevice]] = {
+    "cia402": _drive,
+    "odrive": _odrive,
+    "dbc": _dbc,
+}

@@ -1,0 +1,185 @@
+"""Payload commands by number, also used by missions.
+
+Missing payload is refused as by the real ones: ArduPilot reports a failure, PX4 does not answer.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import Any
+
+from pymavlink.dialects.v20 import all as dialect
+
+from lfield_sim.autopilot.autopilot import Autopilot
+from lfield_sim.autopilot.flavours import MavResult
+from lfield_sim.mavlink.geo import GeoOrigin
+from lfield_sim.mavlink.mav_command import CommandAnswer, DelayedResult, MavCommand
+from lfield_sim.mavlink.services.service import VehicleService
+from lfield_sim.mavlink.telemetry.equipment_messages import (
+    camera_feedback,
+    camera_image_captured,
+    gimbal_manager_information,
+)
+
+#: Accepted pulses of a servo in microseconds.
+PULSES = range(0, 3001)
+#: Seconds of PX4 for a gripper, fitted or not: there is no sensor.
+GRIPPING = 1.06
+
+
+class EquipmentCommands(VehicleService):
+    """Payload commands of one vehicle."""
+
+    def __init__(self, autopilot: Autopilot, place: GeoOrigin) -> None:
+        super().__init__(autopilot, place)
+        self.commands = {number: partial(self._carry_out, number) for number in EQUIPMENT}
+        self.requests = {
+            dialect.MAVLINK_MSG_ID_CAMERA_INFORMATION: self._no_information,
+            dialect.MAVLINK_MSG_ID_GIMBAL_MANAGER_INFORMATION: self._gimbal_information,
+        }
+
+    def _carry_out(self, number: int, command: MavCommand) -> CommandAnswer:
+        pilot, hardware = self.autopilot, HARDWARE_OF.get(number)
+        px4 = pilot.flavour.submodes
+        if px4 and number in NOT_OF_PX4:
+            return NOT_OF_PX4[number], []
+        if hardware is not None and hardware not in pilot.payload.fitted:
+            return self._miss(number, px4=px4)
+        if number == dialect.MAV_CMD_DO_SET_ACTUATOR and not px4:
+            return MavResult.UNSUPPORTED, []
+        result, messages = EQUIPMENT[number](pilot, self.place, command)
+        if px4 and number == dialect.MAV_CMD_DO_GRIPPER and result is MavResult.ACCEPTED:
+            return DelayedResult(MavResult.ACCEPTED, GRIPPING, progress=True), messages
+        return result, messages
+
+    def _no_information(self) -> list[Any] | None:
+        """ArduPilot accepts the request and sends nothing."""
+        return None if self.autopilot.flavour.submodes else []
+
+    def _gimbal_information(self) -> list[Any] | None:
+        if "gimbal" not in self.autopilot.payload.fitted:
+            return self._no_information()
+        return [gimbal_manager_information(self.autopilot, self.place)]
+
+    def _miss(self, number: int, *, px4: bool) -> CommandAnswer:
+        """The result of a command for missing payload."""
+        if number == dialect.MAV_CMD_DO_WINCH and not self.autopilot.flies and not px4:
+            return MavResult.UNSUPPORTED, []
+        if number == dialect.MAV_CMD_DO_DIGICAM_CONTROL and not px4:
+            return MavResult.ACCEPTED, []
+        if not px4:
+            return MavResult.FAILED, []
+        if number == dialect.MAV_CMD_DO_GRIPPER:
+            return DelayedResult(MavResult.ACCEPTED, GRIPPING, progress=True), []
+        return (MavResult.UNSUPPORTED if number == dialect.MAV_CMD_IMAGE_START_CAPTURE else None), []
+
+
+def _servo(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    number, pulse = command.whole(1), command.whole(2)
+    if number not in pilot.payload.servos or pulse not in PULSES:
+        return MavResult.FAILED, []
+    pilot.payload.servos[number] = pulse
+    return MavResult.ACCEPTED, []
+
+
+def _actuators(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    """PX4's actuators: six outputs from -1 to 1, NaN keeps one; 1000 to 2000 us."""
+    for number in range(1, 7):
+        value = command.given(number)
+        if value is not None and -1.0 <= value <= 1.0:
+            pilot.payload.servos[number] = round(1500 + 500 * value)
+    return MavResult.ACCEPTED, []
+
+
+def _relay(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    number, state = command.whole(1), command.whole(2)
+    if number not in pilot.payload.relays or state not in (0, 1):
+        return MavResult.FAILED, []
+    pilot.payload.relays[number] = bool(state)
+    return MavResult.ACCEPTED, []
+
+
+def _gripper(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    action = command.whole(2)
+    if action not in (dialect.GRIPPER_ACTION_RELEASE, dialect.GRIPPER_ACTION_GRAB):
+        return MavResult.FAILED, []
+    pilot.payload.gripped = action == dialect.GRIPPER_ACTION_GRAB
+    pilot.say("Gripper load grabbed" if pilot.payload.gripped else "Gripper load released")
+    return MavResult.ACCEPTED, []
+
+
+def _winch(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    action, length, rate = command.whole(2), command.given(3), command.given(4) or 0.0
+    if action == dialect.WINCH_RELAXED:
+        pilot.payload.wind(0.0)
+    elif action == dialect.WINCH_RELATIVE_LENGTH_CONTROL and length is not None:
+        pilot.payload.wind_by(length, rate)
+    elif action == dialect.WINCH_RATE_CONTROL:
+        pilot.payload.wind(rate)
+    else:
+        return MavResult.FAILED, []
+    return MavResult.ACCEPTED, []
+
+
+def _digicam(pilot: Autopilot, place: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    if command.whole(5) != 1:
+        return MavResult.ACCEPTED, []
+    pilot.payload.pictures += 1
+    return MavResult.ACCEPTED, [camera_feedback(pilot, place)]
+
+
+def _capture(pilot: Autopilot, place: GeoOrigin, _: MavCommand) -> CommandAnswer:
+    pilot.payload.pictures += 1
+    return MavResult.ACCEPTED, [camera_image_captured(pilot, place)]
+
+
+def _gimbal(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    """Angles in degrees; NaN keeps one. Rates are not supported."""
+    return _point(pilot, command.given(1), command.given(2))
+
+
+def _mount(pilot: Autopilot, _: GeoOrigin, command: MavCommand) -> CommandAnswer:
+    if command.whole(7) != dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING:
+        return MavResult.DENIED, []
+    return _point(pilot, command.given(1), command.given(3))
+
+
+def _point(pilot: Autopilot, pitch: float | None, yaw: float | None) -> CommandAnswer:
+    payload = pilot.payload
+    payload.point(
+        payload.pitch_goal if pitch is None else math.radians(pitch),
+        payload.yaw_goal if yaw is None else math.radians(yaw),
+    )
+    return MavResult.ACCEPTED, []
+
+
+EQUIPMENT: Mapping[int, Callable[[Autopilot, GeoOrigin, MavCommand], CommandAnswer]] = {
+    dialect.MAV_CMD_DO_SET_RELAY: _relay,
+    dialect.MAV_CMD_DO_SET_SERVO: _servo,
+    dialect.MAV_CMD_DO_SET_ACTUATOR: _actuators,
+    dialect.MAV_CMD_DO_DIGICAM_CONTROL: _digicam,
+    dialect.MAV_CMD_DO_MOUNT_CONTROL: _mount,
+    dialect.MAV_CMD_DO_GRIPPER: _gripper,
+    dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: _gimbal,
+    dialect.MAV_CMD_IMAGE_START_CAPTURE: _capture,
+    dialect.MAV_CMD_DO_WINCH: _winch,
+}
+#: Payload required by a command; servos and relays need none.
+HARDWARE_OF: Mapping[int, str] = {
+    dialect.MAV_CMD_DO_DIGICAM_CONTROL: "camera",
+    dialect.MAV_CMD_IMAGE_START_CAPTURE: "camera",
+    dialect.MAV_CMD_DO_MOUNT_CONTROL: "gimbal",
+    dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: "gimbal",
+    dialect.MAV_CMD_DO_GRIPPER: "gripper",
+    dialect.MAV_CMD_DO_WINCH: "winch",
+}
+#: PX4's results for ArduPilot's commands: it refuses outputs by number, and does not answer for winch and old
+#: mount.
+NOT_OF_PX4: Mapping[int, MavResult | None] = {
+    dialect.MAV_CMD_DO_SET_RELAY: MavResult.UNSUPPORTED,
+    dialect.MAV_CMD_DO_SET_SERVO: MavResult.UNSUPPORTED,
+    dialect.MAV_CMD_DO_MOUNT_CONTROL: None,
+    dialect.MAV_CMD_DO_WINCH: None,
+}

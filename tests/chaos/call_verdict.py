@@ -1,0 +1,87 @@
+"""Judges what was printed: which calls were served, which may have been, and which missions are complete."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+#: In the message of the exception, where a majority went on with a coordinator whose host was not heard of.
+RECOVERED = "was recovered on"
+
+
+@dataclass
+class CallVerdict:
+    """One round. `walkers` are those that were begun, each with how many numbers it is to have stamped.
+
+    A walker goes by another number, its life, since it was told that a call may have been made. A walker that
+    was *recovered* goes on from an earlier state, and is told so: what it repeats from there is no breach.
+    """
+
+    walkers: Mapping[str, int]
+    served: Counter[tuple[str, int]] = field(default_factory=Counter)
+    #: Those of them that nobody may serve again.
+    final: set[tuple[str, int]] = field(default_factory=set)
+    twice: list[tuple[str, int]] = field(default_factory=list)
+    #: Calls that began for a walker after a later life of it was heard of.
+    outdated: list[tuple[str, int]] = field(default_factory=list)
+    perhaps: set[tuple[str, int]] = field(default_factory=set)
+    walked: Counter[str] = field(default_factory=Counter)
+    #: Calls that were made again after a recovery, knowingly.
+    repeated: int = 0
+    #: For each recovery, the seconds from the last that a post had heard of the walker.
+    recoveries: list[float] = field(default_factory=list)
+    #: The host that each walker was last served on.
+    where: dict[str, str] = field(default_factory=dict)
+    tracebacks: int = 0
+    _lives: dict[str, list[int]] = field(default_factory=dict)
+    _last: dict[str, float] = field(default_factory=dict)
+
+    def on_line(self, line: str, host: str = "", now: float = 0.0) -> None:
+        """A line of a host, at a time in seconds."""
+        self.tracebacks += line.startswith("Traceback ")
+        match line.split(maxsplit=4):
+            case ["stamped", who, life, number]:
+                self.where[who], self._last[who] = host, now
+                self._stamped((who, int(number)), int(life))
+            case [who, "perhaps", number, life, why]:
+                self._on_exception(who.rstrip(":"), int(number), int(life), why, now)
+            case [who, "walked", _]:
+                self.walked[who.rstrip(":")] += 1
+
+    def _stamped(self, call: tuple[str, int], life: int) -> None:
+        if self._lives.setdefault(call[0], [life])[-1] != life:
+            self.outdated.append(call)
+        if call in self.final:
+            self.twice.append(call)
+        self.repeated += call in self.served and call not in self.final
+        self.served[call] += 1
+        self.final.add(call)
+
+    def _on_exception(self, who: str, number: int, life: int, why: str, now: float) -> None:
+        self.perhaps.add((who, number))
+        self._lives.setdefault(who, []).append(life)
+        if RECOVERED in why:
+            self.recoveries.append(now - self._last.get(who, now))
+            self.final = {call for call in self.final if call[0] != who or call[1] <= number}
+
+    @property
+    def under_way(self) -> bool:
+        """Whether all have had a number stamped."""
+        return self.walkers.keys() <= {who for who, _ in self.served}
+
+    @property
+    def complete(self) -> bool:
+        """Whether all have come to their ends."""
+        return self.walkers.keys() <= self.walked.keys()
+
+    @property
+    def skipped(self) -> list[tuple[str, int]]:
+        """The calls that nobody served, although whoever made them went on without being told."""
+        known = self.served.keys() | self.perhaps
+        found = []
+        for who, numbers in self.walkers.items():
+            seen = [number for name, number in known if name == who]
+            end = numbers if who in self.walked else max(seen, default=-1)
+            found += [(who, number) for number in range(end) if (who, number) not in known]
+        return found

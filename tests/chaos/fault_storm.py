@@ -1,0 +1,122 @@
+"""Draws faults from a seed and lets them happen to a team: each heals after a while, and all at the end."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+
+from host_process import HostProcess
+from link_proxy import LinkProxy
+from small_disk import Disk
+
+#: Seconds between two faults, and for how long each lasts.
+BETWEEN, LASTS = (0.3, 2.5), (0.1, 4.0)
+#: How long others are so long that somebody goes on without that host.
+LONG = (4.0, 12.0)
+#: How often each kind is drawn.
+SHORT_KINDS = {"kill": 6, "kill all": 1, "stop": 3, "cut": 4, "silent": 2, "full disk": 2}
+LONG_KINDS = {"kill for good": 2, "stop the holder": 2, "cut off": 2}
+KINDS = {**SHORT_KINDS, **LONG_KINDS}
+
+
+class FaultStorm:
+    """Faults on these hosts, their disks, and the links of each pair.
+
+    `holder` is the host that has a coordinator that others may go on with; -1 while nobody knows.
+    """
+
+    def __init__(
+        self,
+        rng: random.Random,
+        hosts: Sequence[HostProcess],
+        disks: Sequence[Disk],
+        links: Mapping[tuple[int, int], LinkProxy],
+        holder: Callable[[], int],
+    ) -> None:
+        self._rng, self._hosts, self._disks, self._links = rng, hosts, disks, links
+        self._holder = holder
+        self.faults: Counter[str] = Counter()
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    async def run(self) -> None:
+        """One fault after the other, until this is cancelled."""
+        while True:
+            await asyncio.sleep(self._rng.uniform(*BETWEEN))
+            kind = self._rng.choices(list(KINDS), list(KINDS.values()))[0]
+            first, second = self._rng.sample(range(len(self._hosts)), 2)
+            seconds = self._rng.uniform(*(LONG if kind in LONG_KINDS else LASTS))
+            if kind in LONG_KINDS:
+                first = max(self._holder(), 0)
+            fault = self._happen(kind, first, second, seconds)
+            task = asyncio.ensure_future(fault)
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+
+    async def heal(self) -> None:
+        """Everything works again."""
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        for link in self._links.values():
+            link.heal()
+        for disk in self._disks:
+            disk.free()
+        for host in self._hosts:
+            host.go_on()
+            host.start()
+
+    async def _happen(self, kind: str, first: int, second: int, seconds: float) -> None:
+        match kind:
+            case "kill":
+                await self._kill([self._hosts[first]], seconds / 2)
+            case "kill all":
+                await self._kill(self._hosts, seconds / 2)
+            case "stop":
+                await self._stop(self._hosts[first], kind, seconds)
+            case "kill for good":
+                await self._kill([self._hosts[first]], seconds, kind)
+            case "stop the holder":
+                await self._stop(self._hosts[first], kind, seconds)
+            case "cut off":
+                theirs = [link for pair, link in self._links.items() if first in pair]
+                await self._sever(theirs, kind, seconds)
+            case "full disk":
+                await self._fill(self._disks[first], seconds)
+            case "cut" | "silent":
+                both = [self._links[first, second], self._links[second, first]]
+                await self._sever(both, f"link {kind}", seconds)
+
+    async def _kill(self, hosts: Sequence[HostProcess], seconds: float, kind: str = "kill") -> None:
+        killed = [host for host in hosts if host.runs]
+        self.faults[kind] += len(killed)
+        await asyncio.gather(*(host.kill() for host in killed))
+        await asyncio.sleep(seconds)
+        for host in killed:
+            host.start()
+
+    async def _stop(self, host: HostProcess, kind: str, seconds: float) -> None:
+        if host.runs:
+            self.faults[kind] += 1
+            host.stop()
+            await asyncio.sleep(seconds)
+            host.go_on()
+
+    async def _fill(self, disk: Disk, seconds: float) -> None:
+        if disk.can_be_full:
+            self.faults["full disk"] += 1
+            disk.fill()
+            await asyncio.sleep(seconds)
+            disk.free()
+
+    async def _sever(self, links: Sequence[LinkProxy], kind: str, seconds: float) -> None:
+        self.faults[kind] += 1
+        for link in links:
+            if kind == "link silent":
+                link.silence()
+            else:
+                link.cut()
+        await asyncio.sleep(seconds)
+        for link in links:
+            link.heal()

@@ -1,0 +1,82 @@
+"""`lfield check --json`: one object for each finding, with its range."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from lfield.cli.main import main
+
+PROGRAM = """resource Arm {
+    init(string[] arg) { }
+    private int f() {
+        if (x > 0) return 1;
+    }
+}
+"""
+
+
+def findings(capsys: pytest.CaptureFixture[str], *files: Path) -> tuple[int, list[dict[str, object]]]:
+    status = main(["check", "--json", *map(str, files)])
+    out, err = capsys.readouterr()
+    assert err == ""
+    return status, json.loads(out)
+
+
+def test_a_finding_has_its_range(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program, deployment = tmp_path / "m.L", tmp_path / "m.dL"
+    program.write_text(PROGRAM)
+    deployment.write_text("//Arm:a\x1b[31mb@here\n")
+    status, found = findings(capsys, program, deployment)
+    assert status == 65
+    assert found == [
+        {
+            "file": str(program),
+            "range": {"start": {"line": 4, "column": 13}, "end": {"line": 4, "column": 14}},
+            "severity": "error",
+            "code": "L301",
+            "message": "there is no variable 'x' here",
+            "hint": "declare it first: int x;",
+        },
+        {
+            "file": str(deployment),
+            "range": {"start": {"line": 1, "column": 7}, "end": {"line": 1, "column": 14}},
+            "severity": "error",
+            "code": "L704",
+            "message": "the id 'a\x1b[31mb' is not valid",
+            "hint": "an id consists of letters, digits, '.', '_' and '-'",
+        },
+    ]
+
+
+def test_what_is_sound_gives_an_empty_array(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program = tmp_path / "m.L"
+    program.write_text("resource Arm { init(string[] arg) { } }\n")
+    assert findings(capsys, program) == (0, [])
+
+
+def test_a_warning_is_no_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    program = tmp_path / "m.L"
+    program.write_text(PROGRAM.replace("x > 0", "f() > 0"))
+    status, (found,) = findings(capsys, program)
+    assert (status, found["severity"], found["code"]) == (0, "warning", "L901")
+
+
+def test_devices_have_their_range_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "m.L").write_text("resource Arm { init(string[] arg) { } }\n")
+    (tmp_path / "m.dL").write_text("//Arm:arm@here\n")
+    (tmp_path / "m.devices.yaml").write_text("agents:\n  arm:\n    heep: 3\n")
+    status, (found,) = findings(capsys, tmp_path / "m.dL")
+    assert (status, found["severity"]) == (65, "error")
+    assert found["file"] == str(tmp_path / "m.devices.yaml")
+    assert isinstance(found["range"], dict)
+    assert found["range"]["start"]["line"] == 3
+
+
+def test_a_terminal_obeys_nothing_of_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    deployment = tmp_path / "m.dL"
+    deployment.write_text("//Arm:a\x1b[31mb@here\n")
+    assert main(["check", str(deployment)]) == 65
+    assert "\x1b" not in capsys.readouterr().err

@@ -1,0 +1,240 @@
+"""The table of exit statuses is true: each command ends with those that it has there, and says a sentence."""
+
+from __future__ import annotations
+
+import re
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lfield import errors, exit_status
+from lfield.cli.main import COMMANDS
+
+pytestmark = pytest.mark.process
+
+TABLE = (Path(__file__).parents[3] / "lfield/docs/exit-statuses.md").read_text(encoding="utf-8")
+
+GOOD = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
+DEPLOYMENT = "//Bell:bell@alpha\n"
+FLIES = "resource Sky { Mavlink fc; init(string[] arg) { } }\n"
+
+#: Command lines by command and status, with words of what is said.
+REACHED: dict[tuple[str, int], tuple[str, str]] = {
+    ("check", 65): ("check latin.L", "latin.L:1:4: error["),
+    ("check", 66): ("check none.L", "cannot read none.L"),
+    ("build", 65): ("build latin.dL", "latin.L:1:4: error["),
+    ("build", 66): ("build mission.dL --devices none.yaml", "cannot read none.yaml"),
+    ("build", 73): ("build mission.dL -o none/x.lfm", "cannot write none/x.lfm"),
+    ("keys", 65): ("keys list --authority none", "none has no authority"),
+    ("keys", 69): ("keys show .", "there are none"),
+    ("keys", 73): ("keys init mission.L", "cannot write mission.L: it is not a folder"),
+    ("sign", 65): ("sign latin.lfm", "not a sound bundle"),
+    ("sign", 66): ("sign none.lfm", "cannot read none.lfm"),
+    ("disasm", 65): ("disasm latin.lb", "not a sound L program"),
+    ("disasm", 66): ("disasm none.lb", "cannot read none.lb"),
+    ("inspect", 65): ("inspect latin.block", "not a sound block"),
+    ("inspect", 66): ("inspect none.block", "cannot read none.block"),
+    ("up", 65): ("up mission.dL --devices latin.yaml --host alpha", "latin.yaml:1:4: error["),
+    ("up", 66): ("up none.lfm --host alpha", "cannot read none.lfm"),
+    ("up", 69): ("up mission.dL --host alpha --map alpha=no.such.host.invalid:1", "cannot use no.such.host"),
+    ("up", 73): ("up mission.dL --all --dump mission.L", "cannot write mission.L: it is not a folder"),
+    ("events", 65): ("events latin.lfm", "not a sound bundle"),
+    ("events", 66): ("events none.dL", "cannot read none.dL"),
+    ("events", 69): ("events mission.dL --map alpha=127.0.0.1:1 --no-follow", "no program listens there"),
+    ("logs", 65): ("logs latin.lfm", "not a sound bundle"),
+    ("logs", 66): ("logs none.dL", "cannot read none.dL"),
+    ("logs", 69): ("logs", "no mission is running"),
+    ("watch", 65): ("watch latin.lfm", "not a sound bundle"),
+    ("watch", 66): ("watch mission.dL --tiles none.mbtiles", "none.mbtiles"),
+    ("ps", 65): ("ps latin.lfm", "not a sound bundle"),
+    ("ps", 66): ("ps none.lfm", "cannot read none.lfm"),
+    ("ps", 69): ("ps mission.dL --map alpha=127.0.0.1:1", "mission.dL is not running"),
+    ("query", 1): ("query Lift mission.dL --files", "from the files"),
+    ("query", 65): ("query Lift mission.dL --capabilities latin.yaml", "latin.yaml:1:4: error["),
+    ("query", 66): ("query Lift mission.dL --capabilities none.yaml", "cannot read none.yaml"),
+    ("query", 69): ("query Lift", "no mission is running"),
+    ("capabilities", 65): ("capabilities check latin.yaml", "latin.yaml:1:4: error["),
+    ("capabilities", 66): ("capabilities check none.yaml", "cannot read none.yaml"),
+    ("estop", 65): ("estop latin.dL", "latin.dL:1:4: error["),
+    ("estop", 66): ("estop none.dL", "cannot read none."),
+    ("estop", 69): ("estop", "no mission is running"),
+    ("pause", 65): ("pause latin.dL", "latin.dL:1:4: error["),
+    ("pause", 66): ("pause none.dL", "cannot read none."),
+    ("pause", 69): ("pause", "no mission is running"),
+    ("resume", 65): ("resume latin.dL", "latin.dL:1:4: error["),
+    ("resume", 66): ("resume none.dL", "cannot read none."),
+    ("resume", 69): ("resume", "no mission is running"),
+    ("forget", 65): ("forget tom latin.dL", "latin.dL:1:4: error["),
+    ("forget", 66): ("forget tom none.dL", "cannot read none."),
+    ("forget", 69): ("forget tom", "no mission is running"),
+    ("recover", 65): ("recover tom latin.dL", "latin.dL:1:4: error["),
+    ("recover", 66): ("recover tom none.dL", "cannot read none."),
+    ("recover", 69): ("recover tom", "no mission is running"),
+    ("start", 65): ("start latin.dL", "latin.dL:1:4: error["),
+    ("start", 66): ("start none.dL", "cannot read none."),
+    ("start", 69): ("start", "no mission is running"),
+    ("doctor", 65): ("doctor --deploy latin.lfm", "not a sound bundle"),
+    ("doctor", 66): ("doctor --deploy none.lfm", "cannot read none.lfm"),
+    ("doctor", 69): ("doctor --deploy sky.dL --devices sky.yaml", "cannot open"),
+    ("setup", 65): ("setup --deploy latin.lfm", "not a sound bundle"),
+    ("setup", 66): ("setup --deploy none.lfm", "cannot read none.lfm"),
+    ("setup", 69): ("setup --deploy sky.dL --devices sky.yaml", "cannot open"),
+    ("driver", 73): ("driver new lamp --into mission.L/lamp", "cannot write mission.L/lamp"),
+    ("kit", 65): ("kit mavlink --devices latin.yaml", "latin.yaml:1:4: error["),
+    ("kit", 66): ("kit mavlink --devices none.yaml", "cannot read none.yaml"),
+    ("kit", 69): ("kit mavlink --endpoint serial:none:57600", "none"),
+    ("sim", 65): ("sim can --device dbc:latin.L", "latin.L cannot be read as a DBC file"),
+    ("sim", 66): ("sim can --device dbc:none.dbc", "cannot read none.dbc"),
+    ("sim", 69): ("sim mavlink --listen udp:192.0.2.1:14550", "cannot use"),
+    ("sim", 73): ("sim mavlink --listen udp:127.0.0.1:0 --log none/x", "cannot write none/x"),
+}
+#: Where the others are tried.
+ELSEWHERE: dict[tuple[str, int], str] = {
+    ("sign", 73): "development/test_keys_commands.py",
+    ("test", 1): "../testing/test_pytest_plugin.py",
+    ("test", 66): "../testing/test_pytest_plugin.py",
+    ("test", 69): "../testing/test_pytest_plugin.py",
+    ("up", 1): "run/test_up_life_and_death.py",
+    ("up", 3): "stops",
+    ("up", 4): "run/test_up_life_and_death.py",
+    ("up", 76): "run",
+    ("estop", 3): "operations",
+    ("pause", 3): "operations/test_pause_command.py",
+    ("recover", 1): "operations/test_recover_command.py",
+    ("start", 1): "stops/test_start_command.py",
+    ("watch", 69): "watch/test_watch.py",
+    ("setup", 1): "device/test_setup_command.py",
+    ("setup", 73): "device/test_setup_command.py",
+    ("kit", 1): "device/test_kit_command.py",
+    ("kit", 3): "device/test_kit_command.py",
+}
+
+
+def documented() -> set[tuple[str, int]]:
+    """Commands and statuses as the table has them."""
+    rows = re.findall(r"^\| `(\w+)` \| ([0-9 ]+) \|", TABLE, re.MULTILINE)
+    return {(name, int(status)) for name, statuses in rows for status in statuses.split()}
+
+
+def test_every_command_is_in_the_table_and_every_status_of_the_table_is_tried() -> None:
+    assert {name for name, _ in documented()} == set(COMMANDS)
+    assert documented() == REACHED.keys() | ELSEWHERE.keys()
+    for place in ELSEWHERE.values():
+        assert (Path(__file__).parents[1] / place).exists(), place
+
+
+def test_the_meanings_of_the_table_are_those_of_the_code() -> None:
+    rows = re.findall(r"^\| (\d+) \| `(\w+)` \| (.*) \|$", TABLE, re.MULTILINE)
+    assert {int(status): words for status, _, words in rows} == dict(exit_status.MEANINGS)
+    assert all(getattr(exit_status, constant) == int(status) for status, constant, _ in rows)
+
+
+def test_every_exception_has_a_status_of_the_table() -> None:
+    kinds = [
+        kind for kind in vars(errors).values() if isinstance(kind, type) and hasattr(kind, "exit_status")
+    ]
+    assert {kind.exit_status for kind in kinds} <= exit_status.MEANINGS.keys()
+
+
+@pytest.fixture
+def files(lfield):
+    """Good files, and files of every kind with a byte that is no UTF-8."""
+    # Only a host that has keys listens anywhere.
+    lfield.keys.give("alpha")
+    lfield.mission(GOOD, DEPLOYMENT)
+    lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
+    bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:none:57600'}}}}\n"
+    lfield.write("sky.yaml", bound)
+    for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
+        lfield.write(f"latin.{ending}", b"abc\xe9")
+    return lfield
+
+
+@pytest.mark.few(30)
+@pytest.mark.parametrize(("command", "status"), REACHED)
+def test_it_ends_with_it(files, here, command: str, status: int) -> None:
+    line, words = REACHED[command, status]
+    done = here(*line.split())
+    assert done.status == status, done.err
+    assert words in "\n".join([*done.err, *done.out])
+
+
+@pytest.mark.parametrize(
+    "command", ["check mission.L", "check mission.dL", "build mission.dL", "up mission.dL --all"]
+)
+def test_a_missions_registry_is_read_also_when_its_program_asks_for_nothing(files, here, command) -> None:
+    files.write("mission.capabilities.yaml", b"abc\xe9")
+    done = here(*command.split())
+    assert (done.status, done.err[0].split(" ")[0]) == (65, "mission.capabilities.yaml:1:4:")
+
+
+def test_a_registry_that_is_named_is_not_passed_over(files, here) -> None:
+    assert here("build", "mission.dL", "--capabilities", "none.yaml").status == 66
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("streams", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
+def test_a_stream_that_is_closed_is_no_bug(files, streams: str) -> None:
+    line = f"{sys.executable} -m lfield check mission.L none.L {streams}"
+    assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 66
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("command", ["--help", "disasm mission.L", "driver list"])
+@pytest.mark.parametrize("stream", [">&-", ">/dev/full"])
+def test_what_is_printed_and_finds_no_room_is_a_failure(files, command: str, stream: str) -> None:
+    line = f"{sys.executable} -m lfield {command} {stream}"
+    assert subprocess.run(["bash", "-c", line], cwd=files.folder, check=False).returncode == 74
+
+
+#: Presses Ctrl-C itself, while a module is being imported by a command, or by Python as it ends.
+INTERRUPTED = """
+import atexit, os, signal, sys
+def press():
+    os.kill(os.getpid(), signal.SIGINT)
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "{module}":
+            press()
+sys.meta_path.insert(0, Finder())
+if "{module}" == "the end":
+    atexit.register(press)
+from lfield.__main__ import main
+sys.exit(main())
+"""
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize(
+    ("module", "command"),
+    [
+        ("lfield.cli", "check mission.L"),
+        ("argparse", "check mission.L"),
+        ("lfield.cli.development.check", "check mission.L"),
+        ("lfield.mission.loader", "check mission.L"),
+        ("lfield.host.host", "up mission.dL --all"),
+        ("lfield.cli.run.up_all", "up mission.dL --all"),
+        ("the end", "check mission.L"),
+    ],
+)
+def test_a_ctrl_c_at_any_moment_is_no_traceback(files, module: str, command: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-S", "-c", INTERRUPTED.format(module=module), *command.split()],
+        cwd=files.folder, capture_output=True, text=True, check=False,
+        env={"PYTHONPATH": ":".join(sys.path)},
+    )  # fmt: skip
+    # What the system ends by the signal has no status of its own; a shell calls it 130.
+    assert done.returncode in (exit_status.INTERRUPTED, -signal.SIGINT)
+    assert done.stderr == ""
+
+
+def test_a_ctrl_c_that_was_to_be_ignored_is(files) -> None:
+    """As a shell has it for what it runs in the background."""
+    ignored = (
+        f"trap '' INT; exec {sys.executable} -c '{INTERRUPTED.format(module='argparse')}' check mission.L"
+    )
+    done = subprocess.run(["bash", "-c", ignored], cwd=files.folder, capture_output=True, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")

@@ -1,0 +1,27 @@
+"""`lfield inspect` says after how long without a sign a coordinator is recovered."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.testing.golden import run_text
+from lfield.vm.inspection import dump_file
+
+
+@pytest.mark.parametrize(
+    ("calls", "said"),
+    [
+        ("heartbeatInterval(2.5);", ["heartbeat recovered 2.5 s after the last sign of it"]),
+        ("heartbeatInterval(0.0001);", ["heartbeat recovered 0.001 s after the last sign of it"]),
+        ("heartbeatInterval(2); heartbeatInterval(-1);", []),
+        ("try { heartbeatInterval(0); } catch (ArithmeticException e) { }", []),
+    ],
+)
+def test_a_heartbeat_interval_is_shown(lfield, here, calls, said):
+    desk, machine = run_text(f"coordinator Boss {{ init(string[] arg) {{ {calls} throw null; }} }}")
+    (boss,) = desk.endings
+    data = dump_file.encode("alpha", "why", 1 << 20, machine.team, ("alpha",), machine.program, boss.block)
+    (lfield.folder / "boss.block").write_bytes(data)
+    shown = here("inspect", "boss.block")
+    assert shown.status == 0, shown
+    assert [line for line in shown.out if line.startswith("heartbeat")] == said

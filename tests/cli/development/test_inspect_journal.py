@@ -1,0 +1,239 @@
+"""`lfield inspect` of a journal: who is in it, where each stands, and what is damaged."""
+
+from __future__ import annotations
+
+import asyncio
+import io
+import re
+import sqlite3
+from collections.abc import Sequence
+from contextlib import closing, redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from lfield.cli.main import main
+from lfield.clock import ManualClock
+from lfield.journal.file_journal import FileJournal
+from lfield.journal.journal_loader import JournalOwner
+from lfield.journal.records import (
+    CoordinatorRecord,
+    EmergencyStopFlag,
+    FenceRecord,
+    PauseFlag,
+    PendingCallRecord,
+    ProgramRecord,
+    Record,
+    ReservationRecord,
+    RunMarker,
+    StartCounter,
+)
+from lfield.vm.inspection import dump_file
+
+DUMP = Path(__file__).parents[2] / "formats" / "dump-0.3.block"
+
+SHOWN = """\
+journal   of barn in harvest
+identity  IDENTITY
+starts    4
+run       goes on
+paused    until 'lfield resume'
+stopped   until 'lfield estop --lift': the emergency stop was pressed: fog
+program   PROGRAM, SIZE bytes
+fence     left: no start before 2
+
+boss, start 3: EXITED: has ended
+  as of     2027-01-15 08:00:00 UTC
+  transfer  0, after 0 hops
+  ended     died on field: MathException: division by zero
+
+boss, start 4: PREPARED: may have left
+  as of     2027-01-15 08:00:00 UTC
+  transfer  7, after 5 hops
+  sent to   field, memory 000000000000002a
+  block     BLOCK bytes of program PROGRAM
+STACK
+digger, start 1: ABSENT: was refused here
+  as of     2027-01-15 08:00:00 UTC
+  transfer  2, after 0 hops
+  refused   LimitException: too large
+
+scout, start 1: RUN: is here
+  as of     2027-01-15 08:00:00 UTC
+  transfer  1, after 1 hop
+  block     8 bytes of program 0909090909090909
+  its program is not in this journal, so there is no stack to show
+"""
+
+
+class Said(NamedTuple):
+    status: int
+    out: str
+    err: str
+
+
+def inspect(path: Path) -> Said:
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        status = main(["inspect", str(path)])
+    return Said(status, out.getvalue(), err.getvalue())
+
+
+def journal(folder: Path) -> FileJournal:
+    owner = JournalOwner("harvest", "barn", "this computer")
+    return FileJournal(folder / "host.journal", owner, print, ManualClock(1_800_000_000.0))
+
+
+def pages() -> Sequence[Record]:
+    record, program, _ = dump_file.decode(DUMP.read_bytes())
+    digest = program.digest
+    return (
+        StartCounter(4),
+        RunMarker(True),
+        PauseFlag(True),
+        EmergencyStopFlag("the emergency stop was pressed: fog"),
+        ProgramRecord(digest, record.program, record.members, record.types, record.hosts),
+        FenceRecord("left", 2),
+        CoordinatorRecord("scout", 1, "RUN", 1, 1, program=b"\t" * 32, block=bytes(8)),
+        CoordinatorRecord(
+            "boss",
+            4,
+            "PREPARED",
+            7,
+            5,
+            target="field",
+            receiver_memory=42,
+            program=digest,
+            block=record.block,
+        ),
+        CoordinatorRecord(
+            "boss", 3, "EXITED", outcome="died", detail="MathException: division by zero", ended_on="field"
+        ),
+        CoordinatorRecord("digger", 1, "ABSENT", 2, kind="LimitException", reason="too large"),
+    )
+
+
+def kept(folder: Path) -> FileJournal:
+    made = journal(folder)
+    asyncio.run(made.persist(pages()))
+    return made
+
+
+def sql(folder: Path, statement: str) -> None:
+    with closing(sqlite3.connect(folder / "host.journal")) as connection, connection:
+        connection.execute(statement)
+
+
+def test_all_that_is_in_it_is_shown_while_a_host_has_it_and_after(tmp_path: Path) -> None:
+    made = kept(tmp_path)
+    record, program, _ = dump_file.decode(DUMP.read_bytes())
+    stack = re.search(r"thread.*?\n(?=\nfields)", inspect(DUMP).out, re.DOTALL)
+    assert stack
+    expected = (
+        SHOWN.replace("IDENTITY", f"{made.identity:016x}")
+        .replace("PROGRAM", program.digest.hex()[:16])
+        .replace("SIZE", str(len(record.program)))
+        .replace("BLOCK", str(len(record.block)))
+        .replace("STACK", "".join(f"  {line}\n" for line in stack[0].splitlines()))
+    )
+    assert "at Loader." in expected
+    assert inspect(tmp_path) == Said(0, expected, "")
+    made.close()
+    assert inspect(tmp_path / "host.journal") == Said(0, expected, "")
+
+
+def test_a_folder_without_a_journal_is_told_as_that(tmp_path: Path) -> None:
+    said = inspect(tmp_path)
+    assert (said.status, said.out) == (66, "")
+    assert said.err == f"lfield: cannot read {tmp_path}: it is a folder without a host.journal\n"
+    file = tmp_path / "host.journal"
+    file.symlink_to("nowhere")
+    for named in (tmp_path, file):
+        said = inspect(named)
+        assert said == Said(66, "", f"lfield: cannot read {file}: it is a link that leads nowhere\n")
+    file.unlink()
+    file.mkdir()
+    for named in (tmp_path, file):
+        assert inspect(named).err == f"lfield: cannot read {file}: it is a folder\n"
+
+
+def test_a_damaged_page_is_named_and_all_others_are_shown(tmp_path: Path) -> None:
+    kept(tmp_path).close()
+    sql(tmp_path, "UPDATE pages SET kept = kept + 1 WHERE name = 'digger'")
+    said = inspect(tmp_path)
+    assert said.status == 65
+    assert "scout, start 1: RUN" in said.out
+    assert "\ndamaged: the copy of digger, start 1, stored 2027-01-15 08:00:01 UTC: its checksum" in said.out
+    assert said.err.endswith("host.journal: 1 page of it cannot be believed\n")
+    journal(tmp_path).close()
+    said = inspect(tmp_path)
+    assert (said.status, said.err) == (0, "")
+    assert "\nmoved aside: the copy of digger, start 1" in said.out
+
+
+def test_calls_that_were_begun_are_shown_with_what_became_of_them(tmp_path: Path) -> None:
+    made = journal(tmp_path)
+    under_way, ended = (
+        PendingCallRecord("boss", 4, 1, "left", "lift"),
+        PendingCallRecord("boss", 4, 2, "right", "lift", "done", bytes(16)),
+    )
+    asyncio.run(made.persist([under_way, ended]))
+    made.close()
+    as_of = "  as of     2027-01-15 08:00:00 UTC\n"
+    assert (
+        f"\nboss, start 4: call 1 begun: left.lift\n{as_of}  outcome   not known: it was under way\n"
+        f"\nboss, start 4: call 2 begun: right.lift\n{as_of}"
+        "  outcome   has come to its end, and waits to be fetched, 16 bytes\n"
+    ) in inspect(tmp_path).out
+    sql(tmp_path, "UPDATE pages SET body = x'00' WHERE number = 2")
+    damaged = inspect(tmp_path)
+    assert damaged.status == 65
+    assert "damaged: call 2 started here by start 4 of boss, stored" in damaged.out
+
+
+def test_who_has_reserved_what_is_shown(tmp_path: Path) -> None:
+    made = journal(tmp_path)
+    asyncio.run(made.persist([ReservationRecord("arm", 41, "boss", 4), ReservationRecord("leg", 7)]))
+    made.close()
+    out = inspect(tmp_path).out
+    assert "reserved  arm, number 41: boss, start 4\n" in out
+    assert "reserved  leg, number 7: nobody\n" in out
+    sql(tmp_path, "UPDATE pages SET body = x'00' WHERE name = 'arm'")
+    damaged = inspect(tmp_path)
+    assert damaged.status == 65
+    assert "damaged: who has reserved arm, stored" in damaged.out
+
+
+def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:
+    kept(tmp_path).close()
+    path = tmp_path / "host.journal"
+    path.write_bytes(path.read_bytes()[:-4096])
+    said = inspect(path)
+    assert said.status == 65
+    assert said.out.startswith("journal   of barn in harvest\n")
+    assert "starts    4\n" in said.out
+    assert "it is damaged, this is what is left of it" in said.err
+
+
+@pytest.mark.parametrize(
+    ("statement", "data", "says"),
+    [
+        ("PRAGMA user_version = 7", None, "it has format 7, this lfield reads format 1"),
+        ("PRAGMA application_id = 7", None, ""),
+        (None, b"no journal", "it is no journal, or nothing of it is left: file is not a database"),
+        (None, b"", "it is no journal"),
+    ],
+)
+def test_what_is_none_of_ours_is_one_sentence(
+    tmp_path: Path, statement: str | None, data: bytes | None, says: str
+) -> None:
+    kept(tmp_path).close()
+    if statement is not None:
+        sql(tmp_path, statement)
+    if data is not None:
+        (tmp_path / "host.journal").write_bytes(data)
+    said = inspect(tmp_path)
+    assert said.status == 65
+    assert says in said.err
+    assert len(said.err.splitlines()) == 1

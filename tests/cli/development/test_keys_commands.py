@@ -1,0 +1,207 @@
+"""`lfield keys` and `lfield sign`: a team's keys from their beginning to the signature of a bundle."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from lfield.authority import keystore as folders
+from lfield.authority.bundle_signature import verify_bundle
+from lfield.authority.certificate_reader import revoked_in, verify_keys
+from lfield.authority.identity import Identity, Right
+from lfield.authority.peer_verification import ALLOWED
+from lfield.authority.rights import missing_permission
+from lfield.mission import bundle
+from lfield.wire.observer_messages import EmergencyStop
+
+PROGRAM = "resource Bell { init(string[] arg) { } portal ring() { } }\n"
+DEPLOYMENT = "//Bell:bell@alpha\n//Bell:other@bravo\n"
+
+
+@pytest.fixture(autouse=True)
+def own_settings(lfield, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Where this test's user has keys."""
+    monkeypatch.setenv("XDG_CONFIG_HOME", f"{lfield.folder}/config")
+    for name in ("LFIELD_KEYS", "LFIELD_AUTHORITY"):
+        monkeypatch.delenv(name, raising=False)
+    return lfield.folder / "config" / "lfield"
+
+
+@pytest.fixture
+def team(here, own_settings: Path) -> Path:
+    """An authority with keys of two hosts and of anna, who may do everything; anna is who runs the test."""
+    assert here("keys", "init").status == 0
+    assert here("keys", "host", "alpha", "bravo").status == 0
+    assert here("keys", "person", "anna", "--may", "operate,command").status == 0
+    shutil.copytree(own_settings / "authority" / "people" / "anna", own_settings / "keys" / "me")
+    return own_settings / "authority"
+
+
+def test_what_is_made_is_told_with_where_it_goes(here, own_settings: Path) -> None:
+    begun = here("keys", "init", "--days", "30")
+    assert re.fullmatch(
+        rf"{own_settings}/authority: the authority [0-9a-f]{{12}}, until \S+ \S+ UTC", begun.out[0]
+    )
+    assert "authority.key can issue keys with every right" in begun.out[1]
+    made = here("keys", "host", "alpha", "--days", "5")
+    assert made.out[0].startswith("host alpha: until 20")
+    assert f"~/.config/lfield/keys/alpha   a copy of {own_settings}/authority/hosts/alpha" in made.out[1]
+    assert "/etc/lfield/keys/alpha, owned by the service's user" in made.out[2]
+    anna = here("keys", "person", "anna", "--may", "stop")
+    assert anna.out[0].endswith("may observe,stop")
+    assert f"~/.config/lfield/keys/me, a copy of {own_settings}/authority/people/anna" in anna.out[1]
+
+
+def test_a_team_has_keys_renews_revokes_and_lists_them(here, team: Path) -> None:
+    assert here("keys", "renew", "host", "alpha", "--days", "700").status == 0
+    gone = here("keys", "revoke", "host", "bravo")
+    assert re.fullmatch(r"host bravo: certificate [0-9a-f]{12} is revoked", gone.out[0])
+    assert re.fullmatch(rf"list \d{{10}} is {team}/revoked.crl: copy it .*", gone.out[1])
+    listed = [line.split() for line in here("keys", "list").out[1:]]
+    assert [(words[0], " ".join(words[6:])) for words in listed[1:]] == [
+        ("good", "host alpha"),
+        ("good", "host alpha"),
+        ("revoked", "host bravo"),
+        ("good", "anna, may observe,stop,operate,command"),
+    ]
+    assert " ".join(listed[0]).endswith("with 1 certificate")
+    keys = folders.read_keys(team / "hosts" / "bravo", "host")
+    assert verify_keys(keys).serial in revoked_in(keys.revoked, keys.authority).serials
+    serial = listed[1][1]
+    assert here("keys", "revoke", "serial", serial).status == 0
+    assert here("keys", "renew", "authority").out[1].strip().startswith("nothing has to be copied")
+
+
+def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own_settings: Path) -> None:
+    mine = here("keys", "show")
+    assert (mine.status, mine.out[0].split(": ")[1][:11]) == (0, "anna, until")
+    alpha = team / "hosts" / "alpha"
+    assert here("keys", "show", alpha).status == 0
+    (alpha / "host.key").chmod(0o644)
+    said = here("keys", "show", alpha)
+    assert said.status == 69
+    assert f"run 'chmod 600 {alpha}/host.key'" in said.out[0]
+    here("keys", "revoke", "host", "bravo")
+    assert "host bravo, revoked" in here("keys", "show", team / "hosts" / "bravo").out[0]
+    here("keys", "person", "bob", "--may", "observe", "--days", "20")
+    soon = here("keys", "show", team / "people" / "bob")
+    assert (soon.status, soon.out[0].split(", ")[1]) == (0, "end in 19 days")
+    shutil.rmtree(own_settings / "keys")
+    assert "no keys on this computer" in here("keys", "show").err[0]
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize(
+    ("line", "status", "words"),
+    [
+        ("keys person bob --may fly", 64, "--may fly: rights are observe, stop, operate and command"),
+        ("keys person bob --may stopp", 64, "stop"),
+        ("keys person bob", 64, "--may"),
+        ("keys person bob --may ,", 64, "--may names no right: rights are observe,"),
+        ("keys host carl --days 0", 64, "must be a whole number of days from 1 to 36500, not '0'"),
+        ("keys host carl --days soon", 64, "must be a whole number of days from 1 to 36500, not 'soon'"),
+        ("keys host carl --days 0.5", 64, "must be a whole number of days from 1 to 36500, not '0.5'"),
+        ("keys host carl --days nan", 64, "must be a whole number of days from 1 to 36500, not 'nan'"),
+        ("keys host alpha", 65, "'lfield keys renew host alpha' makes them last longer"),
+        ("keys host ../x", 65, "is no name for keys"),
+        ("keys person anna --may stop", 65, "revoke person anna' ends them, and then there can be some"),
+        ("keys renew person bob", 65, "'lfield keys person bob --may ...' makes some"),
+        ("keys renew host", 64, "say whom to renew"),
+        ("keys renew authority alpha", 64, "say whom to renew"),
+        ("keys renew host carl", 65, "host carl has no keys that are not revoked"),
+        ("keys revoke host carl", 65, "host carl has no keys of this authority"),
+        ("keys revoke serial zz", 65, "is no number of a certificate"),
+        ("keys init", 65, "has an authority already"),
+        ("keys list --authority elsewhere", 65, "elsewhere has no authority"),
+        ("sign mission.dL", 64, "is no bundle"),
+        ("sign mission.lfm --keys none", 65, "none has no keys of a person"),
+    ],
+)
+def test_command_lines_that_make_no_sense(
+    here, lfield, team: Path, line: str, status: int, words: str
+) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    here("build", "mission.dL")
+    said = here(*line.split())
+    assert said.status == status, said
+    assert words in said.err[0]
+
+
+@pytest.mark.parametrize("words", ["observe, stop", "stop,", " observe ,stop , "])
+def test_rights_may_have_blanks_and_a_comma_at_the_end(here, team: Path, words: str) -> None:
+    assert here("keys", "person", "bob", "--may", words).out[0].endswith("may observe,stop")
+
+
+def test_the_hint_for_somebody_who_lacks_a_right_gives_it(here, team: Path) -> None:
+    may = frozenset({Right.OBSERVE, Right.COMMAND})
+    assert here("keys", "person", "oli", "--may", "observe,command").status == 0
+    said = missing_permission(Identity("person", "oli", may), ALLOWED, EmergencyStop(bytes(16), "fog"))
+    for line in re.findall("'lfield (.*?)'", said):
+        done = here(*line.split())
+        assert done.status == 0, done.err
+    assert done.out[0].endswith("may observe,stop,command")
+
+
+def test_an_authority_may_be_elsewhere(here, lfield, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert here("keys", "init", "stick").status == 0
+    assert here("keys", "host", "alpha", "--authority", "stick").status == 0
+    monkeypatch.setenv("LFIELD_AUTHORITY", "stick")
+    assert "host alpha" in here("keys", "list").out[1]
+
+
+def test_a_bundle_is_signed_in_place_and_stays_the_same(here, lfield, team: Path, own_settings: Path) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    assert here("build", "mission.dL").status == 0
+    assert here("inspect", "mission.lfm").out[1] == "signed    by nobody"
+    path = lfield.folder / "mission.lfm"
+    before = bundle.contents(path.read_bytes())
+    said = here("sign", "mission.lfm")
+    assert said.err == [f"mission.lfm: bundle {before.digest.hex()[:16]}, signed by anna"]
+    after = bundle.contents(path.read_bytes())
+    assert (after.digest, after.parts) == (before.digest, before.parts)
+    trusted = folders.read_trusted(team)
+    assert verify_bundle(after.digest, after.signature, trusted).who.name == "anna"
+    assert re.fullmatch(r"signed    by anna, 20\S+ \S+ UTC", here("inspect", "mission.lfm").out[1])
+    bundle.read(path)
+    # Once more is no other bundle, and nothing grows.
+    assert here("sign", "mission.lfm").status == 0
+    assert len(path.read_bytes()) == sum(row.size for row in after.table) + len(after.signature) + (
+        path.read_bytes().index(bytes(after.parts["program"]))
+    )
+    shutil.rmtree(own_settings / "keys" / "me")
+    assert "there are no keys here" in here("inspect", "mission.lfm").out[1]
+    assert "there are no keys of yours here" in here("sign", "mission.lfm").err[0]
+
+
+def test_who_may_not_command_signs_nothing(here, lfield, team: Path) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    here("build", "mission.dL")
+    here("keys", "person", "bob", "--may", "operate")
+    before = (lfield.folder / "mission.lfm").read_bytes()
+    said = here("sign", "mission.lfm", "--keys", team / "people" / "bob")
+    assert (said.status, "bob may not sign bundles" in said.err[0]) == (65, True)
+    assert (lfield.folder / "mission.lfm").read_bytes() == before
+
+
+@pytest.mark.process
+def test_a_full_disk_leaves_the_bundle_as_it_was(here, lfield, team: Path) -> None:
+    lfield.mission(PROGRAM, DEPLOYMENT)
+    here("build", "mission.dL")
+    before = (lfield.folder / "mission.lfm").read_bytes()
+    done = subprocess.run(
+        ["sh", "-c", f"ulimit -f 0; exec {sys.executable} -m lfield sign mission.lfm"],
+        cwd=lfield.folder,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert done.returncode == 73, done.stderr
+    assert "cannot write mission.lfm" in done.stderr
+    assert (lfield.folder / "mission.lfm").read_bytes() == before
+    assert sorted(path.name for path in lfield.folder.glob("tmp*")) == []

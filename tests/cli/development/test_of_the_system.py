@@ -1,0 +1,37 @@
+"""What the system refuses is told with what to do, and with a status that fits."""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import pytest
+
+from lfield import exit_status
+from lfield.cli.os_errors import system_refusal
+
+
+@pytest.mark.parametrize(
+    ("number", "file", "status", "words"),
+    [
+        (errno.EMFILE, None, exit_status.UNAVAILABLE, "too many open files"),
+        (errno.EACCES, "a/b", exit_status.NO_INPUT, "cannot use a/b: permission denied"),
+        (errno.ENOSPC, None, exit_status.INPUT_OUTPUT, "no space left on device"),
+    ],
+)
+def test_an_error_of_the_system(number: int, file: str | None, status: int, words: str) -> None:
+    error = system_refusal(OSError(number, os.strerror(number), file))
+    assert (error.exit_status, error.code) == (status, "operating-system")
+    assert str(error).startswith(words)
+
+
+def test_a_folder_that_was_deleted(tmp_path, monkeypatch: pytest.MonkeyPatch) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    monkeypatch.chdir(gone)
+    gone.rmdir()
+    with pytest.raises(FileNotFoundError) as caught:
+        os.getcwd()
+    error = system_refusal(caught.value)
+    assert (error.exit_status, error.code) == (exit_status.NO_INPUT, "operating-system")
+    assert "deleted" in str(error)

@@ -1,0 +1,58 @@
+"""Every option of every command: what it does not take is a sentence, and no name of a Python function."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+from lfield.cli.main import COMMANDS, MODULES
+from lfield.text.number_arguments import real_above_0, real_between, whole_between
+
+#: Words that are no numbers, or no sensible ones; Python reads no number of 5,000 digits.
+JUNK = ("soon", "400d", "nan", "inf", "-1", "1e400", "0.0002", "²", "1,2", "0x", ":", "9" * 5000)
+
+
+def options_of(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for below in action.choices.values():
+                yield from options_of(below)
+        elif action.type not in (None, str, Path):
+            yield action
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_what_an_option_does_not_take_is_a_sentence(name: str) -> None:
+    parser = argparse.ArgumentParser()
+    import_module(MODULES[name]).add_arguments(parser)
+    for option in options_of(parser):
+        for word in JUNK:
+            # Anything else that is raised would be told by the name of the function.
+            with suppress(argparse.ArgumentTypeError):
+                option.type(word)
+
+
+@pytest.mark.parametrize("name", ["up", "keys", "kit", "query", "sim"])
+def test_there_are_options_to_be_tried(name: str) -> None:
+    parser = argparse.ArgumentParser()
+    import_module(MODULES[name]).add_arguments(parser)
+    assert list(options_of(parser))
+
+
+@pytest.mark.parametrize(
+    ("reads", "good", "value", "bad", "sentence"),
+    [
+        (real_above_0(3.2e9), "31536000", 31536000.0, "0", "a number above 0 and at most 3200000000"),
+        (real_between(0.1, 10.0), "0.1", 0.1, "10.1", "a number from 0.1 to 10"),
+        (whole_between(1, 36500, "days"), "36500", 36500, "36501", "a whole number of days from 1 to 36500"),
+    ],
+)  # fmt: skip
+def test_the_sentence_has_the_bounds(reads, good: str, value: float, bad: str, sentence: str) -> None:
+    assert reads(good) == value
+    with pytest.raises(argparse.ArgumentTypeError, match=f"must be {sentence}, not '{bad}'"):
+        reads(bad)

@@ -1,0 +1,56 @@
+"""`lfield doctor --deploy`: what answers at each endpoint, and what to do about what does not."""
+
+from __future__ import annotations
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Copter { Mavlink fc; init(string[] arg) { while (true) yield(); } }
+coordinator Nobody { init(string[] arg) { } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
+
+
+@pytest.fixture
+def deployment(lfield):
+    """Two copters on a link where only the first one answers."""
+    words = ("--listen", "udp:127.0.0.1:0", "--set-up", "--until-stdin-closes")
+    fake = lfield.start("sim", "mavlink", *words, stdin=True)
+    endpoint = fake.wait_for(r"^ready (\S+)")[1]
+    copter = f"driver: mavlink, endpoint: '{endpoint}', waivers: [device_watchdog]"
+    devices = (
+        f"silence: 2.0\nagents:\n  lead: {{devices: {{fc: {{{copter}, system: 1}}}}}}\n"
+        f"  wing: {{devices: {{fc: {{{copter}, system: 9, connect: 3.0}}}}}}\n"
+    )
+    return lfield.mission(PROGRAM, DEPLOYMENT, devices)
+
+
+def test_what_answers_and_what_does_not_with_its_cure(lfield, deployment):
+    doctor = lfield("doctor", "--deploy", deployment)
+    assert lfield.status(doctor) == 69, doctor.said
+    (found,) = [line for line in doctor.out if "lead.fc" in line]
+    assert found.startswith("ok      lead.fc: ArduPilot copter, system 1 at udp:127.0.0.1:")
+    (problem,) = [number for number, line in enumerate(doctor.out) if "wing.fc" in line]
+    assert doctor.out[problem].startswith("PROBLEM wing.fc: ")
+    assert "system 9" in doctor.out[problem]
+    assert doctor.out[problem + 1] == "        -> check power, cable, endpoint and ids"
+
+
+@pytest.mark.few(0)
+def test_one_host_has_only_its_own_devices(lfield, deployment):
+    doctor = lfield("doctor", "--deploy", deployment, "--host", "alpha")
+    assert lfield.status(doctor) == 0, doctor.said
+    assert any("ok      lead.fc" in line for line in doctor.out)
+    assert not any("wing.fc" in line for line in doctor.out)
+    unknown = lfield("doctor", "--deploy", deployment, "--host", "zulu")
+    assert lfield.status(unknown) in (64, 65), unknown.said
+    assert "zulu" in unknown.err[-1]
+
+
+def test_without_a_deployment_it_looks_at_this_computer_alone(lfield):
+    doctor = lfield("doctor")
+    assert any(line.startswith("ok      Python 3.") for line in doctor.out)
+    assert any(line.startswith("ok      driver mavlink: Mavlink") for line in doctor.out)
+    assert any("clock" in line for line in doctor.out)

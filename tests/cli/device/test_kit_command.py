@@ -1,0 +1,104 @@
+"""`lfield kit`: what it refuses in a sentence, and what it prints."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def bus(lfield):
+    """The endpoint of two axes."""
+    words = ("--device", "cia402:5", "--device", "cia402:6", "--until-stdin-closes")
+    return lfield.start("sim", "can", *words, stdin=True).wait_for(r"^ready (\S+)")[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "sentence"),
+    [
+        (
+            ["pigeon", "--endpoint", "loft"],
+            64,
+            "there is no driver 'pigeon' (installed: can, dynamixel, mavlink",
+        ),
+        (["mavlink"], 64, "where is the device? give --endpoint, or --devices with a file that says it"),
+        (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "ttl"], 64, "--set ttl: write KEY=VALUE"),
+        (["can", "--endpoint", "socketcand:127.0.0.1:1/can0"], 64, "is a CanAxis or a CanSignals"),
+        (["mavlink", "--devices", "none.yaml"], 66, "none.yaml"),
+        (["mavlink", "--devices", "kit.devices.yaml", "--type", "Mavlink"], 64, "without --devices"),
+        (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "wings=2"], 65, "wings"),
+    ],
+)
+def test_what_is_wrong_is_a_sentence(here, words, status, sentence):
+    kit = here("kit", *words, "--silence", "2")
+    assert kit.status == status, kit
+    assert sentence in "\n".join(kit.err)
+    assert kit.out == []
+
+
+def test_nothing_there_is_one_sentence(here):
+    axis = ("--set", "protocol=cia402", "--set", "node=5", "--set", "counts=100")
+    for words in (
+        ("mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "connect=0.3"),
+        ("can", "--type", "CanAxis", "--endpoint", "socketcand:127.0.0.1:1/can0", *axis),
+        ("dynamixel", "--type", "Dynamixel", "--endpoint", "serial:/dev/there-is-none:57600"),
+    ):
+        kit = here("kit", *words, "--silence", "2")
+        assert kit.status == 69, kit
+        assert kit.out == []
+        assert kit.err[0].startswith("kit.device: ")
+        assert kit.err[1:] == ["lfield: 1 problem(s) with the devices"]
+
+
+def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):
+    axis = f"driver: can, endpoint: '{bus}', type: CanAxis, protocol: cia402, counts: 10000"
+    lfield.write(
+        "crane.yaml",
+        f"agents:\n  crane: {{devices: {{hoist: {{{axis}, node: 5}}, trolley: {{{axis}, node: 6}}}}}}\n",
+    )
+    kit = lfield("kit", "can", "--devices", "crane.yaml", "--json", "--silence", "2")
+    assert lfield.status(kit) == 0, kit.said
+    findings = [json.loads(line) for line in kit.out]
+    assert all(set(finding) == {"device", "check", "outcome", "seen"} for finding in findings)
+    identities = {f["device"]: f["seen"] for f in findings if f["check"] == "identity"}
+    assert set(identities) == {"crane.hoist", "crane.trolley"}
+    assert f"node 6, vendor 0xF1D, product 0x402 at {bus}" in identities["crane.trolley"]
+    assert {f["outcome"] for f in findings} == {"passed", "not run"}
+    turns = [f for f in findings if f["check"] == "turns there and back"]
+    assert {f["seen"] for f in turns} == {"it would move the device, which was not permitted"}
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    ("driver", "fake", "settings", "passed"),
+    [
+        ("dynamixel", ["--servo", "1:XM430-W350"], ["id=1"], 6),
+        ("mavlink", ["--listen", "udp:127.0.0.1:0", "--set-up"], ["waivers=[device_watchdog]"], 11),
+    ],
+)
+def test_what_does_not_move_is_tried_on_a_fake_by_the_command(lfield, driver, fake, settings, passed):
+    """tests/kits has the whole kits, on virtual time."""
+    sim = lfield.start("sim", driver, *fake, "--until-stdin-closes", stdin=True)
+    words = [word for setting in settings for word in ("--set", setting)]
+    types = ["--type", "Dynamixel"] if driver == "dynamixel" else []
+    where = sim.wait_for(r"^ready (\S+)")[1]
+    kit = lfield("kit", driver, "--endpoint", where, *types, *words, "--silence", "2")
+    assert lfield.status(kit) == 0, kit.said
+    assert kit.out[0].startswith("ok      kit.device: endpoint: ")
+    assert kit.out[1].startswith("ok      kit.device: identity: ")
+    assert kit.out[-1].startswith(f"{passed} passed, 0 failed, ")
+
+
+def test_an_endpoint_on_the_command_line_stands_for_those_of_the_file(lfield, bus):
+    lfield.write(
+        "crane.yaml",
+        "agents: {crane: {devices: {hoist: {driver: can, endpoint: 'socketcan:can7', type: CanAxis, "
+        "protocol: cia402, counts: 10000, node: 5}}}}\n",
+    )
+    kit = lfield("kit", "can", "--devices", "crane.yaml", "--endpoint", bus, "--silence", "2")
+    assert lfield.status(kit) == 0, kit.said
+    assert kit.out[1].startswith("ok      crane.hoist: identity: CiA 402 drive, node 5")
+    assert kit.out[-1].startswith("5 passed, 0 failed, ")

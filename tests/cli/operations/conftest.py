@@ -1,0 +1,11 @@
+"""What commands for a running team are tried with."""
+
+from __future__ import annotations
+
+import pytest
+
+
+@pytest.fixture
+def own(alone) -> dict[str, str]:
+    """The environment of commands that find no run but those of one test, not even a service's."""
+    return {**alone, "RUNTIME_DIRECTORY": f"{alone['XDG_RUNTIME_DIR']}/service/lfield"}

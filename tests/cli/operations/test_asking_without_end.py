@@ -1,0 +1,125 @@
+"""Somebody who may only look asks a host for thousands of things at once: it flies on, and hears a stop."""
+
+from __future__ import annotations
+
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from lfield.authority.identity import Right
+from lfield.net.tls import TlsIdentity
+from lfield.wire.codec import encode
+from lfield.wire.messages import Hello
+from lfield.wire.subscription_messages import Subscribe
+
+pytestmark = pytest.mark.process
+
+#: The copter is asked to do something all the time, and so is the link to the other host.
+PROGRAM = r"""
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) { fc.arm(); fc.takeoff(2.0); write("flies\n"); }
+    portal hold() { fc.hold(); }
+}
+coordinator Pilot {
+    init(string[] arg) {
+        while (true) { findCopter("lead").hold(); findPost("post").look(); }
+    }
+}
+resource Post { init(string[] arg) { } portal look() { write("is seen\n"); sleep(0.2); } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Pilot:tom@alpha\n//Post:post@bravo\n"
+DEVICES = """
+silence: 1.0
+agents:
+  lead: {devices: {fc: {driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]}}}
+"""
+#: Links of one person, requests of each at once, the size of a record, and seconds for a host to answer.
+LINKS, REQUESTS, RECORD, PATIENCE = 20, 20_000, 550, 60.0
+#: What a host or its guard says when the flood has kept it from its work.
+BROKEN = re.compile("silent|safe state|timed out after|DeviceException|lost")
+
+
+class Asker:
+    """One link: greeted, and with all that it asks ready to be sent."""
+
+    def __init__(self, address: str, tls: TlsIdentity | None) -> None:
+        self._link = connected(address)
+        self._channel = tls.channel(calls=True) if tls else None
+        hello, asked = encode(Hello("observer", "observer", 0)), encode(Subscribe(once=True)) * REQUESTS
+        if self._channel is None:
+            self._link.sendall(hello)
+            self._rest = asked
+            return
+        while not self._channel.proven:
+            self._link.sendall(self._channel.data_to_send())
+            list(self._channel.receive(self._link.recv(1 << 16)))
+        self._link.sendall(self._channel.data_to_send() + self._channel.encrypt(hello))
+        parts = (asked[start : start + RECORD] for start in range(0, len(asked), RECORD))
+        self._rest = b"".join(map(self._channel.encrypt, parts))
+
+    def ask(self, over: threading.Event) -> None:
+        """Send as much as is taken, and read what comes, until it is over."""
+        self._link.settimeout(0.05)
+        while not over.is_set():
+            try:
+                self._rest = self._rest[self._link.send(self._rest) :] if self._rest else b""
+                self._link.recv(1 << 16)
+            except TimeoutError:
+                continue
+            except OSError:
+                break
+        self._link.close()
+
+
+def connected(address: str) -> socket.socket:
+    if address.startswith("/"):
+        link = socket.socket(socket.AF_UNIX)
+        link.settimeout(PATIENCE)
+        link.connect(address)
+        return link
+    host, _, port = address.rpartition(":")
+    return socket.create_connection((host, int(port)), PATIENCE)
+
+
+@contextmanager
+def flood(address: str, tls: TlsIdentity | None) -> Iterator[None]:
+    """For as long as this lasts, all links ask."""
+    over, askers = threading.Event(), [Asker(address, tls) for _ in range(LINKS)]
+    threads = [threading.Thread(target=asker.ask, args=(over,)) for asker in askers]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        for thread in threads:
+            thread.join()
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("way", ["TLS", "the door"])
+def test_whoever_asks_without_an_end_costs_neither_a_flight_nor_a_link_nor_a_stop(lfield, alone, way):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+    maps = lfield.maps(["alpha", "bravo"])
+    words = ("--deploy", deployment, *maps)
+    hosts = [lfield.start("up", *words, "--host", name, "--sim", env=alone) for name in ("alpha", "bravo")]
+    hosts[1].wait_for("is seen$")
+    (door,) = Path(alone["XDG_RUNTIME_DIR"]).rglob("alpha.sock")
+    keys = lfield.keys.made("person", "anna", Right.OBSERVE)
+    at_tls = maps[1].partition("=")[2], TlsIdentity(keys)
+    with flood(*(at_tls if way == "TLS" else (str(door), None))):
+        time.sleep(4.0)
+        told = [line for host in hosts for line in (*host.out, *host.err) if BROKEN.search(line)]
+        assert told == []
+        began = time.monotonic()
+        pressed = lfield("estop", *words, "--no-wait", env=alone)
+        print(f"pressed and confirmed in {time.monotonic() - began:.1f} s")
+        assert lfield.status(pressed) == 0, pressed.said
+        assert pressed.out[0] == "alpha: lead.fc: safe"

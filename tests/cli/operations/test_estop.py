@@ -1,0 +1,280 @@
+"""`lfield estop` on a mission that flies: who is safe, who has not confirmed, who was not reached."""
+
+from __future__ import annotations
+
+import re
+import resource
+import signal
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+#: Each copter takes off, and from then on takes itself back whenever it may.
+PROGRAM = """
+resource Copter {
+    Mavlink fc;
+    init(string[] arg) {
+        fc.arm();
+        fc.takeoff(2.0);
+        write("flies\\n");
+        while (true) {
+            sleep(0.2);
+            try { fc.hold(); }
+            catch (DeviceException stopped) { again(); }
+        }
+    }
+    private void again() {
+        try {
+            fc.release();
+            write("released\\n");
+        } catch (DeviceException e) {
+            write("not released: " + e.message() + "\\n");
+        }
+    }
+}
+coordinator Nobody { init(string[] arg) { sleep(1000.0); } }
+"""
+DEPLOYMENT = "//Copter:lead@alpha\n//Copter:wing@bravo\n//Nobody:one@alpha\n"
+COPTER = "driver: mavlink, endpoint: 'udp:127.0.0.1:14550', waivers: [device_watchdog]"
+DEVICES = f"""
+silence: 2.0
+agents:
+  lead: {{devices: {{fc: {{{COPTER}, system: 1}}}}}}
+  wing: {{devices: {{fc: {{{COPTER}, system: 2}}}}}}
+"""
+
+
+class Team:
+    """Two hosts in processes of their own; `words` are the options that say which deployment, and where."""
+
+    def __init__(self, lfield, environment):
+        deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+        self.words = ("--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
+        self.hosts = {
+            name: lfield.start("up", *self.words, "--host", name, "--sim", env=environment)
+            for name in ("alpha", "bravo")
+        }
+        for host in self.hosts.values():
+            host.wait_for("flies")
+
+
+@pytest.fixture
+def team(alone, lfield):
+    yield Team(lfield, alone)
+    lfield.end()
+
+
+def test_every_device_is_safe_and_is_not_released_before_the_stop_is_lifted(lfield, team):
+    pressed = lfield("estop", *team.words, "--no-wait", "--reason", "a child on the field")
+    assert lfield.status(pressed) == 0, pressed.said
+    assert sorted(pressed.out) == ["alpha: lead.fc: safe", "bravo: wing.fc: safe"]
+    for host in team.hosts.values():
+        host.wait_for(r"safe state 'land': the emergency stop was pressed: a child on the field")
+        host.wait_for(r"not released: .*'lfield estop --lift' must come first")
+        assert not any("| released" in line or line.endswith("released") for line in host.out)
+    lifted = lfield("estop", *team.words, "--lift")
+    assert lfield.status(lifted) == 0, lifted.said
+    assert sorted(lifted.out) == ["alpha: lead.fc: may be released", "bravo: wing.fc: may be released"]
+    for host in team.hosts.values():
+        host.wait_for(r"^(?!.*not).*released$")
+
+
+def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alone):
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
+    assert lfield.status(silenced) == 0, silenced.said
+    pressed = lfield("estop", *team.words, "--no-wait")
+    assert lfield.status(pressed) == 3, pressed.said
+    assert pressed.out == ["alpha: lead.fc: safe"]
+    assert pressed.err == [
+        "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
+    ]
+    team.hosts["bravo"].popen.kill()
+    team.hosts["bravo"].popen.wait()
+    again = lfield("estop", *team.words, "--no-wait")
+    assert lfield.status(again) == 3, again.said
+    assert again.out == ["alpha: lead.fc: safe"]
+    (line,) = again.err
+    assert line.startswith("bravo: NOT REACHED, its devices have not confirmed: ")
+
+
+@pytest.mark.few(0)
+def test_whoever_presses_it_may_go_away_before_the_answer(lfield, team, alone):
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=alone)
+    assert lfield.status(silenced) == 0, silenced.said
+    pressed = lfield.start("estop", *team.words, "--reason", "and away")
+    team.hosts["bravo"].wait_for("EMERGENCY STOP by operator: .*and away")
+    pressed.popen.kill()
+    pressed.popen.wait()
+    again = lfield("estop", *team.words, "--no-wait")
+    assert "bravo: wing.fc: NOT CONFIRMED" in again.said
+    assert lfield.status(lfield("ps", *team.words)) == 0
+    assert not any("a bug in lfield" in host.said for host in team.hosts.values())
+
+
+def test_a_mission_that_does_not_run_is_not_reached(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES)
+    pressed = lfield("estop", "--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
+    assert lfield.status(pressed) == 69
+    assert len(pressed.err) == 2
+    assert all("NOT REACHED" in line for line in pressed.err)
+
+
+def lines_of(process, device: str) -> list[str]:
+    return [line.partition(f"{device}: ")[2] for line in process.out if device in line]
+
+
+@pytest.mark.few(0)
+def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down_is_named(lfield, own):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT, DEVICES.replace("waivers", "rest_within: 8, waivers"))
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
+    for host in ("alpha", "bravo"):
+        team.wait_for(rf"{host} +\| flies")
+    first, second = (lfield.start("estop", env=own) for _ in range(2))
+    for pressed in (first, second):
+        assert pressed.wait() == 0, pressed.said
+        assert pressed.out[0].startswith("stopping mission-")
+        for device in ("lead.fc", "wing.fc"):
+            assert lines_of(pressed, device)[0] == "safe"
+            assert lines_of(pressed, device)[-1] == "at rest"
+    silenced = lfield("sim", "fault", "wing.fc", "silence=true", env=own)
+    assert lfield.status(silenced) == 0, silenced.said
+    looking = lfield.start("estop", env=own)
+    looking.wait_for("lead.fc: at rest")
+    looking.wait_for("wing.fc: not heard any more")
+    looking.signal(signal.SIGINT)
+    assert looking.wait() in (3, 130), looking.said
+    told = "\n".join(looking.err)
+    assert "no longer looking, and nothing else has changed: 'lfield ps' shows how the devices are" in told
+    assert re.search("bravo: wing.fc: NOT .*; last seen ", told)
+    assert "lead.fc" not in told
+    looking = lfield("estop", env=own)
+    assert lfield.status(looking) == 3, looking.said
+    assert re.search("bravo: wing.fc: NOT .*; last seen ", looking.err[-1])
+
+
+@pytest.mark.few(0)
+def test_a_host_that_ends_by_the_stop_is_seen_at_rest_first(lfield, own):
+    """Its program dies of the stop, and it ends as soon as its vehicle is down."""
+    program = """
+    resource Copter {
+        Mavlink fc;
+        init(string[] arg) { }
+        portal fly() { fc.arm(); fc.takeoff(2.0); write("flies\\n"); while (true) { sleep(0.2); fc.hold(); } }
+    }
+    coordinator Pilot { init(string[] arg) { findCopter("lead").fly(); } }
+    """
+    devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
+    deployment = lfield.mission(program, "//Copter:lead@alpha\n//Pilot:one@alpha\n", devices)
+    run = lfield.start(
+        "up",
+        "--deploy",
+        deployment,
+        "--host",
+        "alpha",
+        "--sim",
+        "--until-done",
+        *lfield.maps(["alpha"]),
+        env=own,
+    )
+    run.wait_for("flies")
+    pressed = lfield("estop", env=own)
+    assert lfield.status(pressed) == 0, pressed.said
+    words = lines_of(pressed, "lead.fc")
+    assert (words[0], words[-1]) == ("safe", "at rest")
+    assert len(words) > 2
+    assert run.wait() == 1
+
+
+class Kept:
+    """One host that keeps a journal, and can be killed and started again."""
+
+    def __init__(self, lfield, environment):
+        devices = "silence: 2.0\nagents: {lead: {devices: {fc: {" + COPTER + "}}}}\n"
+        deployment = lfield.mission(PROGRAM, "//Copter:lead@alpha\n//Nobody:one@alpha\n", devices)
+        state = lfield.folder / "state"
+        words = ("--deploy", deployment, "--host", "alpha", "--sim", "--state", state)
+        words += tuple(lfield.maps(["alpha"]))
+        self._start = lambda: lfield.start("up", *words, env=environment)
+        self.host = self._start()
+        self.host.wait_for("flies")
+        (self.journal,) = state.rglob("host.journal")
+
+    def killed_and_started(self):
+        self.host.popen.kill()
+        self.host.popen.wait()
+        self.host = self._start()
+        return self.host
+
+
+@pytest.mark.few(0)
+def test_a_host_that_is_killed_and_started_again_is_still_stopped(lfield, own):
+    kept = Kept(lfield, own)
+    pressed = lfield("estop", "--no-wait", "--reason", "a child on the field", env=own)
+    assert (lfield.status(pressed), pressed.err) == (0, []), pressed.said
+    shown = lfield("inspect", kept.journal, env=own)
+    still = "the emergency stop was pressed: a child on the field"
+    assert f"stopped   until 'lfield estop --lift': {still}" in shown.out, shown.said
+    host = kept.killed_and_started()
+    host.wait_for(f"EMERGENCY STOP still active: {still}; 'lfield estop --lift' ends it")
+    host.wait_for(f"lead.fc in safe state 'land': {still}")
+    host.wait_for(f"lead died of an uncaught DeviceException: fc: held in its safe state: {still}")
+    assert f'"lead.fc": "{still}"' in lfield("ps", "--json", env=own).said
+    lifted = lfield("estop", "--lift", env=own)
+    assert (lfield.status(lifted), lifted.out[-1]) == (0, "alpha: lead.fc: may be released"), lifted.said
+    assert "stopped" not in lfield("inspect", kept.journal, env=own).said
+    host = kept.killed_and_started()
+    host.wait_for("flies")
+    assert "EMERGENCY" not in host.said
+
+
+@pytest.mark.few(0)
+def test_a_disk_that_takes_nothing_is_told_of(lfield, own):
+    kept = Kept(lfield, own)
+    resource.prlimit(kept.host.pid, resource.RLIMIT_FSIZE, (0, 0))
+    pressed = lfield("estop", "--no-wait", env=own)
+    assert "alpha: lead.fc: safe" in pressed.out, pressed.said
+    assert re.fullmatch(
+        r"alpha: emergency stop not stored: .+; after a restart this host would not restore it",
+        pressed.err[-1],
+    ), pressed.said
+
+
+BELL = """
+resource Bell {
+    init(string[] arg) { }
+    portal ring() { write("läutet\\n"); }
+}
+coordinator Ringer {
+    init(string[] arg) { findBell(arg[1]).ring(); sleep(1000.0); }
+}
+"""
+BELL_DEPLOYED = "//Bell:bell@alpha\n//Ringer:tom@alpha?bell\n"
+#: A terminal whose encoding has no more than ASCII.
+ASCII = {"LC_ALL": "C", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0"}
+
+
+@pytest.mark.few(0)
+def test_bytes_that_are_no_text_keep_nothing_from_a_running_mission(lfield, own):
+    deployment = lfield.mission(BELL, BELL_DEPLOYED, name="n\udcf6rd/mission")
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", env=own)
+    team.wait_for("läutet")
+    pressed = lfield("estop", "--no-wait", "--reason", "gr\udcf6\udcdfe", env=own)
+    assert lfield.status(pressed) == 0, pressed.said
+    team.wait_for(r"EMERGENCY STOP by .*: the emergency stop was pressed: gr\\u\{dcf6\}\\u\{dcdf\}e")
+    for words in (["estop", "--lift", "--reason", "\udcff"], ["pause"], ["resume"], ["ps"]):
+        told = lfield(*words, env=own)
+        assert lfield.status(told) == 0, told.said
+    for words in (["logs"], ["events", "--no-follow"]):
+        told = lfield(*words, env=own | ASCII)
+        assert lfield.status(told) == 0, told.said
+        assert r"l\u{e4}utet" in told.said
+    for words in (
+        ["forget", "\udcff"],
+        ["recover", "\udcff"],
+        ["events", "--host", "\udcff"],
+        ["ps", "--run", "\udcff"],
+    ):
+        told = lfield(*words, env=own)
+        assert lfield.status(told) == 64, told.said
+        assert r"\u{dcff}" in told.said

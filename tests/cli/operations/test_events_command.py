@@ -1,0 +1,230 @@
+"""`lfield events` and `lfield logs` of a team that runs: in one order, over restarts, ended by a Ctrl-C."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import signal
+import time
+from itertools import pairwise
+
+import pytest
+
+from lfield import exit_status
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal visit(int n) { print("visit " + i2s(n)); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (true) {
+            posts[n % 2].visit(n);
+            sleep(0.2);
+            n = n + 1;
+        }
+    }
+}
+"""
+DEPLOYMENT = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
+
+
+@pytest.fixture(scope="module")
+def walk(shared_lfield):
+    """A team in which a coordinator goes to and fro."""
+    team = shared_lfield.start("up", "--deploy", shared_lfield.mission(PROGRAM, DEPLOYMENT), "--all", "--sim")
+    team.wait_for(r"p: visit 4")
+    team.deployment = shared_lfield.folder / "mission.dL"
+    return team
+
+
+def of(kind: str, whole: list[dict]) -> list[dict]:
+    return [event for event in whole if event["kind"] == kind]
+
+
+def test_all_that_has_happened_comes_in_one_order_with_its_causes(walk, lfield):
+    shown = lfield("events", "--deploy", walk.deployment, "--json", "--no-follow")
+    assert lfield.status(shown) == exit_status.DONE, shown.said
+    whole = [json.loads(line) for line in shown.out]
+    assert {event["host"] for event in whole} == {"alpha", "beta"}
+    assert all(before["time"] <= after["time"] + 1e-9 for before, after in pairwise(of("came", whole)))
+    places = {(e["host"], e["incarnation"], e["number"]): n for n, e in enumerate(whole)}
+    came = of("came", whole)
+    assert len(came) >= 4
+    for event in came:
+        cause = event["caused_by"]
+        place = places[cause["host"], cause["incarnation"], cause["number"]]
+        assert whole[place]["kind"] == "left"
+        assert place < places[event["host"], event["incarnation"], event["number"]]
+    # On one computer all clocks are one, and what is told of them must be that.
+    assert all((event["within"] or 0.0) < 0.5 for event in whole)
+    assert all(abs(event["time"] - event["at"]) <= (event["within"] or 0.0) + 0.01 for event in whole)
+
+
+def test_what_happens_from_now_on_is_told_until_a_ctrl_c(walk, lfield):
+    watcher = lfield.start("events", "--deploy", walk.deployment, "--kinds", "left,came", "--host", "alpha")
+    watcher.wait_for("came  agent=walker")
+    watcher.signal(signal.SIGINT)
+    assert watcher.wait() == exit_status.INTERRUPTED
+    assert watcher.err == []
+    assert all("  alpha  " in line for line in watcher.out)
+
+
+def test_telemetry_and_hops_make_a_table(walk, lfield):
+    watcher = lfield.start("events", "--deploy", walk.deployment, "--csv", "--rate", "10")
+    watcher.wait_for("came,walker")
+    watcher.wait_for("batteryVoltage")
+    watcher.signal(signal.SIGINT)
+    watcher.wait()
+    rows = list(csv.DictReader(watcher.out))
+    voltages = [float(row["value"]) for row in rows if row["quantity"] == "batteryVoltage"]
+    assert all(10.0 < voltage < 20.0 for voltage in voltages)
+    hops = [row for row in rows if row["kind"] == "came"]
+    assert {(row["of"], row["from"], row["to"]) for row in hops} <= {
+        ("walker", "alpha", "beta"),
+        ("walker", "beta", "alpha"),
+    }
+    assert all(None not in row and None not in row.values() for row in rows)
+
+
+def test_logs_are_those_of_all_hosts_and_end(walk, lfield):
+    shown = lfield("logs", "--deploy", walk.deployment)
+    assert lfield.status(shown) == exit_status.DONE, shown.said
+    said = [line.partition(" | ")[2] for line in shown.out]
+    visits = [line for line in said if "visit" in line]
+    assert visits[:4] == ["p: visit 0", "q: visit 1", "p: visit 2", "q: visit 3"]
+    assert any("listening on" in line for line in said)
+
+
+def test_a_reader_that_leaves_ends_it_quietly(walk, lfield):
+    reading, writing = os.pipe()
+    watcher = lfield.start("logs", "-f", "--deploy", walk.deployment, stdout=writing)
+    os.close(writing)
+    assert os.read(reading, 10)
+    os.close(reading)
+    assert watcher.wait() == exit_status.INPUT_OUTPUT
+    assert watcher.err == []
+
+
+def nth(watcher, text: str, count: int) -> None:
+    """Wait until a text was said so often."""
+    end = time.monotonic() + 60.0
+    while len([line for line in watcher.out if text in line]) < count:
+        assert time.monotonic() < end, watcher.said
+        time.sleep(0.02)
+
+
+@pytest.mark.few(0)
+def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    maps = lfield.maps(["alpha", "beta"])
+    words = ("up", "--deploy", deployment, *maps, "--sim")
+    alpha = lfield.start(*words, "--host", "alpha")
+    beta = lfield.start(*words, "--host", "beta")
+    watcher = lfield.start("logs", "-f", "--deploy", deployment, *maps)
+    watcher.wait_for(r"alpha \| p: visit")
+    watcher.wait_for(r"beta \| q: visit")
+    beta.signal(signal.SIGKILL)
+    watcher.wait_for("beta: not heard: ")
+    again = lfield.start(*words, "--host", "beta")
+    watcher.wait_for("beta: it is heard again")
+    watcher.wait_for("beta: it was started again")
+    again.wait_for("listening on")
+    nth(watcher, " beta | beta listening on", 2)
+    watcher.signal(signal.SIGINT)
+    assert watcher.wait() == exit_status.INTERRUPTED
+    assert alpha.popen.poll() is None
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--kinds", "cane"], "there are no events of kind 'cane' here"),
+        (
+            ["--csv", "--kinds", "latched"],
+            "there are no events of kind 'latched' here, but measured, path, left",
+        ),
+        (["--host", "gamma"], "there is no host 'gamma': there is alpha and beta"),
+        (["--since", "-1"], "--since"),
+        (["--rate", "50"], "the rate must be from 0 to 20 Hz"),
+        (["--rate", "nan"], "the rate must be from 0 to 20 Hz"),
+        (["--json", "--csv"], "not allowed with argument"),
+    ],
+)
+def test_words_that_make_no_sense_are_told(words, told, walk, here):
+    said = here("events", "--deploy", walk.deployment, *words)
+    assert said.status == exit_status.USAGE
+    assert told in "\n".join(said.err)
+
+
+def test_nobody_there_is_a_status(lfield, here):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    said = here("logs", "--deploy", deployment, *lfield.maps(["alpha", "beta"]))
+    assert said.status == exit_status.UNAVAILABLE
+    assert said.out == []
+    assert [line.split(":")[0] for line in said.err] == ["alpha", "beta"]
+
+
+FLOOD = """
+resource Post { init(string[] arg) { } portal visit(int n) { } }
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (n < 400) { posts[n % 2].visit(n); n = n + 1; }
+        n = 0;
+        while (n < 30000) { print("line " + i2s(n)); n = n + 1; }
+        sleep(600.0);
+    }
+}
+"""
+#: Teams of their own: that of `walk` runs meanwhile.
+FLOODED, LATER = (DEPLOYMENT.replace("q@", f"{name}@") for name in ("flooded", "later"))
+SKIPPED = re.compile(r"(\d+) (?:lines|events of kind '(\w+)') were not told: they came too often$")
+
+
+def skipped(lines: list[str], kind: str | None = None) -> int:
+    """How many were not told, by all that says so."""
+    found = [match for line in lines if (match := SKIPPED.search(line))]
+    return sum(int(match[1]) for match in found if match[2] == kind)
+
+
+@pytest.mark.few(0)
+def test_what_came_too_often_is_counted_for_whoever_reads_it_however(lfield):
+    deployment = lfield.mission(FLOOD, FLOODED)
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
+    team.wait_for("walker: line 29999")
+    logs = lfield("logs", "--deploy", deployment)
+    assert lfield.status(logs) == exit_status.DONE, logs.said
+    lines = [line for line in logs.out if " walker: line " in line]
+    assert len(lines) > 8000
+    assert skipped(logs.out) == 30000 - len(lines) > 0
+    table = lfield("events", "--deploy", deployment, "--csv", "--no-follow")
+    assert lfield.status(table) == exit_status.DONE, table.said
+    left = len([row for row in csv.DictReader(table.out) if row["kind"] == "left"])
+    assert skipped(table.err, "left") == 399 - left > 0
+    shown = lfield("events", "--deploy", deployment, "--no-follow")
+    assert lfield.status(shown) == exit_status.DONE, shown.said
+    assert any("skipped  skipped=left  count=" in line for line in shown.out)
+
+
+@pytest.mark.few(0)
+def test_who_begins_before_the_mission_finds_it_as_soon_as_it_runs_and_again_after_that(lfield):
+    deployment = lfield.mission(PROGRAM, LATER)
+    watcher = lfield.start("logs", "-f", "--deploy", deployment)
+    watcher.wait_for(r"alpha: not heard: .*this mission does not run on this computer \(yet\)")
+    for run in (1, 2):
+        team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
+        nth(watcher, " alpha | p: visit 0", run)
+        team.signal(signal.SIGINT)
+        team.wait()
+    watcher.signal(signal.SIGINT)
+    assert watcher.wait() == exit_status.INTERRUPTED

@@ -1,0 +1,77 @@
+"""What `lfield forget` says of the answers: who gave what up, who is silent, or that nothing was given up."""
+
+from __future__ import annotations
+
+import argparse
+
+import pytest
+from scripted_snapshots import batch_of
+
+from lfield.cli.operations import forget
+from lfield.errors import AddressError, CoordinatorAlive
+from lfield.operator import client
+from lfield.operator.targets import HostRef, TargetTeam
+from lfield.wire.coordinator_messages import CoordinatorState
+from lfield.wire.observer_messages import ForgetResponse, Status
+from lfield.wire.subscription_messages import EventBatch
+
+ALPHA, BRAVO = HostRef("", "alpha"), HostRef("", "bravo")
+SILENT = AddressError("bravo:8181", "no answer within 8 s")
+GONE = "bravo: no answer; a copy of tom there would continue: "
+
+
+def run(monkeypatch, capsys, before: dict, answers: dict):
+    """The exit status, or what was raised; what was printed; what was said on stderr."""
+
+    def told(parties, request, keys):
+        return before if request is client.SNAPSHOT else answers
+
+    party = TargetTeam((), {"alpha": "alpha:8181", "bravo": "bravo:8181"})
+    monkeypatch.setattr(forget, "selected_runs", lambda args: [])
+    monkeypatch.setattr(forget, "selected_teams", lambda args, runs: [party])
+    monkeypatch.setattr(client, "ask_teams", told)
+    try:
+        end = forget.run(argparse.Namespace(agent="tom", keys=None))
+    except CoordinatorAlive as error:
+        end = error
+    return end, *capsys.readouterr()
+
+
+def snapshot_with(*known: CoordinatorState) -> EventBatch:
+    return batch_of(Status("alpha", "alpha:8181", 1.0, b"p" * 32, b"d" * 32, [], list(known), [], [], []))
+
+
+IN_DOUBT = {ALPHA: snapshot_with(CoordinatorState("tom", 1, 2, 1, "MOVED", "bravo")), BRAVO: SILENT}
+
+
+def test_what_was_given_up_is_told_and_who_is_silent(monkeypatch, capsys):
+    answers = {ALPHA: ForgetResponse([1]), BRAVO: SILENT}
+    assert run(monkeypatch, capsys, IN_DOUBT, answers) == (
+        69,
+        "alpha: tom, start 1, is given up as lost\n",
+        f"{GONE}{SILENT}\n",
+    )
+
+
+def test_when_every_host_has_heard_it_all_is_well(monkeypatch, capsys):
+    answers = {ALPHA: ForgetResponse([1]), BRAVO: ForgetResponse([])}
+    told = run(monkeypatch, capsys, IN_DOUBT, answers)
+    assert told == (0, "alpha: tom, start 1, is given up as lost\n", "")
+
+
+@pytest.mark.parametrize("other", [SILENT, ForgetResponse([])])
+def test_that_nothing_was_given_up_is_said(monkeypatch, capsys, other):
+    # The team has gone on with it between the two questions.
+    error, out, _ = run(monkeypatch, capsys, IN_DOUBT, {ALPHA: ForgetResponse([]), BRAVO: other})
+    assert (error.exit_status, out) == (69, "")
+    assert str(error) == (
+        "nothing of tom was given up: no host that answers has it in doubt, lost or parked any more; "
+        "'lfield ps' shows where it is"
+    )
+
+
+def test_where_nobody_answers_nothing_is_claimed(monkeypatch, capsys):
+    nobody = {ALPHA: SILENT, BRAVO: SILENT}
+    error, out, said = run(monkeypatch, capsys, nobody, nobody)
+    assert (str(error), out) == ("no host has answered: nothing of tom is known to be given up", "")
+    assert said.count("no answer; a copy of tom there would continue") == 2

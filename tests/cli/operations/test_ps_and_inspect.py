@@ -1,0 +1,350 @@
+"""What one sees of a mission that runs, and of an agent that died."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from msgspec.structs import replace
+from scripted_snapshots import states_of
+
+from lfield.cli.views import team_status_view
+from lfield.errors import AddressError
+from lfield.wire.coordinator_messages import CoordinatorState
+from lfield.wire.observer_messages import (
+    AgentStatus,
+    AttributeReading,
+    BundleStatus,
+    DeviceStatus,
+    DirectoryEntry,
+    LinkStatus,
+    PendingCallStatus,
+    ReservedStatus,
+    Status,
+)
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { while (true) yield(); }
+    portal stay(real seconds) { write("stays\\n"); sleep(seconds); }
+}
+coordinator Guest {
+    init(string[] arg) { findPost(arg[1]).stay(0.01); findPost(arg[2]).stay(1000.0); }
+}
+"""
+DEPLOYMENT = "//Post:near@alpha\n//Guest:tom@alpha?near&far\n//Post:far@bravo\n"
+
+
+@pytest.fixture(scope="module")
+def mission(shared_lfield):
+    """A mission in which a guest stays at the other host."""
+    deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
+    team = shared_lfield.start("up", "--deploy", deployment, "--all")
+    team.wait_for(r"bravo \| stays")
+    team.deployment = deployment
+    return team
+
+
+def test_the_table_shows_what_runs_where(mission, lfield):
+    shown = lfield("ps", "--deploy", mission.deployment)
+    assert lfield.status(shown) == 0, shown.said
+    assert shown.out[0].split()[:6] == ["HOST", "AGENT", "TYPE", "STATE", "HOPS", "SERVED"]
+    rows = {line.split()[1]: line for line in shown.out[1 : shown.out.index("")]}
+    assert re.match(r"alpha +near +Post +parked +1 +[\d.]+ (Ki)?B", rows["near"])
+    assert re.match(r"bravo +far +Post +sleeping +0 +[\d.]+ (Ki)?B", rows["far"])
+    assert re.match(r"bravo +tom +Guest +in a portal +1 +[\d.]+ (Ki)?B", rows["tom"])
+
+
+def test_the_same_as_json(mission, lfield):
+    shown = lfield("ps", "--deploy", mission.deployment, "--json")
+    assert lfield.status(shown) == 0
+    hosts = json.loads("\n".join(shown.out))
+    assert list(hosts) == ["alpha", "bravo"]
+    assert hosts["alpha"]["linked"] == ["bravo"]
+    agents = {agent["id"]: (host, agent) for host in hosts for agent in hosts[host]["agents"]}
+    assert {name: host for name, (host, _) in agents.items()} == {
+        "near": "alpha",
+        "far": "bravo",
+        "tom": "bravo",
+    }
+    assert agents["tom"][1]["hops"] == 1
+    assert agents["near"][1]["served"] == 1
+    (moved,) = hosts["alpha"]["coordinators"]
+    assert (moved["state"], moved["where"]) == ("MOVED", "bravo")
+
+
+def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
+    known = CoordinatorState("tom", 7, 1, 1, "EXITED", "alpha", "died", "Exception: no")
+    status = Status(
+        "alpha",
+        "127.0.0.1:1",
+        2.5,
+        b"p" * 32,
+        b"d" * 32,
+        [AgentStatus("near", "Post", "resource", "parked", 0, 1, 512, 1024, 2)],
+        [known],
+        [
+            DeviceStatus("near.fc", {"at": [0.5, 1], "on": True}, 0.25, ""),
+            DeviceStatus("near.arm", {}, None, "lost", "4 m up"),
+            DeviceStatus("near.eye", {"mode": "hold"}, 4.0, "lost"),
+        ],
+        [LinkStatus("bravo", None, 0.2143, 0.048, 12_345, 999), LinkStatus("carol", 3.5)],
+        [
+            DirectoryEntry(
+                "near", "", {"battery": AttributeReading(0.75, 1.5)}, {"mode": "fc has not reported mode"}
+            )
+        ],
+        bundle=BundleStatus(bytes(range(32)), "anna\x1b", 1_795_464_000.0),
+    )
+    answers = {"alpha": status, "bravo": AddressError("127.0.0.1:2", "nobody listens there")}
+    assert json.loads(team_status_view.as_json(states_of(answers))) == {
+        "alpha": {
+            "host": "alpha",
+            "address": "127.0.0.1:1",
+            "up": 2.5,
+            "program": "70" * 8,
+            "deployment": "64" * 8,
+            "bundle": {"digest": "0001020304050607", "signed_by": "anna\x1b", "signed": 1_795_464_000.0},
+            "agents": [
+                {
+                    "id": "near",
+                    "type": "Post",
+                    "kind": "resource",
+                    "state": "parked",
+                    "hops": 0,
+                    "served": 1,
+                    "heap": 512,
+                    "limit": 1024,
+                    "threads": 2,
+                }
+            ],
+            "coordinators": [
+                {
+                    "id": "tom",
+                    "generation": 7,
+                    "sequence": 1,
+                    "hops": 1,
+                    "state": "EXITED",
+                    "where": "alpha",
+                    "outcome": "died",
+                    "detail": "Exception: no",
+                    "receiver_memory": 0,
+                    "unreadable": False,
+                }
+            ],
+            "linked": ["bravo"],
+            "away": {"carol": 3.5},
+            "links": {"bravo": {"round_trip": 0.2143, "loss": 0.048, "sent": 12345, "received": 999}},
+            "devices": {
+                "near.fc": {"at": [0.5, 1], "on": True},
+                "near.arm": {},
+                "near.eye": {"mode": "hold"},
+            },
+            "silences": {"near.fc": 0.25, "near.eye": 4.0},
+            "latched": {"near.arm": "lost", "near.eye": "lost"},
+            "late": None,
+            "silence": None,
+            "lease": None,
+            "paused": False,
+            "stopped": "",
+            "unkept": "",
+            "refused": [],
+            "start": None,
+            "journal": None,
+            "begun": [],
+            "reserved": [],
+            "moving": {"near.arm": "4 m up"},
+            "directory": {
+                "near": {
+                    "refusal": "",
+                    "facts": {"battery": [0.75, 1.5]},
+                    "unknown": {"mode": "fc has not reported mode"},
+                }
+            },
+        },
+        "bravo": {"error": "cannot use 127.0.0.1:2: nobody listens there", "code": "address"},
+    }
+    team_status_view.show(states_of(answers))
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[1:4] == [
+        ["alpha", "near", "Post", "parked", "1", "512", "B"],
+        ["alpha", "tom", "died:", "Exception:", "no", "1"],
+        ["bravo", "-", "no", "answer"],
+    ]
+    assert rows[6:9] == [
+        ["alpha", "near.fc", "in", "use", "at", "(0.50", "1),", "on", "yes"],
+        ["alpha", "near.arm", "safe:", "4", "m", "up"],
+        ["alpha", "near.eye", "silent", "4", "s", "mode", "hold"],
+    ]
+    signed = "bundle 0001020304050607, signed by anna\\u{1b} 2026-11-23 20:00 UTC: alpha"
+    assert rows[-1] == signed.split()
+
+
+def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
+    idle = Status("carol", "127.0.0.1:3", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [])
+    flying = replace(
+        idle,
+        host="alpha",
+        devices=[DeviceStatus("near.fc", {}, 0.25, "")],
+        late=0.0312,
+        silence=0.2,
+        lease=1.46,
+    )
+    answers = {"alpha": flying, "bravo": AddressError("127.0.0.1:2", "nobody listens there"), "carol": idle}
+    told = json.loads(team_status_view.as_json(states_of(answers)))
+    assert (told["alpha"]["late"], told["alpha"]["silence"]) == (0.0312, 0.2)
+    assert (told["carol"]["late"], told["carol"]["silence"]) == (None, None)
+    team_status_view.show(states_of(answers))
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert rows[-3:] == [
+        ["HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"],
+        ["alpha", "0.031", "s", "0.2", "s", "1.5", "s", "not", "saved"],
+        ["carol", "not", "saved"],
+    ]
+
+
+def test_the_round_trip_the_loss_and_the_bytes_of_each_link(capsys):
+    links = [LinkStatus("bravo", None, 0.2143, 0.048, 12_345, 999), LinkStatus("carol", 3.5)]
+    links.append(LinkStatus("delta", None))
+    status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [])
+    told = json.loads(team_status_view.as_json(states_of({"alpha": status})))["alpha"]
+    assert (told["linked"], told["away"]) == (["bravo", "delta"], {"carol": 3.5})
+    assert told["links"] == {
+        "bravo": {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999},
+        "delta": dict.fromkeys(("round_trip", "loss", "sent", "received")),
+    }
+    team_status_view.show(states_of({"alpha": status}))
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows[-4:] == [
+        "HOST LINK WITH ROUND TRIP LOSS SENT RECEIVED",
+        "alpha bravo 214 ms 4.8 % 12.3 kB 999 B",
+        "alpha delta",
+        "alpha carol none for 4 s",
+    ]
+
+
+def test_what_is_reserved_and_for_how_long_yet(capsys):
+    reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
+    status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)
+    told = json.loads(team_status_view.as_json(states_of({"alpha": status})))
+    assert told["alpha"]["reserved"] == [
+        {"resource": "near", "agent": "tom", "generation": 2, "held": 12.25, "left": 4.5}
+    ]
+    team_status_view.show(states_of({"alpha": status}))
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows[1] == "alpha tom has reserved near for 12 s, and 4 s yet"
+
+
+def test_what_was_begun_and_is_to_be_fetched(capsys):
+    begun = [PendingCallStatus("tom", 1, "near", "lift", state) for state in ("running", "done", "lost")]
+    status = Status(
+        "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], pending_calls=begun
+    )
+    told = json.loads(team_status_view.as_json(states_of({"alpha": status})))
+    assert told["alpha"]["begun"][0] == {
+        "agent": "tom",
+        "generation": 1,
+        "resource": "near",
+        "portal": "lift",
+        "state": "running",
+    }
+    team_status_view.show(states_of({"alpha": status}))
+    rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
+    assert rows[1:4] == [
+        "alpha tom has begun near.lift",
+        "alpha tom near.lift has ended, to be fetched",
+        "alpha tom near.lift was lost in a restart",
+    ]
+
+
+def test_where_nothing_runs(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"))
+    maps = lfield.maps(["alpha", "bravo"])
+    shown = lfield("ps", "--deploy", deployment, *maps)
+    assert lfield.status(shown) == 69
+    assert (shown.out, shown.err[1:]) == ([], []), shown.err
+    (line,) = shown.err
+    assert line.startswith(f"lfield: {deployment} is not running: ")
+    asked = lfield("ps", "--deploy", deployment, "--json", *maps)
+    assert lfield.status(asked) == 69
+    told = json.loads("\n".join(asked.out))
+    assert (told["code"], told["exit_status"]) == ("no-mission-running", 69)
+
+
+FAULTY = """
+class Pair {
+    public int left;
+    public string right;
+    public Pair(int l, string r) { left = l; right = r; }
+}
+resource Post {
+    init(string[] arg) { }
+    portal count() emit int { return 3; }
+}
+coordinator Careless {
+    Pair kept;
+    init(string[] arg) {
+        Post post = findPost(arg[1]);
+        kept = new Pair(7, "seven");
+        int counted = post.count();
+        spend(counted, new int[5]);
+    }
+    private void spend(int n, int[] purse) {
+        string why = "too far";
+        purse[n + 4] = 1;
+    }
+}
+"""
+
+
+@pytest.fixture(scope="module")
+def died(shared_lfield):
+    """A mission that ended with the death of its coordinator; `dump` is what is left of that."""
+    hosts = "//Careless:tom@alpha?post\n//Post:post@bravo\n"
+    deployment = shared_lfield.mission(FAULTY, hosts, name="faulty")
+    team = shared_lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
+    team.dump = shared_lfield.folder / "dumps" / "tom.block"
+    return team
+
+
+def test_a_dead_agent_is_dumped_and_explained(lfield, died):
+    assert lfield.status(died) == 1
+    assert "bravo | tom dumped: read it with 'lfield inspect dumps/tom.block'" in died.err
+    shown = lfield("inspect", died.dump)
+    assert lfield.status(shown) == 0, shown.said
+    text = "\n".join(shown.out)
+    assert "agent     tom (coordinator Careless)" in text
+    assert "on        bravo, after 1 hop(s): alpha → bravo" in text
+    assert "why       IndexException" in text
+    stack = [line.split(")")[0] for line in shown.out if line.startswith("  at ")]
+    assert stack == ["  at Careless.spend (faulty.L:21", "  at Careless.init (faulty.L:17"]
+    assert "purse[n + 4] = 1;" in text
+    assert "spend(counted, new int[5]);" in text
+    assert re.search(r"^ +n = 3$", text, re.M)
+    assert re.search(r'^ +why = "too far"$', text, re.M)
+    assert re.search(r"^ +counted = 3$", text, re.M)
+    assert re.search(r"^ +kept = .*Pair", text, re.M)
+    assert re.search(r"^heap: \d+ of 1048576 bytes$", text, re.M)
+    assert re.search(r"^ +\d+ bytes +1 × Pair$", text, re.M)
+
+
+@pytest.mark.parametrize("damage", [b"", b"\xff"])
+def test_a_damaged_dump(lfield, here, died, damage):
+    data = died.dump.read_bytes()
+    path = lfield.write("tom.block", data[: len(data) // 2] + damage * (len(data) // 2))
+    shown = here("inspect", path)
+    assert shown.status == 65, shown
+    assert (shown.out, shown.err[1:]) == ([], []), shown.err
+    assert "tom.block" in shown.err[0]
+
+
+def test_a_dump_that_cannot_be_written_is_told(lfield):
+    (lfield.folder / "dumps").mkdir(mode=0o700)
+    (lfield.folder / "dumps" / "tom.block").mkdir()  # in the way
+    deployment = lfield.mission(FAULTY, "//Careless:tom@alpha?post\n//Post:post@alpha\n")
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--dump", "dumps")
+    assert lfield.status(done) == 1
+    assert any("alpha | tom not dumped to dumps/tom.block: " in line for line in done.err), done.said

@@ -1,0 +1,83 @@
+"""`lfield recover` on real processes: the host that has a coordinator is killed, its home goes on with it."""
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal stay(real seconds) { print("receives"); sleep(seconds); }
+}
+coordinator Tour {
+    init(string[] arg) {
+        findPost(arg[1]).stay(0.01);
+        try {
+            findPost(arg[2]).stay(1000.0);
+        } catch (RestartException again) {
+            print("told: " + again.message());
+            findPost(arg[1]).stay(0.01);
+            print("complete");
+            sleep(1000.0);
+        }
+    }
+}
+"""
+DEPLOYMENT = "//Post:near@alpha\n//Post:far@bravo\n//Tour:tom@alpha?near&far\n"
+
+
+def answered(answer: str, *words: object, **options) -> int:
+    """The status of a command at a terminal where somebody types this."""
+    terminal, end = pty.openpty()
+    os.write(terminal, answer.encode())
+    command = [sys.executable, "-m", "lfield", *map(str, words)]
+    done = subprocess.run(command, stdin=end, capture_output=True, timeout=60, **options)
+    os.close(terminal)
+    os.close(end)
+    return done.returncode
+
+
+def test_the_home_goes_on_and_the_host_that_comes_back_does_not(lfield, own):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    maps = lfield.maps(["alpha", "bravo"])
+    up = ("up", "--deploy", deployment, *maps, "--first-start", "--host")
+    hosts = {name: lfield.start(*up, name, env=own) for name in ("alpha", "bravo")}
+    hosts["bravo"].wait_for("far: receives")
+    alive = lfield("recover", "tom", "--yes", env=own)
+    assert (lfield.status(alive), alive.out) == (69, [])
+    assert "tom is alive on bravo (start 1), in a portal: nothing was done" in alive.said
+
+    hosts["bravo"].signal(signal.SIGKILL)
+    hosts["bravo"].wait()
+    hosts["alpha"].wait_for("link to bravo lost")
+    unasked = lfield("recover", "tom", deployment, *maps, env=own)
+    assert lfield.status(unasked) == 64
+    assert "no terminal to confirm on; add --yes" in unasked.said
+    assert (
+        "tom, start 1: the newest copy is on alpha, as it left for bravo after 0 hops (transfer 1)"
+        in unasked.out
+    )
+    assert any(line.startswith("  bravo does not answer; last heard ") for line in unasked.out)
+
+    words = ("recover", "tom", deployment, *maps)
+    assert answered("no\n", *words, cwd=lfield.folder, env=lfield.environment) == 1
+
+    done = lfield("recover", "tom", deployment, *maps, "--yes", env=own)
+    assert lfield.status(done) == 0, done.said
+    assert done.out[-1] == "alpha: tom recovered, as start 65537"
+    hosts["alpha"].wait_for(
+        "told: tom was recovered on alpha from its departure for bravo; this call may have b"
+    )
+    hosts["alpha"].wait_for("tom: complete")
+
+    again = lfield.start(*up, "bravo", env=own)
+    again.wait_for(r"tom stopped: tom was recovered \(start 65537, says alpha\), so start 1 was stopped")
+    twice = lfield("recover", "tom", "--yes", env=own)
+    assert (lfield.status(twice), "tom is alive on alpha (start 65537)" in twice.said) == (69, True)
+    assert "resumed from the journal" not in again.said

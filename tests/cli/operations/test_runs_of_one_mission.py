@@ -1,0 +1,161 @@
+"""Whoever runs here is found: two teams of one mission, one host alone, what is left when all was killed."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+from pathlib import Path
+
+import pytest
+
+from lfield.authority.identity import Right
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post { init(string[] arg) { write("posted\\n"); while (true) yield(); } portal hold() { } }
+coordinator Guest { init(string[] arg) { sleep(1000.0); } }
+"""
+DEPLOYMENT = "//Post:near@alpha\n//Guest:tom@alpha\n//Post:far@bravo\n"
+
+
+@pytest.fixture
+def mission(lfield):
+    return lfield.mission(PROGRAM, DEPLOYMENT)
+
+
+def up_all(lfield, own, mission):
+    """A team whose posts have started."""
+    run = lfield.start("up", "--deploy", mission, "--all", env=own)
+    for host in ("alpha", "bravo"):
+        run.wait_for(rf"{host} +\| posted")
+    return run
+
+
+def runs_left(own) -> list[Path]:
+    return list(Path(own["XDG_RUNTIME_DIR"]).glob("lfield/*-*"))
+
+
+@pytest.mark.few(0)
+def test_a_team_is_still_found_when_another_of_its_mission_has_ended(lfield, own, mission):
+    first, second = up_all(lfield, own, mission), up_all(lfield, own, mission)
+    assert len(runs_left(own)) == 2
+    second.signal(signal.SIGTERM)
+    second.wait()
+    (left,) = runs_left(own)
+    assert sorted(path.name for path in left.iterdir()) == ["alpha.sock", "bravo.sock", "note.json"]
+    shown = lfield("ps", "--deploy", mission, env=own)
+    assert lfield.status(shown) == 0, shown.said
+    stopped = lfield("estop", "--deploy", mission, env=own)
+    assert lfield.status(stopped) == 0, stopped.said
+    assert stopped.out == ["alpha: has no devices that move", "bravo: has no devices that move"]
+    for host in ("alpha", "bravo"):
+        first.wait_for(rf"{host} +\| EMERGENCY STOP")
+    first.signal(signal.SIGINT)
+    first.wait()
+    assert runs_left(own) == []
+
+
+@pytest.mark.few(0)
+def test_all_that_runs_is_listed_and_stopped_without_more_words(lfield, own, mission):
+    """Two teams, and one host by itself, whose team's other host is nowhere."""
+    teams = [up_all(lfield, own, mission) for _ in range(2)]
+    other = lfield.mission(PROGRAM, DEPLOYMENT.replace("tom", "tim"), name="other")
+    alone = lfield.start(
+        "up", "--deploy", other, "--host", "alpha", *lfield.maps(["alpha", "bravo"]), env=own
+    )
+    alone.wait_for("posted")
+    shown = lfield("ps", "--json", env=own)
+    assert lfield.status(shown) == 69, shown.said
+    found = json.loads("\n".join(shown.out))
+    hosts = [[run["hosts"] for run in party["runs"]] for party in found.values()]
+    assert hosts == [[["alpha", "bravo"]], [["alpha", "bravo"]], [["alpha"]]]
+    first, second, third = found
+    assert found[third]["hosts"]["alpha"]["host"] == "alpha"
+    assert set(found[third]["hosts"]["bravo"]) == {"error"}
+    listed = lfield("ps", env={**own, "COLUMNS": "200"})
+    rows = [line.split() for line in listed.out]
+    assert rows[0] == ["RUN", "HOSTS", "USER", "UP", "SINCE", "MISSION"]
+    assert [row[0] for row in rows[1:4]] == [first, second, third]
+    assert rows[1][-1] == str(mission)
+    assert [first] in rows
+    asked = lfield("query", "Lift", env=own)
+    assert lfield.status(asked) == 64
+    assert "several missions run here, name one" in asked.err[0]
+    stopped = lfield("estop", env=own)
+    assert lfield.status(stopped) == 3, stopped.said
+    assert stopped.out[:3] == [
+        f"stopping {first}: alpha, bravo",
+        f"stopping {second}: alpha, bravo",
+        f"stopping {third}: alpha, bravo",
+    ]
+    assert f"{second}/bravo: has no devices that move" in stopped.out
+    assert stopped.err[0].startswith(f"{third}/bravo: NOT REACHED, its devices have not confirmed: ")
+    for run in (*teams, alone):
+        run.wait_for("EMERGENCY STOP")
+    picked = lfield("estop", "--lift", "--run", first, env=own)
+    assert lfield.status(picked) == 0, picked.said
+    assert picked.out == [
+        f"lifting {first}: alpha, bravo",
+        "alpha: has no devices that move",
+        "bravo: has no devices that move",
+    ]
+
+
+def test_what_was_killed_is_tidied_up_when_its_last_host_has_ended(lfield, own, mission):
+    run = up_all(lfield, own, mission)
+    run.signal(signal.SIGKILL)
+    run.popen.wait()
+    assert lfield.all_ended()
+    assert len(runs_left(own)) == 1
+    shown = lfield("ps", env=own)
+    assert (lfield.status(shown), shown.out) == (69, [])
+    (said,) = shown.err
+    assert said.startswith("lfield: no mission is running on this computer: searched ")
+    assert str(Path(own["XDG_RUNTIME_DIR"]) / "lfield") in said
+    assert runs_left(own) == []
+
+
+def test_the_one_mission_that_runs_is_asked_without_its_name(lfield, own, mission):
+    lfield.write("mission.capabilities.yaml", "registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
+    team = lfield.start("up", "--deploy", mission, "--all", env=own)
+    team.wait_for(r"bravo +\| posted")
+    asked = lfield("query", "Hold", env=own)
+    assert asked.out[0] == "from the running team: 2 of 2 hosts answered", asked.said
+
+
+def test_a_run_that_no_command_could_find_does_not_start(lfield, own, mission):
+    """Whoever makes its folder first would have it fly without a stop. A host with keys is no other case."""
+    place = Path(own["XDG_RUNTIME_DIR"]) / "lfield"
+    place.write_text("in the way\n")
+    alone = lfield.mission(PROGRAM, "//Post:near@alpha\n", name="alone")
+    lfield.keys.put("me", lfield.keys.made("person", "anna", Right.COMMAND))
+    with_keys = ("--host", "alpha", "--first-start", "--volatile", *lfield.maps(["alpha", "bravo"]))
+    for words in ((mission, "--all"), (alone, "--host", "alpha"), (mission, *with_keys)):
+        refused = lfield("up", "--deploy", *words, env=own)
+        assert lfield.status(refused) == 73, refused.said
+        assert refused.err == [
+            f"lfield: cannot write {place}: it is not a folder; no command could find what runs, to stop it: "
+            "set XDG_RUNTIME_DIR to another folder of your own, or remove what is in the way"
+        ]
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("ps", "--map", "alpha=127.0.0.1:1"), "--map is for the hosts of a mission: name the mission too"),
+        (
+            ("estop", "--run", "x"),
+            "no run x: no mission is running on this computer: searched ...",
+        ),
+        (("estop",), "no mission is running on this computer: searched ..."),
+        (("query", "Lift"), "no mission is running on this computer: searched ..."),
+    ],
+)
+def test_what_cannot_be_meant(here, own, monkeypatch, words, sentence):
+    for name, value in own.items():
+        monkeypatch.setenv(name, value)
+    said = here(*words)
+    assert said.status in (64, 69)
+    assert [re.sub("searched .*", "searched ...", line) for line in said.err] == [f"lfield: {sentence}"]

@@ -1,0 +1,41 @@
+"""A host without agents takes part in a team of real processes, started as any other."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Post { init(string[] arg) { } portal stay() { write("stays\\n"); sleep(1000.0); } }
+coordinator Guest { init(string[] arg) { heartbeatInterval(5); findPost("post").stay(); } }
+"""
+DEPLOYMENT = "//Guest:tom@alpha\n//Post:post@bravo\n//@ground\n"
+
+
+def test_a_witness_is_up_and_is_seen(lfield):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    checked = lfield("check", deployment)
+    assert (lfield.status(checked), checked.err) == (0, [])
+    team = lfield.start("up", "--deploy", deployment, "--all")
+    team.wait_for(r"bravo +\| stays")
+    # The coordinator does not need this host, so it may be on its way before these links are established.
+    for host in ("alpha", "bravo"):
+        team.wait_for(rf"ground +\| link to {host} established")
+    shown = lfield("ps", "--deploy", deployment)
+    assert lfield.status(shown) == 0, shown.said
+    assert any(line.split() == ["ground", "-", "up,", "no", "agents"] for line in shown.out), shown.said
+    hosts = json.loads("\n".join(lfield("ps", "--deploy", deployment, "--json").out))
+    assert (hosts["ground"]["agents"], hosts["ground"]["linked"]) == ([], ["alpha", "bravo"])
+
+
+def test_a_bundle_has_its_witness(lfield, here):
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    assert here("build", deployment).status == 0
+    shown = here("inspect", "mission.lfm")
+    assert any(
+        line.startswith("host ground at ground:") and line.endswith(", a witness") for line in shown.out
+    )
+    assert "recovery of tom by a lease of 2 s among alpha, bravo and ground" in shown.out

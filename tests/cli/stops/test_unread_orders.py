@@ -1,0 +1,104 @@
+"""Orders of commands whose output is not read (Ctrl-S, a full pipe): printing never delays what is sent."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import sys
+import threading
+import tty
+from contextlib import suppress
+
+import pytest
+
+from lfield.cli.main import main
+from lfield.cli.operations import watch
+from lfield.errors import AddressError
+from lfield.operator import client
+from lfield.wire.observer_messages import EmergencyStopResult
+
+#: Many devices with long names: their lines are more than a pipe or a terminal holds.
+DEVICES = {f"agent.{'d' * 900}{number}": "" for number in range(200)}
+
+
+def pipe():
+    reading, writing = os.pipe()
+    fcntl.fcntl(writing, fcntl.F_SETPIPE_SZ, 4096)
+    return reading, writing
+
+
+def terminal():
+    reading, writing = os.openpty()
+    tty.setraw(writing)
+    return reading, writing
+
+
+unread = pytest.mark.parametrize("opened", [pipe, terminal])
+
+
+def run_unread(monkeypatch, opened, words: list[str], event: threading.Event) -> tuple[bool, bytes, int]:
+    """Run a command whose output is read only after the event, or after a minute without it.
+
+    Returns whether the event came, the output, and the exit status.
+    """
+    reading, writing = opened()
+    found, status = bytearray(), []
+    with monkeypatch.context() as patch, os.fdopen(writing, "w") as stuck, os.fdopen(reading, "rb"):
+        patch.setattr(sys, "stdout", stuck)
+        patch.setattr(sys, "stderr", stuck)
+        command = threading.Thread(target=lambda: status.append(main(words)), daemon=True)
+        command.start()
+        came = event.wait(60.0)
+        os.set_blocking(reading, False)
+        is_over = False
+        while not is_over:
+            # What a command has written is there when it has ended.
+            is_over = not command.is_alive()
+            with suppress(BlockingIOError):
+                while True:
+                    found += os.read(reading, 1 << 16)
+            command.join(0.01)
+    return came, bytes(found), status[0]
+
+
+@unread
+@pytest.mark.parametrize("command", ["estop", "pause"])
+def test_hosts_are_asked_to_the_end_though_nobody_reads(here_mission, opened, monkeypatch, command):
+    asked = threading.Event()
+
+    def ask_in_turn(teams, request, keys):
+        first, *others = [place for team in teams for place in team.host_refs]
+        yield {first: EmergencyStopResult(DEVICES)}
+        yield {place: AddressError("nowhere", "no answer") for place in others}
+        asked.set()
+
+    monkeypatch.setattr(client, "ask_in_turn", ask_in_turn)
+    words = [command, "--deploy", str(here_mission), "--no-wait"]
+    went_on, said, status = run_unread(monkeypatch, opened, words, asked)
+    assert went_on, "the command waits for its reader before all hosts are asked"
+    assert said.count(b": safe") == len(DEVICES), "what nobody reads at once is not lost"
+    assert said.count(b"NOT REACHED") == 1
+    assert status == 3
+
+
+@unread
+def test_the_page_is_served_though_nobody_reads(opened, monkeypatch):
+    served = threading.Event()
+
+    def run(args):
+        print("x" * 200_000)
+        served.set()
+        return 130
+
+    monkeypatch.setattr(watch, "_run", run)
+    went_on, _, status = run_unread(monkeypatch, opened, ["watch"], served)
+    assert went_on
+    assert status == 130
+
+
+@pytest.fixture
+def here_mission(tmp_path):
+    deployment = tmp_path / "mission.dL"
+    (tmp_path / "mission.L").write_text("coordinator Nobody { init(string[] arg) { } }\n")
+    deployment.write_text("//Nobody:one@alpha\n//Nobody:two@bravo\n")
+    return deployment

@@ -1,0 +1,95 @@
+"""The page lfield/docs/capability-reference.md: the sheets of the registry in `capabilities/`, in Markdown.
+
+`python tests/docs/reference/capability_reference.py` prints it; `--write` writes the page.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+from lfield.capability.model import Registry, TaxonomyTerm
+from lfield.capability.registry_reader.registry_files import read_registry
+from lfield.operator.registry import sheets
+from lfield.operator.registry.sheets import Sheet, code
+from lfield.operator.registry.taxonomy import primitives_of
+
+T = TypeVar("T")
+
+PAGE = Path(__file__).parents[3] / "lfield" / "docs" / "capability-reference.md"
+
+_OPENING = """# Capability reference
+
+What the registry holds that comes with lfield. [capabilities.md](capabilities.md) says how it is used and
+extended. It is written from `capabilities/` by
+`python tests/docs/reference/capability_reference.py --write`."""
+
+
+def page(registry: Registry) -> str:
+    """The whole page in Markdown."""
+    attributes, primitives = _sorted(registry.attributes), _sorted(registry.primitives)
+    sections = {
+        f"Taxonomy, version {registry.version}": _table(_term(registry, t) for t in registry.terms.values()),
+        "Attributes": _table(sheets.attribute_sheet(registry, a) for a in attributes),
+        "Primitives": _chapters(sheets.primitive_sheet(registry, p) for p in primitives),
+        "Providers": _chapters(sheets.provider_sheet(registry, p) for p in _sorted(registry.providers)),
+        "One-to-one": _table(map(sheets.equivalence_sheet, _sorted(registry.equivalences))),
+        "One-to-many": _chapters(map(sheets.composition_sheet, _sorted(registry.compositions))),
+    }
+    return "\n\n".join([_OPENING, *(f"## {title}\n\n{text}" for title, text in sections.items())]) + "\n"
+
+
+def _sorted(found: Mapping[str, T]) -> list[T]:
+    return [found[name] for name in sorted(found)]
+
+
+def _term(registry: Registry, term: TaxonomyTerm) -> Sheet:
+    """A term by what can be called there; what lies below it stands below it on the page."""
+    sheet = sheets.term_sheet(registry, term)
+    called = tuple(map(code, primitives_of(registry, term.id)))
+    return replace(sheet, rows=(*(row for row in sheet.rows if row[0] != "below"), ("called as", called)))
+
+
+def _table(found: Iterable[Sheet]) -> str:
+    """Sheets as the rows of a table, with a column for each label that any of them has."""
+    rows = {sheet.name: dict(sheet.rows) for sheet in found}
+    labels = list(dict.fromkeys(label for said in rows.values() for label in said))
+    cells = [["name" if "name" not in labels else "id", *labels], ["---"] * (1 + len(labels))]
+    cells += [
+        [code(name), *("; ".join(said.get(label, ())) for label in labels)] for name, said in rows.items()
+    ]
+    return "\n".join(f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in row)} |" for row in cells)
+
+
+def _chapters(found: Iterable[Sheet]) -> str:
+    return "\n\n".join("\n".join([f"### {sheet.name}", "", *_list(sheet)]) for sheet in found)
+
+
+def _list(sheet: Sheet) -> Iterator[str]:
+    """A point for each row: short lines one behind the other, those that have others below them in a list."""
+    for label, lines in sheet.rows:
+        if not any(line.startswith("    ") for line in lines):
+            yield f"- {label}: {'; '.join(lines)}"
+            continue
+        yield f"- {label}:"
+        for line in lines:
+            inner = line.lstrip(" ")
+            yield f"{'    ' if inner != line else '  '}- {inner}"
+
+
+def main() -> None:
+    """Print the page, or write it."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--write", action="store_true", help=f"write {PAGE.name}")
+    text = page(read_registry())
+    if parser.parse_args().write:
+        PAGE.write_text(text, encoding="utf-8")
+    else:
+        print(text, end="")
+
+
+if __name__ == "__main__":
+    main()

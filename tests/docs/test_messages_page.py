@@ -1,0 +1,151 @@
+"""Every error has a code of its own, and the page of all codes is generated from the code."""
+
+from __future__ import annotations
+
+import ast
+import re
+import string
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+from messages_page import PAGE, device_messages, driver_messages, error_classes, page
+
+import lfield
+from lfield.text import log_messages
+from lfield.text.yaml_source import YAML_CODES
+
+
+def test_the_page_of_messages_is_up_to_date() -> None:
+    assert PAGE.read_text(encoding="utf-8") == page(), "python tests/docs/messages_page.py --write"
+
+
+def test_every_error_class_has_a_code_and_a_remedy_of_its_own() -> None:
+    classes = list(error_classes())
+    assert len(classes) > 30
+    assert [each.__name__ for each in classes if not {"code", "remedy"} <= vars(each).keys()] == []
+    assert [code for code, count in Counter(each.code for each in classes).items() if count > 1] == []
+    assert [each.code for each in classes if not re.fullmatch(r"[a-z]+(-[a-z]+)*", each.code)] == []
+
+
+def test_every_code_of_a_finding_in_a_yaml_file_is_listed() -> None:
+    sources = (file.read_text(encoding="utf-8") for file in Path(lfield.__file__).parent.rglob("*.py"))
+    used = {code for source in sources for code in re.findall(r'"(Y1\d\d)"(?!:)', source)}
+    assert used == YAML_CODES.keys()
+
+
+#: Messages whose whole line is text of a program, a driver or Python.
+FREE_TEXT = {"program-output", "device-report", "traceback"}
+#: The folders whose code logs.
+SOURCES = [Path(lfield.__file__).parent, *(Path(lfield.__file__).parents[1] / "drivers").glob("lfield_*")]
+DRIVERS = driver_messages()
+
+
+def trees() -> Iterator[tuple[Path, ast.Module]]:
+    """The parsed files of the product that log."""
+    for folder in SOURCES:
+        for file in folder.rglob("*.py"):
+            source = file.read_text(encoding="utf-8")
+            if re.search(r"log_messages|\b_?note\(|WriteLog", source):
+                yield file, ast.parse(source)
+
+
+def table_of(file: Path) -> Mapping[str, object]:
+    """The messages that a file uses: those of its driver, else those of lfield."""
+    return next(
+        (table for name, table in DRIVERS.items() if name.split(".")[0] in file.parts), vars(log_messages)
+    )
+
+
+def log_calls() -> Iterator[tuple[Mapping[str, object], str, list[ast.keyword]]]:
+    """The messages that the product logs, each with the values that it is given."""
+    for file, tree in trees():
+        aliases = set()
+        for node in ast.walk(tree):
+            match node:
+                case ast.Call(
+                    ast.Attribute(ast.Attribute(ast.Name("log_messages"), name), "line"), _, values
+                ):
+                    yield table_of(file), name, values
+                    aliases.add(name)
+        for node in ast.walk(tree):
+            match node:
+                case ast.Attribute(ast.Name("log_messages"), name) if name.isupper() and name not in aliases:
+                    # Chosen between two messages with the same fields: `(A if x else B).line(...)`.
+                    yield table_of(file), name, []
+
+
+def fields_of(message: log_messages.LogMessage) -> set[str]:
+    return {field for _, field, _, _ in string.Formatter().parse(message.template) if field}
+
+
+def test_every_log_line_is_given_the_values_of_its_template() -> None:
+    used = {"device-report"}  # `report_line` makes it
+    for table, name, values in log_calls():
+        message = table[name]
+        assert isinstance(message, log_messages.LogMessage)
+        used.add(message.code)
+        if values:
+            assert (name, {str(each.arg) for each in values}) == (name, fields_of(message))
+    assert used == {each.code for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())}
+
+
+def test_codes_of_log_lines_are_unique_and_well_formed() -> None:
+    codes = [each.code for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())]
+    assert [code for code, count in Counter(codes).items() if count > 1] == []
+    assert [code for code in codes if not re.fullmatch(r"[a-z]+(-[a-z]+)*", code)] == []
+
+
+def test_a_template_says_more_than_a_reason() -> None:
+    """A template that is only a field would carry a sentence that the table does not word."""
+    bare = [
+        each.code
+        for each in (*log_messages.LOG_MESSAGES.values(), *device_messages())
+        if not re.search(r"[A-Za-z]{2}", re.sub(r"\{[^}]*\}", "", each.template))
+    ]
+    assert set(bare) <= FREE_TEXT
+
+
+def test_no_log_call_passes_a_free_sentence() -> None:
+    """Neither a log function nor a value of a template is given a literal sentence."""
+    free = []
+    for file, tree in trees():
+        for node in ast.walk(tree):
+            match node:
+                case ast.Call(ast.Attribute(_, "note" | "_note" | "log_once"), arguments, _) | ast.Call(
+                    ast.Name("note" | "WriteLog" | "WriteLogOnce"), arguments, _
+                ) if any(is_sentence(each) for each in arguments[-1:]):
+                    free.append(f"{file.name}:{node.lineno}")
+                case ast.Call(ast.Attribute(_, "line"), _, values) if any(
+                    is_sentence(each.value, words=4) for each in values
+                ):
+                    free.append(f"{file.name}:{node.lineno}")
+    assert free == []
+
+
+def is_sentence(node: ast.expr, words: int = 1) -> bool:
+    """Whether an expression is a literal of so many words, or a choice between such."""
+    match node:
+        case ast.Constant(str(text)):
+            return len(text.split()) >= words
+        case ast.JoinedStr(parts):
+            text = "".join(part.value for part in parts if isinstance(part, ast.Constant))
+            return len(text.split()) >= words
+        case ast.IfExp(_, body, orelse):
+            return is_sentence(body, words) or is_sentence(orelse, words)
+    return False
+
+
+def test_a_sentence_in_a_log_call_is_found() -> None:
+    (statement,) = ast.parse("note(f'lost {host}' if lost else '')").body
+    assert isinstance(statement, ast.Expr)
+    assert isinstance(statement.value, ast.Call)
+    assert is_sentence(statement.value.args[0])
+
+
+def test_a_report_of_a_driver_keeps_its_code_and_level() -> None:
+    text = log_messages.WATCHDOG_WAIVED.line(own="none", longest=1.0)
+    line = log_messages.report_line("lead.fc", *log_messages.report_fields(text))
+    assert (line.code, line.level) == ("watchdog-waived", "info")
+    plain = log_messages.report_line("lead.fc", *log_messages.report_fields("warming up"))
+    assert (plain, plain.code) == ("lead.fc: warming up", "device-report")

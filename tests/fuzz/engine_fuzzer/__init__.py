@@ -1,0 +1,1 @@
+"""Differential fuzzing of the engines: random programs must give the same instructions and the same bytes."""

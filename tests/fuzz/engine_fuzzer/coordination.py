@@ -1,0 +1,87 @@
+"""Random statements of coordinators only: time limits, reservations, calls that are under way together.
+
+On one host there are no hops, no restarts and no leases that end; whatever else these statements do is here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from engine_fuzzer.expression_generator import ExpressionGenerator
+from engine_fuzzer.program_tree import ProgramPiece, written
+
+#: What these statements are, for whoever draws one.
+COORDINATED = ("within", "reserve", "together")
+#: Locals that get what calls of a together give, and are used in no other way.
+RESULTS = (("int", "t0", "0"), ("int", "t1", "5"), ("int[]", "u0", "new int[3]"))
+#: Draws statements of at most so many levels, at most so many.
+Block = Callable[[int, int], list[ProgramPiece]]
+
+
+class Coordination:
+    """Draws such statements; those inside them are drawn by `block`, and `wait` draws one that leaves."""
+
+    def __init__(
+        self, expressions: ExpressionGenerator, portals: int, block: Block, wait: Callable[[], ProgramPiece]
+    ) -> None:
+        self._expressions, self._rng, self._portals = expressions, expressions.rng, portals
+        self._block, self._wait = block, wait
+        self._together = False
+
+    @property
+    def choices(self) -> tuple[str, ...]:
+        """Which of COORDINATED may stand here."""
+        return ("within",) if self._together else COORDINATED
+
+    @property
+    def calls(self) -> bool:
+        """Whether a portal may be called in any statement: not beside the calls of a together."""
+        return not self._together
+
+    def draw(self, which: str, depth: int) -> ProgramPiece:
+        """One of COORDINATED."""
+        return {"within": self._within, "reserve": self._reserve, "together": self._calls}[which](depth)
+
+    def _within(self, depth: int) -> ProgramPiece:
+        """What is given up after some time, which passes in sleeps only."""
+        seconds = self._rng.choice(("0.1", "0.6", "x"))
+        return written("", f"within ({seconds}) {{ # }}", [*self._block(depth - 1, 2), self._wait()])
+
+    def _reserve(self, depth: int) -> ProgramPiece:
+        """What is taken may be somebody else's, or not be there."""
+        taken = self._expressions.form("", self._rng.choice(("#|Store", "#|Store!", "all|")), 1)
+        return written("", "reserve (#) { # }", taken, [*self._block(depth - 1, 2), self._wait()])
+
+    def _calls(self, depth: int) -> ProgramPiece:
+        """Calls, each with a place of its own for the result, among other statements."""
+        self._together = True
+        body = [self._expressions.form("", form, 1) for form in self._forms()]
+        for _ in range(self._rng.choice((0, 0, 1, 2))):
+            at = self._rng.randint(0, len(body))
+            body[at:at] = self._block(depth - 1, 1)
+        self._together = False
+        after = ProgramPiece("", [self._rng.choice(("i0 = t0;", "i1 = u0[1];", "i2 = t1 - u0[0];", ""))])
+        return written("", "together { # } #", body, after)
+
+    def _forms(self) -> list[str]:
+        """Each variable is the target of one call."""
+        rounds = self._rng.choice((2, 3, 3, 4))
+        loop = f"for (int m = 0; m < {rounds}; m = m + 1)"
+        kinds = [
+            ("t0 = #.ask(#, #);|Store! int Node",),
+            ("t1 = #.ask(#, #);|Store! int Node", "if (#) t1 = #.ask(#, #);|boolean Store! int Node"),
+            (
+                f"{loop} u0[m] = #.ask(m, #);|Store! Node",
+                f"{loop} if (#) u0[{rounds - 1} - m] = #.ask(m, #);|boolean Store! Node",
+            ),
+            ("#.ask(#, #);|Store! int Node", f"{loop} #.ask(m, #);|Store! Node"),
+        ]
+        if self._portals > 1:
+            kinds.append(
+                (
+                    "#.tell(#, #, #);|Store! real string int[]",
+                    f"{loop} #.tell(#, #, #);|Store! real string int[]",
+                )
+            )
+        chosen = self._rng.sample(kinds, self._rng.randint(1, 3))
+        return [self._rng.choice(forms) for forms in chosen]

@@ -1,0 +1,167 @@
+"""An engine that is two: both do every slice, and all that can be seen of it must be the same.
+
+It stands where an engine stands in a machine, so whatever runs on a machine can be run on both: exits, what
+is left of the budget, and the bytes of the block are compared at the end of every slice. Slices are cut at
+random besides, since between any two instructions one engine may take over from another.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+from typing import NoReturn
+
+from engine_fuzzer.space_pair import SpacePair
+from lfield.bytecode.program import Program
+from lfield.vm.engine_interface import (
+    BUDGET_EXHAUSTED,
+    AgentLimits,
+    Engine,
+    EngineExit,
+    Engines,
+    Group,
+    Reading,
+)
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import THREAD_FRAME, THREAD_PC, Layouts
+from lfield.vm.reference import ReferenceEngine as Reference
+
+
+class TrialOver(Exception):
+    """So many instructions were done, or a difference was found: the trial is over."""
+
+
+class EnginePair:
+    """The engine that is tried, and the reference engine on a copy of each block.
+
+    `longest` instructions are done at most. What differs is noted in `differences`, a sentence for each, and
+    ends the trial.
+    """
+
+    def __init__(
+        self,
+        program: Program,
+        now: Callable[[], float],
+        engines: Engines,
+        rng: random.Random,
+        longest: int,
+    ) -> None:
+        self.reference = Reference(program, now)
+        self.tried: Engine = engines(program, now)
+        self.space, self.pace = SpacePair(self.tried.space, self._differs), 1
+        self.differences: list[str] = []
+        self.done, self.exits = 0, 0
+        self._rng, self._longest = rng, longest
+        self._unused = 0
+
+    @property
+    def unused_budget(self) -> int:
+        """As of both."""
+        return self._unused
+
+    @property
+    def has_read_external(self) -> bool:
+        """As of both."""
+        return self.reference.has_read_external
+
+    @property
+    def layouts(self) -> Layouts:
+        """As of the reference engine."""
+        return self.reference.layouts
+
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """As of the reference engine."""
+        return self.reference.groups
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: AgentLimits,
+        readings: Sequence[Reading | None] = (),
+    ) -> EngineExit:
+        """Both run, a part of the budget after another."""
+        left = budget
+        while True:
+            part = min(left, self._part())
+            leave = self._slice(block, thread, part, limits, readings)
+            left -= part - self.reference.unused_budget
+            if leave != BUDGET_EXHAUSTED or left <= 0:
+                self._unused = left
+                return leave
+
+    def _part(self) -> int:
+        """Most slices are long, as in earnest; some end after an instruction or two."""
+        return self._rng.choice((1, 2, 3, 7, 20, 50, 100, 300, 1000, 1000))
+
+    def _slice(
+        self, block: Block, thread: int, budget: int, limits: AgentLimits, readings: Sequence[Reading | None]
+    ) -> EngineExit:
+        copy = copy_block(block)
+        stood = block.w[thread + THREAD_PC]
+        expected = self.reference.run(copy, thread, budget, limits, readings)
+        what = f"run of {budget} from instruction {stood}"
+        leave = self._try(what, lambda: self.tried.run(block, thread, budget, limits, readings))
+        self.done += budget - self.reference.unused_budget
+        self.exits += 1
+        self._same(what, "exit", expected, leave)
+        self._same(what, "unused", self.reference.unused_budget, self.tried.unused_budget)
+        self._same(what, "asked", self.reference.has_read_external, self.tried.has_read_external)
+        self._compare(what, copy, block, thread)
+        if self.done >= self._longest:
+            raise TrialOver
+        return expected
+
+    def complete(self, block: Block, thread: int, value: int) -> None:
+        """Both give a group its result."""
+        copy = copy_block(block)
+        self.reference.complete(copy, thread, value)
+        self._try("complete", lambda: self.tried.complete(block, thread, value))
+        self._compare("complete", copy, block, thread)
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """Both throw."""
+        copy = copy_block(block)
+        caught = self.reference.throw(copy, thread, thrown)
+        also = self._try("throw", lambda: self.tried.throw(block, thread, thrown))
+        self._same("throw", "caught", caught, also)
+        self._compare("throw", copy, block, thread)
+        return caught
+
+    # --- what differs ---------------------------------------------------------------------------------
+
+    def _try(self, what: str, work: Callable[[], object]) -> object:
+        try:
+            return work()
+        except Exception as error:
+            failed = f"{type(error).__name__}: {error}"
+        return self._differs(f"{what}: {failed}")
+
+    def _same(self, what: str, of: str, expected: object, found: object) -> None:
+        if expected != found:
+            self._differs(f"{what}: {of} is {found}, in the reference {expected}")
+
+    def _compare(self, what: str, expected: Block, found: Block, thread: int) -> None:
+        """The places of the thread first: they tell more than the words of a heap."""
+        for name, word in (("instruction", THREAD_PC), ("frame", THREAD_FRAME)):
+            self._same(what, name, expected.w[thread + word], found.w[thread + word])
+        self._same(what, "top", expected.top, found.top)
+        if expected.data[: 8 * expected.top] == found.data[: 8 * found.top]:
+            return
+        for place in range(expected.top):
+            self._same(what, f"word {place}", hex(expected.w[place]), hex(found.w[place]))
+
+    def _differs(self, how: str) -> NoReturn:
+        self.differences.append(how)
+        raise TrialOver
+
+
+def copy_block(block: Block) -> Block:
+    """A block of its own with the same bytes and as much room."""
+    data = bytearray(len(block.data))
+    data[: 8 * block.top] = block.data[: 8 * block.top]
+    copy = Block(data, block.top, block.limit)
+    copy.end = block.end
+    return copy

@@ -1,0 +1,75 @@
+"""One program on two engines, on one host in memory, until it ends or has had enough."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from engine_fuzzer.engine_pair import EnginePair, TrialOver
+from lfield.bytecode.program import Program
+from lfield.clock import ManualClock
+from lfield.testing.golden import GoldenWorld, team_for
+from lfield.vm.agent import MachineTeam
+from lfield.vm.engine_interface import AgentLimits, Engines
+from lfield.vm.machine import Machine
+
+#: Instructions that one trial does at most, and rounds of the machine.
+LONGEST, ROUNDS = 10_000, 150
+#: The comment of a program that is not about limits.
+ENOUGH_HEAP = "// room: enough"
+_DEPLOY = re.compile(r"//\s*deploy:\s*(\w+):(\w+)(?:\?(\S*))?\s*$", re.MULTILINE)
+
+
+@dataclass(frozen=True)
+class TrialOutcome:
+    """What came of a trial: what differed, how many instructions both did, and in how many slices."""
+
+    differences: tuple[str, ...]
+    instructions: int
+    slices: int
+
+
+def random_limits(rng: random.Random) -> AgentLimits:
+    """Limits that programs come to: heaps of a few objects, and of many."""
+    return AgentLimits(
+        heap=rng.choice((6 << 10, 8 << 10, 12 << 10, 32 << 10, 1 << 20)),
+        call_depth=rng.choice((5, 12, 40, 200)),
+        array_length=rng.choice((4, 30, 5000)),
+        string_length=rng.choice((6, 40, 2000)),
+    )
+
+
+def run_trial(program: Program, text: str, seed: int, engines: Engines) -> TrialOutcome:
+    """Run a program on an engine and the reference engine; the seed decides limits and slices.
+
+    The text says in comments which agents there are, as golden programs do, and whether there is ROOM.
+    """
+    dice = random.Random(seed)
+    limits = AgentLimits() if ENOUGH_HEAP in text else random_limits(dice)
+    desk, clock = GoldenWorld(), ManualClock()
+    made: list[EnginePair] = []
+
+    def twin(program: Program, now: Callable[[], float]) -> EnginePair:
+        made.append(EnginePair(program, now, engines, dice, LONGEST))
+        return made[0]
+
+    members = team_for(program, _DEPLOY.findall(text))
+    machine = desk.machine = Machine(
+        program, MachineTeam(members, 0, 1), desk, clock, random.Random(1), engines=twin
+    )
+    for member in members:
+        machine.start(member, limits, generation=1)
+    for _ in range(ROUNDS):
+        pause = machine.run()
+        if pause is None or made[0].done >= LONGEST or made[0].differences:
+            break
+        clock.advance(pause)
+    return TrialOutcome(tuple(made[0].differences) or _bugs(desk), made[0].done, made[0].exits)
+
+
+def _bugs(desk: GoldenWorld) -> tuple[str, ...]:
+    """What an agent has died of that is neither L's nor the end of the trial."""
+    lines = [agent.report.splitlines()[0] for agent in desk.endings if agent.report]
+    return tuple(line for line in lines if "bug in lfield" in line and TrialOver.__name__ not in line)

@@ -1,0 +1,143 @@
+"""Random expressions of L, by type: what engines calculate, compare, read and make."""
+
+from __future__ import annotations
+
+import random
+
+from engine_fuzzer.program_tree import ProgramPiece, written
+from engine_fuzzer.value_literals import literal
+
+#: By type, what an expression of it can be: `#` with the types of its parts behind the last `|`. One with `!`
+#: is not the word null, one with `*` is a variable.
+FORMS: dict[str, tuple[str, ...]] = {
+    "int": (
+        *("(# + #)|int int", "(# - #)|int int", "(# * #)|int int", "(# / #)|int int", "(# % #)|int int"),
+        *(
+            "(-#)|int",
+            "#.n|Node!",
+            "#.next.n|Node!",
+            "#[#]|int[]! int",
+            "#[0]|int[]!",
+            "#[1]|int[]!",
+            "#.length()|int[]!",
+            "#.length()|string!",
+        ),
+        *("#.indexOf(#)|string! string", "#.indexOf(#.substring(1, 2))|string! string!"),
+        *(
+            "(# + #).indexOf(#)|string string string",
+            "f2i(#)|real",
+            "s2i(#)|string",
+            "s2i(i2s(#))|int",
+            "abs(#)|int",
+        ),
+        *("min(#, #)|int int", "max(#, #)|int int", "#.length()|Node[]!", "(# % 7)|int", "(# + 1)|int"),
+    ),
+    "real": (
+        *("(# + #)|real real", "(# - #)|real real", "(# * #)|real real", "(# / #)|real real"),
+        *(
+            "(# % #)|real real",
+            "(-#)|real",
+            "i2f(#)|int",
+            "#.r|Node!",
+            "#[#]|real[]! int",
+            "#[0]|real[]!",
+            "(# * #)|real int",
+        ),
+        *("sqrt(#)|real", "sin(#)|real", "cos(#)|real", "tan(#)|real", "asin(#)|real", "acos(#)|real"),
+        *("atan2(#, #)|real real", "exp(#)|real", "log(#)|real", "pow(#, #)|real real", "floor(#)|real"),
+        *("ceil(#)|real", "round(#)|real", "abs(#)|real", "min(#, #)|real real", "max(#, #)|real real"),
+        *("s2f(#)|string", "s2f(f2s(#))|real"),
+    ),
+    "boolean": (
+        *("(# < #)|int int", "(# <= #)|int int", "(# > #)|int int", "(# >= #)|int int", "(# == #)|int int"),
+        *(
+            "(# != #)|int int",
+            "(# < #)|real real",
+            "(# <= #)|real real",
+            "(# > #)|real real",
+            "(# >= #)|real real",
+        ),
+        *("(# == #)|real real", "(# != #)|real real", "(# == #)|string string", "(# != #)|string string"),
+        *(
+            "(# < #)|string string",
+            "(# <= #)|string string",
+            "(# > #)|string string",
+            "(# >= #)|string string",
+        ),
+        *(
+            "(# == #)|Node! Node",
+            "(# != #)|Node! Node",
+            "(# == null)|Node!",
+            "(# != null)|int[]!",
+            "(# == null)|string!",
+        ),
+        *("(!#)|boolean", "(# && #)|boolean boolean", "(# || #)|boolean boolean", "(# == #)|boolean boolean"),
+        *("(# != #)|boolean boolean", "#.b|Node!"),
+    ),
+    "string": (
+        *("(# + #)|string string", "#.substring(#, #)|string! int int", "i2s(#)|int", "f2s(#)|real"),
+        *(
+            "#.substring(1, 2)|string!",
+            "#.substring(2, 3)|string!",
+            "#.substring(1, #.length())|string! string!",
+        ),
+        *("#.substring(abs(# % 4), 4)|string! int", "(# + #).substring(2, 5)|string string"),
+        *("f2s(#, #)|real int", "b2s(#)|boolean", "#.s|Node!"),
+    ),
+    "Node": ("(new Node(#))|int", "#.next|Node!", "#[#]|Node[]! int", "#[1]|Node[]!"),
+    "int[]": ("(new int[#])|int", "#.a|Node!", "(new int[3])|"),
+    "real[]": ("(new real[#])|int", "(new real[4])|"),
+    "Node[]": ("(new Node[#])|int", "(new Node[2])|"),
+    "Store": ("all[#]|int", 'findStore("store")|'),
+}
+
+_REFERENCES = ("Node", "int[]", "real[]", "Node[]", "Store", "string")
+
+
+class ExpressionGenerator:
+    """Draws expressions from dice and from the variables and calls that may be used."""
+
+    def __init__(
+        self,
+        rng: random.Random,
+        variables: dict[str, tuple[str, ...]],
+        calls: dict[str, tuple[str, ...]],
+    ) -> None:
+        self.rng, self._variables = rng, variables
+        #: By type, the forms of calls that may stand here.
+        self.calls = calls
+        self._depth = rng.choice((1, 2, 2, 3))
+        #: Variables of loops, which may be read only.
+        self.counters: list[str] = []
+
+    def draw(self, kind: str, depth: int = -1) -> ProgramPiece:
+        """An expression of at most so many levels; a usual number, if nothing is said."""
+        depth = self._depth if depth < 0 else depth
+        chance = self.rng.random()
+        if depth <= 0 or chance < 0.35:
+            return self._leaf(kind)
+        if chance < 0.42 and kind in self.calls:
+            return self.form(kind, self.rng.choice(self.calls[kind]), depth - 1)
+        return self.form(kind, self.rng.choice(FORMS[kind]), depth - 1)
+
+    def form(self, kind: str, row: str, depth: int) -> ProgramPiece:
+        """A form with its parts drawn."""
+        form, _, kinds = row.rpartition("|")
+        return written(kind, form, *(self._part(k, depth) for k in kinds.split()))
+
+    def _part(self, kind: str, depth: int) -> ProgramPiece:
+        """References that are used are variables mostly: what is null ends a statement soon."""
+        plain = kind.rstrip("!*")
+        if kind.endswith("*") or (plain in _REFERENCES and self.rng.random() < 0.75):
+            return self._variable(plain)
+        drawn = self.draw(plain, depth)
+        return self._variable(plain) if kind.endswith("!") and drawn.text() == "null" else drawn
+
+    def _leaf(self, kind: str) -> ProgramPiece:
+        if self.rng.random() < 0.7:
+            return self._variable(kind)
+        return ProgramPiece(kind, [literal(self.rng, kind)])
+
+    def _variable(self, kind: str) -> ProgramPiece:
+        names = self._variables[kind] + (tuple(self.counters) if kind == "int" else ())
+        return ProgramPiece(kind, [self.rng.choice(names)])

@@ -1,0 +1,85 @@
+"""A program that still shows a difference, with as little in it as can be found quickly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from engine_fuzzer.mutations import Edit
+from engine_fuzzer.program_tree import PLAIN, ProgramPiece
+
+#: Whether what is left still shows the difference.
+Shows = Callable[[], bool]
+
+
+class TryBudget:
+    """So many tries are left."""
+
+    def __init__(self, tries: int) -> None:
+        self.tries = tries
+
+    def use(self, shows: Shows) -> bool:
+        """Try once, if there are tries left."""
+        self.tries -= 1
+        return self.tries >= 0 and shows()
+
+
+def shrink(program: ProgramPiece, shows: Shows, tries: int = 400) -> None:
+    """Take out of a program, in place, what is not needed; it must show the difference as it is."""
+    spare, before = TryBudget(tries), -1
+    while spare.tries > 0 and before != (before := len(program.text())):
+        _statements(program, shows, spare)
+        _hoisted(program, shows, spare)
+        _expressions(program, shows, spare)
+
+
+def shrunk_edits(edits: list[Edit], shows: Callable[[list[Edit]], bool]) -> list[Edit]:
+    """The changes that are needed."""
+    kept = list(edits)
+    for edit in edits:
+        fewer = [other for other in kept if other is not edit]
+        if shows(fewer):
+            kept = fewer
+    return kept
+
+
+def _statements(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
+    """Leave out statements: many at once, then fewer."""
+    for block in list(program.blocks()):
+        size = len(block)
+        while size:
+            at = 0
+            while at < len(block):
+                taken = block[at : at + size]
+                del block[at : at + size]
+                if not spare.use(shows):
+                    block[at:at] = taken
+                    at += size
+            size //= 2
+
+
+def _hoisted(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
+    """What is in a loop, a branch or a try, instead of that."""
+    for block in list(program.blocks()):
+        for at in reversed(range(len(block))):
+            old = block[at]
+            for part in old.parts:
+                if isinstance(part, list):
+                    block[at : at + 1] = part
+                    if spare.use(shows):
+                        break
+                    block[at : at + len(part)] = [old]
+
+
+def _expressions(program: ProgramPiece, shows: Shows, spare: TryBudget) -> None:
+    """A part of an expression instead of the whole, or a constant."""
+    for piece in list(program.pieces()):
+        if not piece.kind or not any(isinstance(part, ProgramPiece) for part in piece.parts):
+            continue
+        old = piece.parts
+        inner = [part for part in old if isinstance(part, ProgramPiece) and part.kind == piece.kind]
+        choices: list[str | ProgramPiece] = [PLAIN[piece.kind], *inner]
+        for smaller in choices:
+            piece.parts = [smaller]
+            if spare.use(shows):
+                break
+            piece.parts = old

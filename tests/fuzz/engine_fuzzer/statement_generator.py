@@ -1,0 +1,203 @@
+"""Random statements of L: loops, exceptions, calls, and whatever else engines must do alike."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+from engine_fuzzer.coordination import Coordination
+from engine_fuzzer.expression_generator import ExpressionGenerator
+from engine_fuzzer.program_tree import ProgramPiece, written
+
+#: What can be caught, and is thrown now and then.
+_CLASSES = ("Exception", "ArithmeticException", "IndexException", "NullException", "LimitException")
+_CAUGHT = (
+    *_CLASSES,
+    *("ConversionException", "MissingReturnException", "TimeLimitException", "ReservedException"),
+    *("CancelledException", "Node"),
+)
+
+#: By type, what can be written to. `#` with the types of its parts behind the last `|`.
+_TARGETS: dict[str, tuple[str, ...]] = {
+    "int": ("#.n|Node*", "#[#]|int[]* int", "#[0]|int[]*", "#[# % 3]|int[]* int"),
+    "real": ("#.r|Node*", "#[#]|real[]* int", "#[1]|real[]*", "#[# % 3]|real[]* int"),
+    "boolean": ("#.b|Node*",),
+    "string": ("#.s|Node*",),
+    "Node": ("#.next|Node*", "#[#]|Node[]* int", "#[1]|Node[]*"),
+    "int[]": ("#.a|Node*",),
+}
+
+
+class StatementGenerator:
+    """Draws the body of a method.
+
+    `own` are the variables by type, `result` the type that the method gives, "" for none; `waits` are
+    statements that only the machine can carry out, `asks` those that call portals.
+    """
+
+    def __init__(
+        self,
+        rng: random.Random,
+        expressions: ExpressionGenerator,
+        own: dict[str, tuple[str, ...]],
+        result: str,
+        waits: tuple[str, ...],
+        asks: tuple[str, ...],
+    ) -> None:
+        self.rng, self.expressions, self._own = rng, expressions, own
+        self._result, self._waits, self._asks = result, waits, asks
+        self._coordination = Coordination(expressions, len(asks), self.block, self.wait)
+        self._loops, self._leavable, self._in_finally, self._names = 0, 0, False, 0
+
+    def block(self, depth: int, most: int = 4) -> list[ProgramPiece]:
+        """Some statements of at most so many levels."""
+        return [self.statement(depth) for _ in range(self.rng.randint(1, most))]
+
+    def statement(self, depth: int) -> ProgramPiece:
+        """One statement."""
+        draw = self.expressions.draw
+        flat = ("assign",) * 8 + ("element",) * 3 + ("call",) * 3 + ("throw", "leave", "wait", "print")
+        deep: tuple[str, ...] = (
+            ("if", "if", "loop", "loop", "try", "try", "finally", "jump") if depth > 0 else ()
+        )
+        deep += self._coordination.choices if depth > 0 and self._asks else ()
+        match chosen := self.rng.choice(flat + deep * 2):
+            case "assign":
+                kind = self.rng.choice(list(self._own))
+                return written("", f"{self.rng.choice(self._own[kind])} = #;", draw(kind))
+            case "element":
+                return self._element()
+            case "call":
+                return self._call()
+            case "throw":
+                return self._throw()
+            case "within" | "reserve" | "together":
+                return self._coordination.draw(chosen, depth)
+            case "leave":
+                return self._leave()
+            case "wait":
+                return self.wait()
+            case "print":
+                return written("", "print(#);", draw(self.rng.choice(("int", "real", "boolean", "string"))))
+            case "if":
+                return self._if(depth)
+            case "jump":
+                return self._jump(depth)
+            case "loop":
+                return self._loop(depth)
+            case "try":
+                return self._try(depth, with_finally=self.rng.random() < 0.3)
+        return self._finally(depth)
+
+    def wait(self) -> ProgramPiece:
+        """A statement that leaves the engine."""
+        asks = self._asks * 6 if self._coordination.calls else ()
+        return self.expressions.form("", self.rng.choice(self._waits + asks), 1)
+
+    def _call(self) -> ProgramPiece:
+        """Of any method: what it throws goes through its monitor, if it has one."""
+        kind = self.rng.choice(list(self.expressions.calls))
+        called = self.expressions.form(kind, self.rng.choice(self.expressions.calls[kind]), 1)
+        return written("", f"{self.rng.choice(self._own[kind])} = #;", called)
+
+    def _throw(self) -> ProgramPiece:
+        condition = self.expressions.draw("boolean")
+        if self.rng.random() < 0.3:
+            return written("", "if (#) throw o0;", condition)
+        name = self.rng.choice(_CLASSES)
+        return written("", f"if (#) throw new {name}(#);", condition, self.expressions.draw("string", 1))
+
+    def _element(self) -> ProgramPiece:
+        kind = self.rng.choice(list(_TARGETS))
+        target = self.expressions.form(kind, self.rng.choice(_TARGETS[kind]), 1)
+        return written("", "# = #;", target, self.expressions.draw(kind))
+
+    def _leave(self) -> ProgramPiece:
+        """Out of a loop or the method, where that may be."""
+        condition = self.expressions.draw("boolean")
+        if self._leavable and self.rng.random() < 0.7:
+            return written("", f"if (#) {self.rng.choice(('break', 'continue'))};", condition)
+        if self._in_finally:
+            return written("", "if (#) yield();", condition)
+        if not self._result:
+            return written("", "if (#) return;", condition)
+        return written("", "if (#) return #;", condition, self.expressions.draw(self._result))
+
+    def _if(self, depth: int) -> ProgramPiece:
+        condition = self.expressions.draw("boolean")
+        if self.rng.random() < 0.5:
+            return written("", "if (#) { # }", condition, self.block(depth - 1))
+        return written("", "if (#) { # } else { # }", condition, self.block(depth - 1), self.block(depth - 1))
+
+    def _loop(self, depth: int, body: Callable[[], list[ProgramPiece]] | None = None) -> ProgramPiece:
+        """Some rounds of a body, of a block if nothing is said."""
+        body = body or (lambda: self.block(depth - 1))
+        if self.rng.random() < 0.2:
+            return written("", "while (#) { # }", self.expressions.draw("boolean"), self._looped(body, ""))
+        name, rounds = f"k{self._loops}", self.rng.choice((2, 3, 5, 20))
+        form = f"for (int {name} = 0; {name} < {rounds}; {name} = {name} + 1) {{ # }}"
+        return written("", form, self._looped(body, name))
+
+    def _looped(self, body: Callable[[], list[ProgramPiece]], counter: str) -> list[ProgramPiece]:
+        self._loops += 1
+        self._leavable += 1
+        if counter:
+            self.expressions.counters.append(counter)
+        found = body()
+        if counter:
+            self.expressions.counters.pop()
+        self._leavable -= 1
+        self._loops -= 1
+        return found
+
+    def _jump(self, depth: int) -> ProgramPiece:
+        """A loop that is left through what ends in order: a finally, a time limit, a reservation, calls."""
+
+        def body() -> list[ProgramPiece]:
+            which = self.rng.choice(("finally", *(self._coordination.choices if self._asks else ())))
+            left = self._finally(depth) if which == "finally" else self._coordination.draw(which, depth)
+            next(part for part in left.parts if isinstance(part, list)).append(self._leave())
+            return [left]
+
+        return self._loop(depth, body)
+
+    def _try(self, depth: int, with_finally: bool) -> ProgramPiece:
+        self._names += 1
+        name, caught = f"e{self._names}", self.rng.choice(_CAUGHT)
+        body = self.block(depth - 1)
+        handler = self.block(depth - 1, 2)
+        told = [f"throw {name};", ""]
+        told += (
+            [f"i0 = {name}.n;"]
+            if caught == "Node"
+            else [
+                f"s0 = {name}.message();",
+                f"s1 = {name}.type() + {name}.source();",
+                f"i0 = {name}.others().length();",
+            ]
+        )
+        handler.append(ProgramPiece("", [f"if (b0) {{ {self.rng.choice(told)} }}"]))
+        if self.rng.random() < 0.3:
+            other = f"catch (Exception {name}) {{ # }}"
+            form = f"try {{ # }} catch ({caught} {name}) {{ # }} {other}"
+            return written("", form, body, handler, self.block(depth - 1, 1))
+        if not with_finally:
+            return written("", f"try {{ # }} catch ({caught} {name}) {{ # }}", body, handler)
+        return written(
+            "",
+            f"try {{ # }} catch ({caught} {name}) {{ # }} finally {{ # }}",
+            body,
+            handler,
+            self._last(depth),
+        )
+
+    def _finally(self, depth: int) -> ProgramPiece:
+        return written("", "try { # } finally { # }", self.block(depth - 1), self._last(depth))
+
+    def _last(self, depth: int) -> list[ProgramPiece]:
+        """The code of a finally: nothing leaves it but an exception."""
+        before = self._leavable, self._in_finally
+        self._leavable, self._in_finally = 0, True
+        body = self.block(depth - 1, 2)
+        self._leavable, self._in_finally = before
+        return body

@@ -1,0 +1,10 @@
+"""Random programs on two engines, compared: see `engine_fuzzer/command_line.py`."""
+
+from __future__ import annotations
+
+import sys
+
+from engine_fuzzer.command_line import main
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

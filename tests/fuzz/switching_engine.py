@@ -1,0 +1,147 @@
+"""Engines for tests: one compares two step by step, one switches between them at random.
+
+Each slice is executed on a copy of the block by the reference engine, and in place by the other one or by
+both in turn; then exit, budget and every byte of the block must be equal.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping, Sequence
+
+import pytest
+
+from lfield.bytecode.program import Program
+from lfield.vm.engine_interface import (
+    BUDGET_EXHAUSTED,
+    AgentLimits,
+    BudgetExhausted,
+    Engine,
+    EngineExit,
+    Group,
+    Reading,
+)
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import Layouts
+from lfield.vm.reference import ReferenceEngine as Reference
+
+#: Reason for a skipped test without wasmtime.
+NEEDED = "the engine in WebAssembly needs wasmtime: pip install lfield[wasm]"
+
+
+class SwitchingEngine:
+    """Executes parts of each slice on one of two engines at random.
+
+    `compared`: the reference engine repeats everything on a copy for comparison.
+    """
+
+    def __init__(self, first: Engine, second: Engine, rng: random.Random, compared: Engine | None) -> None:
+        self._engines, self._rng, self._compared = (first, second), rng, compared
+        self.space, self.pace = second.space, 1
+        self._left, self._has_read_external = 0, False
+        #: How often each of them was used.
+        self.given = [0, 0]
+
+    @property
+    def layouts(self) -> Layouts:
+        """The same for either engine."""
+        return self._engines[0].layouts
+
+    @property
+    def groups(self) -> Mapping[int, Group]:
+        """The same for either engine."""
+        return self._engines[0].groups
+
+    @property
+    def has_read_external(self) -> bool:
+        """Whether any part of the last slice has read data outside the block."""
+        return self._has_read_external
+
+    @property
+    def unused_budget(self) -> int:
+        """The rest of the budget."""
+        return self._left
+
+    def run(
+        self,
+        block: Block,
+        thread: int,
+        budget: int,
+        limits: AgentLimits,
+        readings: Sequence[Reading | None] = (),
+    ) -> EngineExit:
+        """As every engine; raises AssertionError on a difference."""
+        before = _copy(block)
+        leave = self._parts(block, thread, budget, limits, readings)
+        if self._compared is not None:
+            exit = self._compared.run(before, thread, budget, limits, readings)
+            actual = (leave, self._left, self._has_read_external, block.top, block.end)
+            expected = (
+                exit,
+                self._compared.unused_budget,
+                self._compared.has_read_external,
+                before.top,
+                before.end,
+            )
+            assert actual == expected, f"{actual} where the reference engine has {expected}"
+            difference = _difference(block, before)
+            assert not difference, f"after {leave}: {difference}"
+        return leave
+
+    def _parts(
+        self, block: Block, thread: int, budget: int, limits: AgentLimits, readings: Sequence[Reading | None]
+    ) -> EngineExit:
+        self._left, self._has_read_external = budget, False
+        while self._left:
+            which = self._rng.randrange(2)
+            self.given[which] += 1
+            engine = self._engines[which]
+            part = self._left if self._rng.random() < 0.5 else self._rng.randint(1, self._left)
+            leave = engine.run(block, thread, part, limits, readings)
+            self._left -= part - engine.unused_budget
+            self._has_read_external = self._has_read_external or engine.has_read_external
+            if not isinstance(leave, BudgetExhausted):
+                return leave
+        return BUDGET_EXHAUSTED
+
+    def complete(self, block: Block, thread: int, value: int) -> None:
+        """By either engine."""
+        self._rng.choice(self._engines).complete(block, thread, value)
+
+    def throw(self, block: Block, thread: int, thrown: int) -> bool:
+        """By either engine."""
+        return self._rng.choice(self._engines).throw(block, thread, thrown)
+
+
+def switching(
+    wasm: Callable[[Program, Callable[[], float]], Engine], seed: int, compare: bool = True
+) -> Callable[[Program, Callable[[], float]], SwitchingEngine]:
+    """Creates engines that switch between the reference engine and another one."""
+
+    def make(program: Program, now: Callable[[], float]) -> SwitchingEngine:
+        compared = Reference(program, now) if compare else None
+        return SwitchingEngine(Reference(program, now), wasm(program, now), random.Random(seed), compared)
+
+    return make
+
+
+def _copy(block: Block) -> Block:
+    return Block(bytearray(block.data), block.top, block.limit)
+
+
+def _difference(block: Block, other: Block) -> str:
+    """The first words that differ, '' for none."""
+    if block.image() == other.image():
+        return ""
+    pairs = enumerate(zip(block.w[: block.top], other.w[: other.top], strict=True))
+    found = [f"word {i} is {a:#x}, not {b:#x}" for i, (a, b) in pairs if a != b]
+    return "; ".join(found[:8])
+
+
+def either_engine(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Fixture: VMs use the engine named by its parameter by default."""
+    if getattr(request, "param", "") == "both":
+        pytest.importorskip("wasmtime", reason=NEEDED)
+        from lfield.vm.wasm.wasm_engine import EagerWasmEngine
+
+        monkeypatch.setattr("lfield.vm.machine.ReferenceEngine", switching(EagerWasmEngine, 1))

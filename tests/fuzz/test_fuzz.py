@@ -1,0 +1,130 @@
+"""The fuzzer finds what is planted, says nothing of engines that are alike, and shrinks what it finds."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from switching_engine import NEEDED
+
+pytest.importorskip("wasmtime", reason=NEEDED)
+
+from engine_fuzzer.command_line import EngineFuzzer, main
+from engine_fuzzer.engine_trial import run_trial
+from engine_fuzzer.mutations import edited, random_edits
+from engine_fuzzer.program_generator import random_program
+from engine_fuzzer.program_tree import ProgramPiece
+from lfield.bytecode.opcodes import BY_CODE, TABLE
+from lfield.testing.golden import compile_text
+from lfield.vm.reference import ReferenceEngine
+from lfield.vm.wasm.wasm_engine import EagerWasmEngine as Wasm
+from planted_engines import PLANTED, WrongOpcode
+from planted_texts import FAULTS, Fault, finder
+
+#: Programs in which a planted fault must be found.
+_SOON = 400
+#: Hypothesis throws them: it makes what fails smaller, too.
+DICE = st.randoms(use_true_random=False)
+#: What is not there without a driver or a registry of capabilities; golden programs have it.
+_BEYOND = {"device", "offers", "explain", "teams", "settle"}
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("planted", PLANTED)
+def test_a_planted_fault_is_found(planted: type[ReferenceEngine]) -> None:
+    seeds = iter(range(_SOON))
+    while True:
+        piece = random_program(random.Random(seed := next(seeds)))
+        outcome = run_trial(compile_text(piece.text()), piece.text(), seed, planted)
+        if outcome.differences:
+            return
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("fault", FAULTS, ids=str)
+def test_a_fault_in_the_text_of_the_engine_is_found(fault: Fault) -> None:
+    assert finder(fault, _SOON) is not None
+
+
+def test_programs_have_every_instruction() -> None:
+    missing = {row.name for row in TABLE} - _BEYOND
+    for seed in range(_SOON):
+        program = compile_text(random_program(random.Random(seed)).text())
+        missing -= {BY_CODE[quad.op].name for quad in program.quads}
+        if not missing:
+            return
+    pytest.fail(f"no program has {sorted(missing)}")
+
+
+def test_an_engine_does_what_it_does_itself() -> None:
+    fuzz = EngineFuzzer(ReferenceEngine, mutants=3)
+    assert [report for seed in range(10) for report in fuzz.seed(seed)] == []
+    assert fuzz.tally.programs == 40
+    assert fuzz.tally.slices > 200
+
+
+def test_the_engine_in_webassembly_does_the_same() -> None:
+    """`python tests/fuzz/fuzz.py` tries as many as there is time for."""
+    fuzz = EngineFuzzer(Wasm, mutants=3)
+    assert [report for seed in range(8) for report in fuzz.seed(seed)] == []
+
+
+def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pytest.Config) -> None:
+    @given(DICE, st.integers(0, 1000))
+    @settings(max_examples=2000 if pytestconfig.option.every_case else 40)
+    def same(dice: random.Random, seed: int) -> None:
+        text = random_program(dice).text()
+        assert run_trial(compile_text(text), text, seed, Wasm).differences == ()
+
+    same()
+
+
+def test_a_difference_is_shrunk(capsys: pytest.CaptureFixture[str]) -> None:
+    engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
+    assert main(["--count", "400", "--mutants", "0", "--most", "1", "--engine", engine]) == 1
+    report = capsys.readouterr().out
+    program = report[report.index("// deploy") : report.index("\n\n")]
+    whole = random_program(random.Random(int(report.split()[1].rstrip(":")))).text()
+    assert len(program) < len(whole) / 2
+    assert "1 differences" in report
+
+
+def test_a_difference_is_told_before_it_is_made_smaller() -> None:
+    """With the command that finds it again; one is reported before anything is left out."""
+    fuzz = EngineFuzzer(WrongOpcode, mutants=0)
+    seed, report = next((seed, report) for seed in range(_SOON) for report in fuzz.seed(seed))
+    again = f"--count 1 --seed {seed} --mutants 0 --engine {WrongOpcode.__module__}:WrongOpcode"
+    assert report.startswith(f"seed {seed}: run of ")
+    assert report.endswith(f"python tests/fuzz/fuzz.py {again}")
+
+
+def test_ctrl_c_leaves_what_was_found(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The smallest program so far, and what was done."""
+
+    def interrupted(piece: ProgramPiece, shows: Callable[[], bool]) -> None:
+        assert shows()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("engine_fuzzer.command_line.shrink", interrupted)
+    engine = f"{WrongOpcode.__module__}:{WrongOpcode.__name__}"
+    assert main(["--count", "400", "--mutants", "0", "--engine", engine]) == 1
+    first, _, rest = capsys.readouterr().out.partition("\n  again: ")
+    assert f"{first.partition(':')[0]}, smaller: {first.partition(': ')[2]}\n// deploy" in rest
+    assert rest.endswith("1 differences\n")
+
+
+def test_mutants_are_programs() -> None:
+    """The verifier accepts them, and they are other programs."""
+    program = compile_text(random_program(random.Random(5)).text())
+    mutant, edits = random_edits(program, random.Random(6), 8)
+    assert len(edits) >= 4
+    assert mutant.digest != program.digest
+    again = edited(program, edits)
+    assert again is not None
+    assert again.digest == mutant.digest

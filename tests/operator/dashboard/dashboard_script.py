@@ -1,0 +1,86 @@
+"""A team of two copters by hand, and batches of events as its hosts would send them."""
+
+from __future__ import annotations
+
+from lfield.mission.bindings import Frames
+from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.vehicle_readings import Instruments
+from lfield.wire.events import AgentActivity, DeviceTelemetry, Event, StateEvent
+from lfield.wire.fields import Telemetry
+from lfield.wire.observer_messages import (
+    AgentStatus,
+    DeviceStatus,
+    DirectoryEntry,
+    LinkStatus,
+    Status,
+)
+from lfield.wire.subscription_messages import EventBatch
+
+COPTER = Instruments(moves=True)
+INCARNATION = 7
+
+
+def inventory(frames: Frames | None = None) -> Inventory:
+    """alpha and beta with a copter each, and a coordinator that begins on alpha."""
+    agents = {
+        "one": InventoryEntry("one", "Copter", "alpha", "resource"),
+        "two": InventoryEntry("two", "Copter", "beta", "resource"),
+        "boss": InventoryEntry("boss", "Boss", "alpha", "coordinator"),
+    }
+    devices = {"one.fc": COPTER, "two.fc": COPTER}
+    return Inventory("team", ("alpha", "beta"), agents, devices, frames or Frames())
+
+
+class ScriptedHost:
+    """A host that tells: each batch at a time of its own monotonic clock, `wall` seconds from Unix time."""
+
+    def __init__(self, incarnation: int = INCARNATION, wall: float = 1.7e9) -> None:
+        self.incarnation, self.wall = incarnation, wall
+        self.number = self.batches = 0
+
+    def event(self, up: float, what: StateEvent | DeviceTelemetry | AgentActivity, cause: int = 0) -> Event:
+        """The next one."""
+        self.number += not isinstance(what, DeviceTelemetry | AgentActivity)
+        return Event(self.number, self.wall + up, up, cause, what)
+
+    def batch(
+        self,
+        up: float,
+        *whats: StateEvent | DeviceTelemetry | AgentActivity,
+        lost: dict[str, int] | None = None,
+        snapshot: Status | None = None,
+    ) -> EventBatch:
+        """What happened at that time, in a batch that is sent at once."""
+        after = self.number
+        told = [self.event(up, what) for what in whats]
+        self.batches += 1
+        return EventBatch(
+            self.incarnation, self.batches, self.wall + up, up, after, self.number, told, lost or {}, snapshot
+        )
+
+
+def device(name: str, latched: str = "", moving: str = "", **telemetry: Telemetry) -> DeviceStatus:
+    """A device in a snapshot, heard just now."""
+    return DeviceStatus(name, dict(telemetry), 0.0, latched, moving)
+
+
+def resource(name: str) -> AgentStatus:
+    """A resource in a snapshot."""
+    return AgentStatus(name, "Copter", "resource", "idle", 0, 3, 100, 1000, 0)
+
+
+def snapshot(host: str, *devices: DeviceStatus, agents: list[AgentStatus] | None = None) -> Status:
+    """How a host is: linked with the other, its directory knows both copters."""
+    other = "beta" if host == "alpha" else "alpha"
+    return Status(
+        host=host,
+        address=f"{host}:8181",
+        up=5.0,
+        program=b"p",
+        deployment=b"d",
+        agents=agents or [],
+        coordinators=[],
+        devices=list(devices),
+        links=[LinkStatus(other, None)],
+        directory=[DirectoryEntry("one", "", {}, {}), DirectoryEntry("two", "", {}, {})],
+    )

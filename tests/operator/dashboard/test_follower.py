@@ -1,0 +1,325 @@
+"""Who follows hosts hears all that happens once, whatever becomes of links; hosts are played by a script."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable
+
+import pytest
+from dashboard_script import ScriptedHost
+from memory_network import MemoryNetwork
+from msgspec.structs import replace
+
+from lfield.errors import AddressError
+from lfield.net.transport import Link, LinkHandler, Transport
+from lfield.operator.dashboard.event_stream.event_follower import (
+    CHECK_INTERVAL,
+    REQUEST_INTERVAL,
+    SILENCE_TIMEOUT,
+    EventFollower,
+    FollowOptions,
+)
+from lfield.operator.dashboard.event_stream.stream_cursor import MAX_RETRY, StreamCursor
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
+from lfield.wire.events import DeviceTelemetry, Event, LinkUp, StateEvent
+from lfield.wire.messages import HandshakeRefused, Hello, Message
+from lfield.wire.subscription_messages import EventAck, EventBatch, Subscribe
+
+ADDRESS, NOWHERE = "alpha:8181", "beyond:8181"
+
+
+class PlayedHost:
+    """A host at ADDRESS that sends what the test says, and keeps what it was sent."""
+
+    def __init__(self, network: MemoryNetwork, incarnation: int = 7) -> None:
+        self.teller = ScriptedHost(incarnation)
+        self.heard: list[Message] = []
+        self.links: list[Link] = []
+        self.history: list[Event] = []
+        self.refuses = ""
+        self.listener = network.listen("alpha", ADDRESS, self._called)
+        self.beats = asyncio.create_task(self._beat())
+
+    async def _beat(self) -> None:
+        """A batch every second, though nothing happens."""
+        while True:
+            await asyncio.sleep(1.0)
+            self.happens()
+
+    def _called(self, link: Link) -> PlayedHost:
+        link.send(Hello("host", "alpha", self.teller.incarnation))
+        return self
+
+    def on_message(self, link: Link, message: Message) -> None:
+        self.heard.append(message)
+        if isinstance(message, Hello):
+            link.accept_role(message.role)
+        if isinstance(message, Subscribe):
+            if link not in self.links:
+                self.links.append(link)
+            link.send(HandshakeRefused(self.refuses) if self.refuses else self._answer(message))
+
+    def _answer(self, watch: Subscribe) -> EventBatch:
+        life, latest = self.teller.incarnation, self.teller.number
+        after = latest if watch.incarnation == 0 else watch.after if watch.incarnation == life else 0
+        return EventBatch(life, 1, 0.0, 1.0, after, latest, self.history[after:])
+
+    def on_closed(self, link: Link, error: object) -> None:
+        if link in self.links:
+            self.links.remove(link)
+
+    def happens(self, *whats: StateEvent) -> None:
+        """Told at once to whoever has a link."""
+        batch = self.teller.batch(2.0, *whats)
+        self.history += batch.events
+        for link in self.links:
+            link.send(batch)
+
+    def all(self, kind: type[Message]) -> list[Message]:
+        return [message for message in self.heard if isinstance(message, kind)]
+
+
+class Ears:
+    """A hearer that keeps what it hears."""
+
+    def __init__(self) -> None:
+        self.log: list[str] = []
+        self.batches: list[EventBatch] = []
+        self.took: list[float] = []
+
+    def on_linked(self, host: str) -> None:
+        self.log.append(f"{host} linked")
+
+    def on_unlinked(self, host: str, why: str) -> None:
+        self.log.append(why)
+
+    def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
+        self.batches.append(batch)
+        if took is not None:
+            self.took.append(took)
+
+    @property
+    def peers(self) -> list[str]:
+        return [event.what.peer for batch in self.batches for event in batch.events]
+
+
+class Desk:
+    """A transport of whoever follows: there is an address whose name nobody knows."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+
+    async def connect(self, address: str, handler: LinkHandler) -> Link:
+        if address == NOWHERE:
+            raise AddressError(address, "the name is not known")
+        return await self._transport.connect(address, handler)
+
+
+class Scene:
+    """A network, who listens on it, and who follows."""
+
+    def __init__(self, since: int | None = None) -> None:
+        self.network = MemoryNetwork(LoopClock(), on_pending=self._pending)
+        self.ears, self.address = Ears(), ADDRESS
+        self.follower = EventFollower(
+            Desk(self.network.transport("desk")),  # type: ignore[arg-type]
+            ["alpha"],
+            self._reach,
+            self.ears,
+            LoopClock(),
+            FollowOptions(since=since, hint=lambda: "it may not run"),
+        )
+
+    async def _reach(self, host: str) -> str:
+        return self.address
+
+    def _pending(self) -> None:
+        due = self.network.next_due()
+        if due is not None:
+            # A loop may wake a tick of its clock too early, and then nothing would be due.
+            asyncio.get_running_loop().call_at(due + 1e-6, self._deliver)
+
+    def _deliver(self) -> None:
+        self.network.run()
+        self._pending()
+
+
+def played(story: Callable[[Scene], Awaitable[None]], since: int | None = None) -> Ears:
+    """Play a story while somebody follows."""
+
+    async def main() -> Ears:
+        scene = Scene(since)
+        following = asyncio.create_task(scene.follower.run())
+        await asyncio.sleep(0)
+        await story(scene)
+        following.cancel()
+        await asyncio.gather(following, return_exceptions=True)
+        return scene.ears
+
+    return run_jumping(main())
+
+
+def test_batches_are_handed_on_and_acknowledged() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        await asyncio.sleep(1.0)
+        host.happens(LinkUp("a"), LinkUp("b"))
+        await asyncio.sleep(1.0)
+        first, *others = [seen.batch for seen in host.all(EventAck)]
+        assert first == 1
+        assert others == list(range(1, len(others) + 1))
+
+    ears = played(story)
+    assert ears.peers == ["a", "b"]
+    assert ears.log[-1] == "alpha linked"
+    assert len(ears.took) == 1
+
+
+def test_a_cut_loses_nothing_and_tells_nothing_twice() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        await asyncio.sleep(1.0)
+        host.happens(LinkUp("a"))
+        await asyncio.sleep(1.0)
+        # What is under way is lost with the link.
+        scene.network.latency = 0.5
+        host.happens(LinkUp("b"))
+        scene.network.cut("alpha", "desk")
+        host.history += host.teller.batch(3.0, LinkUp("c")).events
+        await asyncio.sleep(4.0)
+        assert host.all(Subscribe)[-1] == Subscribe(7, 1, 0.0)
+
+    ears = played(story)
+    assert ears.peers == ["a", "b", "c"]
+    assert "the connection was lost" in ears.log[1]
+
+
+def test_what_was_heard_before_is_left_out_and_gaps_are_told() -> None:
+    cursor, host = StreamCursor(), ScriptedHost()
+    first = host.batch(1.0, LinkUp("a"), LinkUp("b"))
+    assert len(cursor.accept(first).events) == 2
+    assert cursor.accept(first).events == []
+    host.batch(2.0, LinkUp("c"))
+    late = cursor.accept(host.batch(3.0, LinkUp("d")))
+    assert (late.lost, [event.number for event in late.events]) == ({"state": 1}, [4])
+    assert cursor.watch_request(7) == Subscribe(7, 4)
+
+
+def test_what_is_missing_is_counted_by_its_numbers_and_once() -> None:
+    cursor, host = StreamCursor(), ScriptedHost()
+    cursor.accept(host.batch(1.0, LinkUp("a")))
+    told = host.batch(2.0, *(LinkUp(text) for text in "bcdef"))
+    kept = replace(told, events=[event for event in told.events if event.number in (3, 6)], lost={"state": 3})
+    assert cursor.accept(kept).lost == {"state": 3}
+    # It comes again, since it was on its way when the host was asked anew.
+    again = cursor.accept(kept)
+    assert (again.lost, again.events) == ({}, [])
+    # Of what is at the end of a batch the number says nothing until something follows.
+    ends = replace(host.batch(3.0), after=9, latest=9, lost={"state": 3, "measured": 1})
+    assert cursor.accept(ends).lost == {"state": 3, "measured": 1}
+
+
+def test_telemetry_has_no_number_of_its_own_and_is_never_left_out() -> None:
+    cursor, host = StreamCursor(telemetry=5.0), ScriptedHost()
+    cursor.accept(host.batch(1.0, LinkUp("a")))
+    for _ in range(2):
+        assert len(cursor.accept(host.batch(2.0, DeviceTelemetry("one.fc", {}, 0.0))).events) == 1
+    assert cursor.watch_request(7) == Subscribe(7, 1, 5.0)
+
+
+def test_another_life_is_followed_from_its_beginning() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        await asyncio.sleep(1.0)
+        host.happens(LinkUp("a"), LinkUp("b"))
+        await asyncio.sleep(1.0)
+        host.listener.close()
+        host.beats.cancel()
+        scene.network.cut("alpha", "desk")
+        await asyncio.sleep(20.0)
+        host = PlayedHost(scene.network, 8)
+        await asyncio.sleep(MAX_RETRY + 1.0)
+        # Asked with the life that was known: whoever is another one tells all that there is of it.
+        assert host.all(Subscribe) == [Subscribe(7, 2, 0.0)]
+        host.happens(LinkUp("c"))
+        await asyncio.sleep(1.0)
+
+    ears = played(story)
+    assert ears.peers == ["a", "b", "c"]
+    assert {batch.incarnation for batch in ears.batches} == {7, 8}
+    assert all(batch.lost == {} for batch in ears.batches)
+
+
+@pytest.mark.parametrize(
+    ("since", "asked"), [(None, Subscribe(0, 0)), (0, Subscribe(7, 0)), (12, Subscribe(7, 12))]
+)
+def test_whoever_begins_says_from_where(since: int | None, asked: Subscribe) -> None:
+    assert StreamCursor(since).watch_request(7) == asked
+
+
+def test_a_host_that_was_not_there_yet_is_followed_from_its_beginning() -> None:
+    async def story(scene: Scene) -> None:
+        await asyncio.sleep(3.0)
+        host = PlayedHost(scene.network)
+        await asyncio.sleep(MAX_RETRY + 1.0)
+        (asked,) = host.all(Subscribe)
+        assert asked.incarnation not in (0, 7)
+        assert asked.after == 0
+
+    ears = played(story)
+    assert "no program listens" in ears.log[0]
+
+
+def test_a_host_that_is_found_elsewhere_later_is_followed_from_its_beginning() -> None:
+    async def story(scene: Scene) -> None:
+        scene.address = NOWHERE
+        await asyncio.sleep(3.0)
+        host = PlayedHost(scene.network)
+        host.happens(LinkUp("a"))
+        scene.address = ADDRESS
+        await asyncio.sleep(MAX_RETRY + 1.0)
+
+    ears = played(story)
+    assert ears.peers == ["a"]
+    assert all(line.endswith("; it may not run") for line in ears.log[:-1])
+
+
+def test_a_host_that_hangs_is_given_up_and_called_again() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        await asyncio.sleep(SILENCE_TIMEOUT * 5)
+        assert len(host.all(Subscribe)) == 1
+        host.beats.cancel()
+        await asyncio.sleep(SILENCE_TIMEOUT + 2 * CHECK_INTERVAL)
+        assert len(host.all(Subscribe)) >= 2
+
+    ears = played(story)
+    assert any(line.startswith("nothing received for") for line in ears.log)
+
+
+def test_a_refusal_is_told_and_tried_again_slowly() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        host.refuses = "anna may do nothing"
+        await asyncio.sleep(60.0)
+        assert 10 < len(host.all(Subscribe)) < 20
+
+    ears = played(story)
+    assert "alpha refused: anna may do nothing" in ears.log
+    assert "alpha linked" not in ears.log
+
+
+def test_a_host_is_asked_anew_every_minute_since_clocks_drift() -> None:
+    async def story(scene: Scene) -> None:
+        host = PlayedHost(scene.network)
+        scene.network.latency = 0.1
+        await asyncio.sleep(1.5)
+        for text in "abcd":
+            host.happens(LinkUp(text))
+            await asyncio.sleep(REQUEST_INTERVAL)
+        assert host.all(Subscribe)[1:] == [Subscribe(7, number, 0.0) for number in (1, 2, 3, 4)]
+
+    ears = played(story)
+    assert ears.peers == ["a", "b", "c", "d"]
+    assert ears.took == [pytest.approx(0.2, abs=0.01)] * 5
+    assert all(batch.lost == {} for batch in ears.batches)

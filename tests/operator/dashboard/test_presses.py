@@ -1,0 +1,175 @@
+"""What came of orders from here, for as long as it is true."""
+
+from __future__ import annotations
+
+import pytest
+from dashboard_script import ScriptedHost, inventory
+
+from lfield.errors import AddressError, NoListener
+from lfield.operator.team_model.team_state import OrderState
+from lfield.operator.team_model.team_view import TeamView
+from lfield.wire.events import DeviceLatched, EmergencyStopChanged, PauseChanged, SafeStateConfirmed
+from lfield.wire.observer_messages import EmergencyStopResult
+from lfield.wire.order_messages import OrderKind
+
+NOBODY = NoListener("alpha:8181")
+BOTH = ("alpha", "beta")
+
+
+class Desk:
+    """A picture of two hosts, and whoever presses buttons at it."""
+
+    def __init__(self) -> None:
+        self.picture = TeamView(inventory())
+        self.hosts = {"alpha": ScriptedHost(), "beta": ScriptedHost(8)}
+        self.now = 100.0
+
+    def tell(self, host: str, *whats: object) -> None:
+        self.now += 1.0
+        self.picture.feed(host, self.hosts[host].batch(self.now, *whats), self.now, 0.0)  # type: ignore[arg-type]
+
+    def order(self, order: OrderKind, **answers: EmergencyStopResult | AddressError) -> int:
+        self.now += 1.0
+        number = self.picture.on_order(order, BOTH, self.now)
+        for host, answer in answers.items():
+            self.picture.on_answer(number, host, answer)
+        return number
+
+    @property
+    def seen(self):  # type: ignore[no-untyped-def]
+        return self.picture.snapshot(self.now)
+
+    @property
+    def last(self) -> OrderState:
+        return self.seen.orders[-1]
+
+
+def test_a_stop_that_reached_nobody_names_every_host_until_it_has_stopped() -> None:
+    desk = Desk()
+    desk.order("stop", alpha=NOBODY, beta=NOBODY)
+    assert desk.seen.stop.unreached == {"alpha": str(NOBODY), "beta": str(NOBODY)}
+    assert not desk.seen.stop.stands
+    desk.now += 3600.0
+    assert desk.last.age == 3600.0
+    desk.tell("alpha")
+    assert (
+        desk.seen.stop.unreached["alpha"] == "it is linked again and has not executed the order: press again"
+    )
+    desk.tell("alpha", EmergencyStopChanged("bob", "a child"))
+    assert (desk.seen.stop.hosts, set(desk.seen.stop.unreached)) == (("alpha",), {"beta"})
+    desk.tell("alpha", EmergencyStopChanged("bob", "", True))
+    assert desk.seen.stop.unreached == {}, "somebody has lifted it"
+    assert desk.seen.orders == ()
+
+
+@pytest.mark.parametrize("order", ["pause", "resume", "lift"])
+def test_any_order_that_reached_nobody_says_so(order: OrderKind) -> None:
+    desk = Desk()
+    desk.order(order, alpha=NOBODY, beta=NOBODY)
+    assert (desk.last.order, set(desk.last.unreached)) == (order, {"alpha", "beta"})
+
+
+def test_hosts_that_have_not_answered_yet_are_asked() -> None:
+    desk = Desk()
+    desk.tell("beta")
+    number = desk.order("stop", alpha=NOBODY)
+    assert (desk.last.asked, set(desk.seen.stop.unreached)) == (("beta",), {"alpha"})
+    desk.picture.on_answer(number, "beta", EmergencyStopResult({"two.fc": ""}))
+    desk.tell("beta", EmergencyStopChanged("anna", "x"))
+    assert (desk.last.asked, desk.last.done) == ((), ("beta",))
+
+
+def test_a_stop_is_not_complete_before_every_host_has_answered() -> None:
+    desk = Desk()
+    number = desk.order("stop")
+    desk.tell(
+        "alpha",
+        EmergencyStopChanged("anna", "x"),
+        DeviceLatched("one.fc", "land", "x"),
+        SafeStateConfirmed("one.fc", "land", "x"),
+    )
+    desk.picture.on_answer(number, "alpha", EmergencyStopResult({"one.fc": ""}))
+    # beta hangs: still linked, then not any more, and at last nobody waits for it.
+    assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
+    desk.picture.on_unlinked("beta", "nothing was heard of it for 6 s")
+    assert (desk.seen.stop.asked, desk.seen.stop.complete) == (("beta",), False)
+    desk.picture.on_answer(number, "beta", NOBODY)
+    assert (desk.seen.stop.asked, set(desk.seen.stop.unreached)) == ((), {"beta"})
+    assert not desk.seen.stop.complete
+
+
+def test_a_host_that_has_told_of_the_stop_and_not_of_its_devices_has_not_answered() -> None:
+    desk = Desk()
+    number = desk.order("stop")
+    for host, device in (("alpha", "one.fc"), ("beta", "two.fc")):
+        desk.tell(
+            host,
+            EmergencyStopChanged("anna", "x"),
+            DeviceLatched(device, "land", "x"),
+            SafeStateConfirmed(device, "land", "x"),
+        )
+    desk.picture.on_answer(number, "alpha", EmergencyStopResult({"one.fc": ""}))
+    assert (desk.last.asked, desk.seen.stop.complete) == (("beta",), False)
+    desk.picture.on_answer(
+        number, "beta", EmergencyStopResult({"two.fc": "", "two.winch": "it does not answer"})
+    )
+    assert desk.seen.stop.unconfirmed == {"two.winch": "it does not answer"}
+    assert not desk.seen.stop.complete
+    desk.tell("beta", DeviceLatched("two.winch", "hold", "x"), SafeStateConfirmed("two.winch", "hold", "x"))
+    assert desk.seen.stop.complete
+
+
+def test_a_host_whose_address_nobody_knows_is_not_reached_either() -> None:
+    desk = Desk()
+    desk.picture.on_answer(desk.picture.on_order("stop", ["alpha"], desk.now), "alpha", NOBODY)
+    assert "its address is unknown" in desk.seen.stop.unreached["beta"]
+
+
+def test_an_answer_to_an_order_that_is_over_changes_nothing() -> None:
+    desk = Desk()
+    old = desk.order("stop")
+    desk.order("lift", alpha=NOBODY)
+    desk.picture.on_answer(old, "beta", NOBODY)
+    assert [(order.order, order.asked) for order in desk.seen.orders] == [("lift", ("beta",))]
+
+
+def test_a_lift_ends_the_stop_where_it_is_heard_and_leaves_what_was_known_of_a_dead_host() -> None:
+    desk = Desk()
+    for host, device in (("alpha", "one.fc"), ("beta", "two.fc")):
+        desk.tell(
+            host,
+            EmergencyStopChanged("anna", "x"),
+            DeviceLatched(device, "land", "x"),
+            SafeStateConfirmed(device, "land", "x"),
+        )
+    desk.picture.on_unlinked("beta", "the connection was lost")
+    assert desk.seen.stop.confirmed == ("one.fc",)
+    desk.order("lift", alpha=EmergencyStopResult({}), beta=NOBODY)
+    desk.tell("alpha", EmergencyStopChanged("anna", "", True))
+    stop = desk.seen.stop
+    assert (stop.stands, stop.confirmed, stop.unreached) == (False, (), {})
+    assert stop.before == {"beta": ("two.fc",)}
+    assert (desk.last.done, desk.last.unreached) == (("alpha",), {"beta": str(NOBODY)})
+
+
+def test_what_a_dead_host_had_not_confirmed_stays_told_until_the_lift() -> None:
+    desk = Desk()
+    desk.tell("alpha", EmergencyStopChanged("anna", "x"))
+    desk.tell("beta", EmergencyStopChanged("anna", "x"), DeviceLatched("two.fc", "land", "x"))
+    desk.picture.on_unlinked("beta", "the connection was lost")
+    stop = desk.seen.stop
+    assert stop.unconfirmed["two.fc"] == "its safe state is not confirmed yet"
+    assert stop.before == {"beta": ()}
+    desk.tell("alpha", EmergencyStopChanged("anna", "", True))
+    assert desk.seen.stop.unconfirmed == {}
+
+
+def test_a_stop_and_a_pause_stand_at_once() -> None:
+    desk = Desk()
+    desk.order("pause", alpha=EmergencyStopResult({"one.fc": "its port is gone"}, "no disk"), beta=NOBODY)
+    desk.order("stop", alpha=NOBODY, beta=NOBODY)
+    assert [order.order for order in desk.seen.orders] == ["pause", "stop"]
+    assert desk.seen.orders[0].unconfirmed == {"one.fc": "its port is gone"}
+    assert desk.seen.orders[0].troubles == {"alpha": "no disk"}
+    desk.tell("alpha", PauseChanged("bob", True))
+    assert [order.order for order in desk.seen.orders] == ["stop"]

@@ -1,0 +1,100 @@
+"""Where hosts are found again that were started again."""
+
+from __future__ import annotations
+
+import asyncio
+from pathlib import Path
+
+import pytest
+
+from lfield.errors import AddressError, NoMissionRunning
+from lfield.operator.dashboard.event_stream.host_locator import NOT_HERE, REFRESH_INTERVAL, HostLocator
+from lfield.operator.runs import Run, RunManifest
+from lfield.operator.targets import TargetTeam
+from lfield.simulate.jumping_loop import run_jumping
+
+
+def party(name: str, mission: str, *hosts: str) -> TargetTeam:
+    addresses = {host: f"unix:/run/{name}/{host}.sock" for host in hosts}
+    note = RunManifest("m.dL", mission * 64, 1, 0.0, 1.0, {host: f"{host}:1" for host in hosts}, {})
+    return TargetTeam((Run(Path("/run") / name, note),), addresses)
+
+
+def unstarted(*hosts: str) -> TargetTeam:
+    """A mission that was named, and that nobody runs here: at the addresses of its deployment."""
+    return TargetTeam((), {host: f"{host}:8181" for host in hosts})
+
+
+def found(reach: HostLocator, host: str = "alpha", *, after: float = 0.0) -> str:
+    async def main() -> str:
+        await reach("alpha")
+        await asyncio.sleep(after)
+        return await reach(host)
+
+    return run_jumping(main())
+
+
+@pytest.fixture(autouse=True)
+def _no_threads(monkeypatch) -> None:
+    async def at_once(work, *args):
+        return work(*args)
+
+    monkeypatch.setattr(asyncio, "to_thread", at_once)
+
+
+def test_a_run_is_not_looked_for_as_long_as_it_was_found_a_moment_ago() -> None:
+    reach = HostLocator(party("m-1", "a", "alpha"), lambda: [party("m-2", "a", "alpha")])
+    assert found(reach, after=REFRESH_INTERVAL / 2) == "unix:/run/m-1/alpha.sock"
+
+
+def test_another_run_of_the_mission_has_the_hosts_now() -> None:
+    others = [party("n-1", "b", "alpha"), party("m-2", "a", "alpha"), party("m-3", "a", "alpha")]
+    reach = HostLocator(party("m-1", "a", "alpha"), lambda: others)
+    assert found(reach, after=REFRESH_INTERVAL) == "unix:/run/m-3/alpha.sock"
+
+
+def test_the_run_that_was_followed_counts_while_it_lives() -> None:
+    both = [party("m-1", "a", "alpha"), party("m-2", "a", "alpha")]
+    assert found(HostLocator(both[0], lambda: both), after=REFRESH_INTERVAL) == "unix:/run/m-1/alpha.sock"
+
+
+def test_where_nothing_runs_it_stays_where_it_was() -> None:
+    def look() -> list[TargetTeam]:
+        raise NoMissionRunning("no mission runs here")
+
+    reach = HostLocator(party("m-1", "a", "alpha"), look)
+    assert found(reach, after=REFRESH_INTERVAL) == "unix:/run/m-1/alpha.sock"
+
+
+def test_a_host_that_a_mission_has_no_more_is_told() -> None:
+    reach = HostLocator(party("m-1", "a", "alpha"), lambda: [])
+    with pytest.raises(AddressError, match="has no such host any more"):
+        found(reach, "gamma")
+
+
+def test_a_mission_that_was_started_later_is_found_and_after_it_the_next_run_of_it() -> None:
+    now: list[TargetTeam] = [unstarted("alpha")]
+    reach = HostLocator(unstarted("alpha"), lambda: now)
+
+    async def main() -> list[str]:
+        said = [await reach("alpha")]
+        for run in ("m-1", "m-2"):
+            now[:] = [party(run, "a", "alpha")]
+            await asyncio.sleep(REFRESH_INTERVAL)
+            said.append(await reach("alpha"))
+        now[:] = [unstarted("alpha")]
+        await asyncio.sleep(REFRESH_INTERVAL)
+        return [*said, await reach("alpha")]
+
+    m1, m2 = "unix:/run/m-1/alpha.sock", "unix:/run/m-2/alpha.sock"
+    assert run_jumping(main()) == ["alpha:8181", m1, m2, m2]
+    assert reach.addresses == {"alpha": m2}
+
+
+def test_whether_the_mission_runs_here_is_said_as_far_as_it_was_looked_for() -> None:
+    now: list[TargetTeam] = [unstarted("alpha")]
+    reach = HostLocator(unstarted("alpha"), lambda: now)
+    assert reach.hint() == NOT_HERE
+    now[:] = [party("m-1", "a", "alpha")]
+    assert found(reach, after=REFRESH_INTERVAL) == "unix:/run/m-1/alpha.sock"
+    assert reach.hint() == ""

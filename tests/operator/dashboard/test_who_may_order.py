@@ -1,0 +1,83 @@
+"""Which buttons a person has: by the certificate over a network, by the user on this computer."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from lfield.authority.identity import Right
+from lfield.authority.key_material import Keys
+from lfield.mission.access.access_rules import NO_RULES, Access, PersonRule
+from lfield.net.tcp_transport import TcpTransport
+from lfield.operator.dashboard.event_stream.host_locator import HostLocator
+from lfield.operator.dashboard.order_service import OperatorContext, OrderService
+from lfield.operator.targets import TargetTeam
+from lfield.testing.keyring import Keyring
+
+
+def barred(
+    addresses: Mapping[str, str], keys: Keys | None = None, access: Access = NO_RULES
+) -> Mapping[str, str]:
+    orders = OrderService(
+        TcpTransport(1 << 20),
+        HostLocator(TargetTeam((), addresses), lambda: []),
+        None,  # type: ignore[arg-type]
+        None,  # type: ignore[arg-type]
+        lambda: None,  # type: ignore[arg-type, return-value]
+        OperatorContext(keys=keys, access=access),
+    )
+    return orders.denied_orders
+
+
+@pytest.mark.parametrize(
+    ("may", "not_may"),
+    [
+        ((Right.OBSERVE,), {"stop", "lift", "pause", "resume"}),
+        ((Right.OBSERVE, Right.STOP), {"lift", "resume"}),
+        ((Right.OBSERVE, Right.STOP, Right.OPERATE), set()),
+    ],
+)
+def test_a_certificate_says_which_buttons_there_are(
+    may: tuple[Right, ...], not_may: set[str], tmp_path
+) -> None:
+    keys = Keyring(tmp_path).made("person", "anna", *may)
+    found = barred({"alpha": "10.0.0.5:8181"}, keys)
+    assert set(found) == not_may
+    assert all("lfield keys person anna --may" in why for why in found.values())
+
+
+def test_a_mission_leaves_fewer_buttons_and_never_takes_stop(tmp_path: Path) -> None:
+    keys = Keyring(tmp_path).made("person", "anna", Right.OBSERVE, Right.STOP, Right.OPERATE)
+    for names in ("anna", "others"):
+        access = Access("mission.access.yaml", (PersonRule(names, (Right.OBSERVE,), 2),))
+        found = barred({"alpha": "10.0.0.5:8181"}, keys, access)
+        assert set(found) == {"lift", "resume"}
+        assert all(f"mission.access.yaml:2 limits {names} to: observe" in why for why in found.values())
+    access = Access("mission.access.yaml", (PersonRule("bob", (Right.OBSERVE,), 2),))
+    assert barred({"alpha": "10.0.0.5:8181"}, keys, access) == {}
+
+
+def test_the_user_who_runs_a_host_may_all_of_it_and_others_are_told(tmp_path: Path, monkeypatch) -> None:
+    door = tmp_path / "alpha.sock"
+    door.write_text("")
+    assert barred({"alpha": f"unix:{door}"}) == {}
+    monkeypatch.setattr(os, "geteuid", lambda: 4711)
+    monkeypatch.setattr(os, "getgroups", lambda: [])
+    found = barred({"alpha": f"unix:{door}"})
+    assert set(found) == {"stop", "lift", "pause", "resume"}
+    assert "the user who runs the host has it" in found["stop"]
+
+
+def test_what_one_host_takes_is_no_button_less(tmp_path: Path) -> None:
+    door = tmp_path / "alpha.sock"
+    door.write_text("")
+    keys = Keyring(tmp_path / "keys").made("person", "anna", Right.OBSERVE)
+    assert barred({"alpha": f"unix:{door}", "beta": "10.0.0.5:8181"}, keys) == {}
+
+
+def test_of_whom_nothing_is_known_hosts_decide() -> None:
+    assert barred({"alpha": "10.0.0.5:8181"}) == {}
+    assert barred({"alpha": "unix:/nowhere/alpha.sock"}) == {}

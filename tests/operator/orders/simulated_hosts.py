@@ -1,0 +1,208 @@
+"""Hosts and a network of datagrams and connections in virtual time, for the desk's side of orders."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import time
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.certificate_authority import CertificateAuthority, new_authority
+from lfield.authority.identity import ALL_RIGHTS, Right
+from lfield.authority.key_material import Keys
+from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, verify_order
+from lfield.authority.trusted_clock import TrustedClock
+from lfield.clock import ManualClock
+from lfield.errors import AddressError, LfieldError, NoListener
+from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.host.stop_orders.datagram_limits import Sender
+from lfield.host.stop_orders.order_receiver import OrderPorts, OrderReceiver, PendingCheck
+from lfield.net.connections.resolver import ResolvedAddress
+from lfield.operator.orders.known_hosts import KnownHosts
+from lfield.operator.orders.order_sender import OrderSender
+from lfield.wire.messages import Hello, Message
+from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
+
+#: A host needs so many seconds to make its devices safe, and a connection so many round trips.
+EXECUTES, HANDSHAKE = 0.02, 3.0
+
+
+@cache
+def authority() -> CertificateAuthority:
+    now = time.time()
+    return new_authority(now, now + 86400.0)
+
+
+@cache
+def keys(holder: Any, name: str, may: frozenset[Right] = frozenset()) -> Keys:
+    now = time.time()
+    issued = authority().issue(holder, name, may=may, at=now, ends=now + 86400.0)
+    return Keys(holder, authority().certificate, issued.certificate, issued.key)
+
+
+class Network:
+    """Datagrams and messages of connections take `trip`/2 seconds; datagrams are lost with a probability.
+
+    Host number n is at 10.0.0.n. `udp` and `tcp` say whether the desk reaches a host that way; a connection
+    that is `refused` fails at once.
+    """
+
+    def __init__(self, count: int = 1, *, trip: float = 0.1, loss: float = 0.0, seed: int = 1) -> None:
+        self.trip, self.loss, self.rng = trip, loss, random.Random(seed)
+        self.udp: Callable[[str], bool] = lambda host: True
+        self.tcp: Callable[[str], bool] = lambda host: True
+        self.refused: Callable[[str], bool] = lambda host: False
+        self.twice = False
+        self.hosts = {f"h{n}": Host(self, f"h{n}") for n in range(1, count + 1)}
+        self.addresses = {name: f"10.0.0.{name[1:]}:6000" for name in self.hosts}
+        #: Datagrams of the desk as (time, host, bytes), and the connections that it began, as (time, host).
+        self.sent: list[tuple[float, str, bytes]] = []
+        self.dialled: list[tuple[float, str]] = []
+        self.on_datagram: Callable[[bytes, Any], None] = lambda data, sender: None
+
+    @property
+    def now(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def later(self, seconds: float, event: Callable[..., None], *given: object) -> None:
+        asyncio.get_running_loop().call_later(seconds, event, *given)
+
+    def carry(self, event: Callable[..., None], *given: object) -> None:
+        for _ in range(2 if self.twice else 1):
+            if self.rng.random() >= self.loss:
+                self.later(self.trip / 2.0, event, *given)
+
+    def sender(self, known: KnownHosts | None = None, may: frozenset[Right] = ALL_RIGHTS) -> OrderSender:
+        own = keys("person", "anna", may)
+        return OrderSender(own, known or KnownHosts(own.authority), self._open)
+
+    def _open(self, on_datagram: Callable[[bytes, Any], None]) -> Network:
+        self.on_datagram = on_datagram
+        return self
+
+    def send(self, data: bytes, to: ResolvedAddress) -> None:
+        host = f"h{to.address[0].rpartition('.')[2]}"
+        self.sent.append((self.now, host, data))
+        if self.udp(host):
+            self.carry(self.hosts[host].came, data)
+
+    def close(self) -> None:
+        self.on_datagram = lambda data, sender: None
+
+    def answered(self, host: str, data: bytes) -> None:
+        if self.udp(host):
+            self.carry(lambda: self.on_datagram(data, (f"10.0.0.{host[1:]}", 6000)))
+
+    async def connect(self, address: str, handler: Any) -> Connection:
+        host = f"h{address.partition(':')[0].rpartition('.')[2]}"
+        self.dialled.append((self.now, host))
+        if self.refused(host):
+            await asyncio.sleep(self.trip)
+            raise NoListener(address)
+        if not self.tcp(host):
+            await asyncio.sleep(2.0)
+            raise AddressError(address, "no answer within 2 s")
+        await asyncio.sleep(HANDSHAKE * self.trip)
+        return Connection(self, self.hosts[host], handler)
+
+    async def listen(self, address: str, on_link: object) -> Any:
+        raise NotImplementedError
+
+
+class Connection:
+    """The desk's end of a connection with a host. It loses nothing."""
+
+    def __init__(self, network: Network, host: Host, handler: Any) -> None:
+        self.peer, self.closed = host.name, False
+        self._network, self._host, self._handler = network, host, handler
+        self.who = OrderSigner(keys("host", host.name)).who
+
+    def send(self, message: Message) -> None:
+        self._network.later(self._network.trip / 2.0, self._came, message)
+
+    def _came(self, message: Message) -> None:
+        if isinstance(message, Hello):
+            self._back(Hello("host", self._host.name, 7, epochs=self._host.orders.epochs))
+        elif isinstance(message, EmergencyStop | Pause):
+            self._host.execute(message, "anna", self._back)
+
+    def _back(self, message: Message) -> None:
+        self._network.later(self._network.trip / 2.0, self._hand_over, message)
+
+    def _hand_over(self, message: Message) -> None:
+        if not self.closed:
+            self._handler.on_message(self, message)
+
+    def accept_role(self, role: str) -> None:
+        pass
+
+    def close(self) -> None:
+        self.closed = True
+
+    abort = close
+
+
+class Host:
+    """The part of a host that takes orders. It has links with all other hosts."""
+
+    def __init__(self, network: Network, name: str) -> None:
+        self.network, self.name = network, name
+        #: The orders that were executed, and the devices.
+        self.executed: list[EmergencyStop | Pause] = []
+        self.devices = {f"{name}.fc": ""}
+        self.boot()
+
+    def boot(self) -> None:
+        """A new life: epochs and certificates that it knew are gone."""
+        self.send: Callable[[Sender, bytes], None] = lambda to, data: self.network.answered(self.name, data)
+        self.linked: Callable[[], Sequence[str]] = lambda: [n for n in self.network.hosts if n != self.name]
+        own = keys("host", self.name)
+        self.orders = ExecutedOrders(self.network.rng.randbytes)
+        signer, clock = OrderSigner(own), ManualClock()
+        self.certificates = CertificateCache(own.authority)
+        admission = CertificateAdmission(own, signer.who, TrustedClock(clock, time.time()))
+        ports = OrderPorts(
+            send=lambda sender, data: self.send(sender, data),
+            relay=self._relay,
+            linked=lambda: self.linked(),
+            check=self._check,
+            execute=self.execute,
+            later=self.network.later,
+        )
+        self.core = OrderReceiver(
+            signer, self.certificates, admission, lambda: self.orders.epochs, lambda: self.network.now, ports
+        )
+
+    def came(self, data: bytes) -> None:
+        self.core.on_datagram(data, Sender("desk", "desk"))
+
+    def _relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
+        other = self.network.hosts[host]
+        self.network.later(self.network.trip / 2.0, lambda: other.core.on_relayed(self.name, message))
+
+    def _check(self, checking: PendingCheck) -> None:
+        found: Any
+        try:
+            found = verify_order(checking.signed, checking.known, self.certificates.authority)[1]
+        except LfieldError as error:
+            found = error
+        core = self.core
+        self.network.later(0.001, core.on_checked, checking, found)
+
+    def execute(self, message: EmergencyStop | Pause, who: str, answer: Callable[[Any], None]) -> None:
+        standing = self.orders.standing_of(message.kind, message.id, message.epoch)
+        if standing in ("old", "unknown") and not (standing == "old" and message.lift):
+            answer(OrderChallenge(message.id, self.orders.epochs))
+            return
+        if standing == "new":
+            self.orders.mark_executed(message.kind, message.id)
+            self.executed.append(message)
+        trouble = "newer" if standing == "old" else ""
+        devices = dict.fromkeys(self.devices, trouble)
+        self.network.later(
+            EXECUTES, lambda: answer(EmergencyStopResult(devices, trouble, message.id, self.orders.epochs))
+        )

@@ -1,0 +1,155 @@
+"""The model of the radio: which packets arrive, and when. It has no clock and no socket."""
+
+from __future__ import annotations
+
+import heapq
+import random
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+from emulator.cells import Cell, Link
+from emulator.channel import SharedChannel
+
+#: Sender and receiver.
+Way = tuple[int, int]
+
+
+class Delivery(NamedTuple):
+    """A packet that reaches a robot."""
+
+    to: int
+    packet: bytes
+
+
+class _Sent(NamedTuple):
+    way: Way
+    packet: bytes
+    lost: bool
+    jitter: float
+
+
+class _Fades:
+    """The times in which a pair loses everything. It must be asked in the order of time."""
+
+    def __init__(self, link: Link, start: float, rng: random.Random) -> None:
+        self._rng, self._until, self._faded = rng, start, True
+        self._means = {True: link.burst, False: link.burst * (1 - link.fade) / link.fade}
+
+    def at(self, now: float) -> bool:
+        """Whether the pair is in a fade."""
+        while self._until <= now:
+            self._faded = not self._faded
+            self._until += self._rng.expovariate(1 / self._means[self._faded])
+        return self._faded
+
+
+class Air:
+    """Robots, by number, that send packets to each other.
+
+    Events are `send`, `cut`, `mend` and the setters, in the order of time; the effects are the deliveries
+    and losses that `advance` and `pop_lost` return. `next_event` says when to call `advance`. The n-th
+    packet of a direction has the same loss and jitter for the same seed, whatever other directions carry.
+    """
+
+    def __init__(self, names: Sequence[str], seed: int) -> None:
+        self._names, self._seed = names, seed
+        self._cell, self._links = Cell(), dict[Way, Link]()
+        self._channel: SharedChannel[_Sent] | None = None
+        self._rng: dict[Way, random.Random] = {}
+        self._fades: dict[Way, _Fades] = {}
+        self._cut_until: defaultdict[Way, float] = defaultdict(float)
+        self._last_arrival: defaultdict[Way, float] = defaultdict(float)
+        self._under_way: list[tuple[float, int, Delivery]] = []
+        self._count = 0
+        self._lost: list[tuple[Way, bytes]] = []
+
+    def set_cell(self, cell: Cell) -> None:
+        """Set all pairs and the channel. What waits for the old channel is lost, fades are drawn anew."""
+        self._cell = cell
+        self._links.clear()
+        self._fades.clear()
+        self._channel = SharedChannel(cell.channel, len(self._names)) if cell.channel.rate else None
+
+    def set_link(self, link: Link, one: int, other: int) -> None:
+        """Set both directions of one pair."""
+        self._links[_pair(one, other)] = link
+        self._fades.pop(_pair(one, other), None)
+
+    def cut(self, one: int, other: int, until: float) -> None:
+        """Lose all that a pair sends before a time."""
+        pair = _pair(one, other)
+        self._cut_until[pair] = max(self._cut_until[pair], until)
+
+    def mend(self) -> None:
+        """End all cuts."""
+        self._cut_until.clear()
+
+    def send(self, now: float, source: int, to: int, packet: bytes) -> None:
+        """A robot sends a packet."""
+        way = source, to
+        link, dice = self._link(way), self._dice_of(way)
+        # Both are drawn for every packet, so that one parameter does not change the fate of the next packets.
+        sent = _Sent(way, packet, dice.random() < link.loss, dice.random() * link.jitter)
+        if self._channel is None:
+            self._transmit(sent, now, now)
+            return
+        self._serve_channel(now)
+        if not self._channel.offer(now, source, sent, len(packet)):
+            self._lost.append((way, packet))
+        self._serve_channel(now)
+
+    def advance(self, now: float) -> Iterator[Delivery]:
+        """What has arrived by now, in the order of time."""
+        self._serve_channel(now)
+        while self._under_way and self._under_way[0][0] <= now:
+            yield heapq.heappop(self._under_way)[2]
+
+    def next_event(self) -> float | None:
+        """When something arrives or the next queued packet is sent; None when nothing is under way."""
+        times = [self._under_way[0][0]] if self._under_way else []
+        if self._channel is not None and (free := self._channel.next_event) is not None:
+            times.append(free)
+        return min(times, default=None)
+
+    def pop_lost(self) -> list[tuple[Way, bytes]]:
+        """The packets that were lost since the last call."""
+        lost, self._lost = self._lost, []
+        return lost
+
+    def _serve_channel(self, now: float) -> None:
+        if self._channel is not None:
+            for transmission in self._channel.pop_started(now):
+                self._transmit(transmission.item, transmission.start, transmission.end)
+
+    def _transmit(self, sent: _Sent, start: float, end: float) -> None:
+        link, pair = self._link(sent.way), _pair(*sent.way)
+        if (
+            sent.lost
+            or self._cut_until[pair] > start
+            or (link.fade and self._fades_of(pair, start).at(start))
+        ):
+            self._lost.append((sent.way, sent.packet))
+            return
+        arrival = max(end + link.delay + sent.jitter, self._last_arrival[sent.way])
+        self._last_arrival[sent.way] = arrival
+        self._count += 1
+        heapq.heappush(self._under_way, (arrival, self._count, Delivery(sent.way[1], sent.packet)))
+
+    def _link(self, way: Way) -> Link:
+        return self._links.get(_pair(*way), self._cell.link)
+
+    def _dice_of(self, way: Way) -> random.Random:
+        if way not in self._rng:
+            self._rng[way] = random.Random(f"{self._seed}/{self._names[way[0]]}>{self._names[way[1]]}")
+        return self._rng[way]
+
+    def _fades_of(self, pair: Way, now: float) -> _Fades:
+        if pair not in self._fades:
+            dice = random.Random(f"{self._seed}/fades/{self._names[pair[0]]}/{self._names[pair[1]]}")
+            self._fades[pair] = _Fades(self._link(pair), now, dice)
+        return self._fades[pair]
+
+
+def _pair(one: int, other: int) -> Way:
+    return min(one, other), max(one, other)

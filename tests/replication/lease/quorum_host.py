@@ -1,0 +1,398 @@
+"""One life of a host: the real quorum core, and a small model of what mobility and a journal do beside it.
+
+A coordinator is RUN here, PREPARED to leave, MOVED, or EXITED: it has terminated. What is decided about one
+goes out when the pages that were written before are on disk; a life that ends takes with it what was not.
+"""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from quorum_copies import Copy, Ends, Inquire, Transfer, TransferVerdict
+from quorum_scenario import LEASE
+
+from lfield.replication.lease.effects import (
+    Checkpoint,
+    Effect,
+    PromoteCheckpoint,
+    RaiseFence,
+    RecordTermination,
+    SendQuorumMessage,
+)
+from lfield.replication.lease.quorum_members import FencingTokens, QuorumMembers
+from lfield.wire.coordinator_messages import (
+    CheckpointId,
+    LeaseRecord,
+    Locate,
+    Located,
+    Terminated,
+    TerminatedAck,
+)
+from lfield.wire.quorum_messages import Promise, Propose, QuorumMessage
+
+if TYPE_CHECKING:
+    from quorum_world import Computer, World
+
+#: Between the starts that recoveries may make.
+STRIDE = 65536
+#: A host that does more than so many ticks in one second does nothing else.
+BUSY = 100
+
+
+class HostLife:
+    """One process. It sees its own clock only; what it does is seen by the judge."""
+
+    def __init__(self, world: World, computer: Computer, number: int) -> None:
+        self.world, self.computer, self.name = world, computer, computer.name
+        self._judge, self._rng = world.judge, random.Random(f"{world.story.seed} {number}")
+        disk = computer.disk
+        self.copies: dict[str, Copy] = {key[1]: page for key, page in disk.items() if key[0] == "copy"}
+        self.verdicts = {key[1:]: page for key, page in disk.items() if key[0] == "verdict"}
+        fences = {key[1]: page for key, page in disk.items() if key[0] == "fence"}
+        others = [name for name in world.hosts if name != self.name]
+        members = QuorumMembers(world.story.members, self.name, LEASE)
+        tokens = FencingTokens({k: v for k, v in fences.items() if k in world.story.agents})
+        self.core = world.core(members, others, world.story.agents, number, self, tokens, self._rng)
+        #: What waits for pages of each coordinator: None stands for one that is not on disk yet.
+        self._waiting: dict[str, deque[Callable[[], None] | None]] = {a: deque() for a in world.story.agents}
+        self._disk_free, self._armed = 0.0, float("inf")
+        self._ticks: deque[float] = deque(maxlen=BUSY)
+        #: Since when it holds the lease, and since when each coordinator is here, in real seconds.
+        self._leased: float | None = None
+        self._until = float("-inf")
+        self._here: dict[str, float] = {}
+        self._asked: dict[str, float] = {}
+        self.ends = Ends(self.name, world.story.members)
+
+    # --- time -----------------------------------------------------------------------------------------
+
+    @property
+    def clock(self) -> float:
+        """What this host's clock shows."""
+        return self.computer.clock(self.world.now)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether this life has ended."""
+        return self.computer.life is not self
+
+    def join(self) -> None:
+        """It takes part after a while."""
+        self.later(self._rng.uniform(0.0, 2.0), lambda: self.core.start(self.clock))
+        self.later(self._rng.uniform(2.0, 2.5), self._step)
+
+    def later(self, seconds: float, event: Callable[[], None]) -> None:
+        """Something that this life does."""
+        self.world.at(self.world.now + seconds, lambda: self.enter(event))
+
+    def enter(self, event: Callable[[], None]) -> None:
+        """An event, unless the life is over; not before the host goes on again, if it is stopped."""
+        if self.is_over:
+            return
+        if self.computer.frozen:
+            self.computer.backlog.append(lambda: self.enter(event))
+            return
+        event()
+        self._settle()
+
+    def _settle(self) -> None:
+        """After each event: when the core wants to go on, and how long what moves here may move."""
+        self._watch_lease()
+        for agent in self.world.story.agents:
+            if (action := self._judge.action(agent, self.name)) and self._may_act(agent):
+                action.until = max(action.until, self.until)
+        due = self.core.due
+        if due is None:
+            return
+        at = max(self.world.now, self.computer.real(due)) + 1e-6 + self._rng.uniform(0.0, 0.004)
+        if at < self._armed:
+            self._armed = at
+            self.world.at(at, lambda: self.enter(lambda: self._tick(at)))
+
+    def _watch_lease(self) -> None:
+        until = self.core.lease.valid_until
+        if until <= self.clock:
+            self._leased = None
+        elif self._leased is None or self._until < self.clock:
+            self._leased = self.world.now
+        self._until = until
+
+    def _tick(self, armed: float) -> None:
+        if self._armed == armed:
+            self._armed = float("inf")
+        self._ticks.append(self.world.now)
+        if len(self._ticks) == BUSY and self.world.now - self._ticks[0] < 1.0:
+            self._judge.breach(f"{self.name} is busy with nothing")
+        self.carry_out(self.core.tick(self.clock))
+
+    # --- the disk -------------------------------------------------------------------------------------
+
+    def write(self, agent: str, pages: dict[tuple, object], then: Callable[[], None] = lambda: None) -> None:
+        """Pages of a coordinator, and what rests on them."""
+        waiting = self._waiting[agent]
+        waiting.append(None)
+        waiting.append(then)
+        self._disk_free = max(self._disk_free, self.world.now) + self.world.commit(self.name)
+        self.world.at(self._disk_free, lambda: self._written(agent, pages))
+
+    def _written(self, agent: str, pages: dict[tuple, object]) -> None:
+        if not self.is_over:
+            self.computer.disk.update(pages)
+            for key, page in pages.items():
+                if key[0] == "copy" and isinstance(page, Copy) and page.state == "EXITED":
+                    self._judge.terminated(agent, page.generation, self.name)
+            self.enter(lambda: self._release(agent))
+
+    def _release(self, agent: str) -> None:
+        waiting = self._waiting[agent]
+        waiting.popleft()
+        while waiting and waiting[0] is not None:
+            waiting.popleft()()
+
+    def after(self, agent: str, action: Callable[[], None]) -> None:
+        """When all pages of a coordinator that were written are on disk."""
+        if self._waiting[agent]:
+            self._waiting[agent].append(action)
+        else:
+            action()
+
+    # --- the core -------------------------------------------------------------------------------------
+
+    def carry_out(self, effects: Iterable[Effect]) -> None:
+        """What the core asks for."""
+        for effect in effects:
+            match effect:
+                case RaiseFence():
+                    self._bar(effect.agent, effect.generation)
+                case SendQuorumMessage():
+                    self._send(effect.host, effect.message)
+                case PromoteCheckpoint():
+                    self._take_over(effect.agent, effect.generation)
+                case RecordTermination():
+                    self._learn_end(effect.ended)
+
+    def _send(self, host: str, message: QuorumMessage | Locate | Located) -> None:
+        for each in message.leases if isinstance(message, Located) else [message]:
+            self._send_one(host, each)
+
+    def _send_one(self, host: str, message: object) -> None:
+        agent = getattr(message, "agent", None)
+        if agent in self._waiting:
+            self.after(agent, lambda: self.world.send(self.name, host, message))
+        else:
+            self.world.send(self.name, host, message)
+
+    def _bar(self, agent: str, generation: int) -> None:
+        self._judge.barred(agent, generation, self.name)
+        copy = self.copies.get(agent)
+        if copy and copy.generation < generation:
+            self._judge.stops(agent, self.name)
+        self.keep_fence(agent, generation)
+
+    def keep_fence(self, agent: str, generation: int) -> None:
+        """A fence comes to the disk."""
+        self.write(agent, {("fence", agent): generation})
+
+    def _take_over(self, agent: str, generation: int) -> None:
+        knew = {self.name: self.ends.known(agent, self.copies.get(agent))}
+        self._judge.recovers(agent, self.copies[agent].generation, generation, knew)
+        self._keep(agent, Copy(generation, 0, "RUN"))
+
+    def checkpoint(self, agent: str) -> Checkpoint | None:
+        """The newest that is here of a coordinator."""
+        copy = self.copies.get(agent)
+        if copy is None:
+            return None
+        if copy.state == "EXITED":
+            return self.ends.checkpoint(agent, copy)
+        place = CheckpointId(copy.generation, copy.sequence, copy.state != "RUN")
+        return Checkpoint(place, self.lives(agent), self.world.story.interval)
+
+    def allocate_generation(self, agent: str, above: int) -> int:
+        """A generation that no other host makes."""
+        copy = self.copies.get(agent)
+        newest = max(above, copy.generation if copy else 0)
+        return (newest // STRIDE + 1) * STRIDE + self.world.story.hosts.index(self.name) + 1
+
+    # --- coordinators ---------------------------------------------------------------------------------
+
+    def start(self, agent: str) -> None:
+        """A home starts it."""
+        self._keep(agent, Copy(1, 0, "RUN"))
+
+    def _keep(self, agent: str, copy: Copy, pages: dict | None = None, then=lambda: None) -> None:
+        """A copy comes to the disk, and is as good as there when it is."""
+        self.copies[agent] = copy
+        self._here[agent] = self.world.now
+
+        def kept() -> None:
+            if self.copies[agent] == copy:
+                self.copies[agent] = replace(copy, kept=True)
+                if copy.state == "RUN":
+                    self._act(agent)
+            then()
+
+        self.write(agent, {("copy", agent): replace(copy, kept=True), **(pages or {})}, kept)
+
+    def lives(self, agent: str) -> bool:
+        """Whether it runs here, as far as fences let it."""
+        copy = self.copies.get(agent)
+        return copy is not None and copy.state == "RUN" and not self.core.is_fenced(agent, copy.generation)
+
+    def _may_act(self, agent: str) -> bool:
+        copy = self.copies.get(agent)
+        if copy is None or not copy.kept or not self.lives(agent):
+            return False
+        return self.core.may_act(agent, copy.generation, self.clock)
+
+    @property
+    def until(self) -> float:
+        """Until when, in real seconds, a command of now may move something."""
+        return min(self.computer.real(self.core.lease.valid_until), self.world.now + LEASE)
+
+    def well(self, agent: str, below: int) -> float | None:
+        """Since when a start before that one has been here under a lease; None if none is."""
+        copy = self.copies.get(agent)
+        if copy is None or copy.generation >= below or self._leased is None:
+            return None
+        if not (self._may_act(agent) or self._has_unsettled_end(agent)):
+            return None
+        return max(self._leased, self._here.get(agent, 0.0))
+
+    def _has_unsettled_end(self, agent: str) -> bool:
+        """Whether it terminated here, and this host keeps others from recovering it under its lease."""
+        saved = self.checkpoint(agent)
+        if saved is None or saved.is_final or self.core.is_fenced(agent, saved.position.generation):
+            return False
+        return self.core.lease.holds(self.clock)
+
+    def _step(self) -> None:
+        self.later(self._rng.uniform(0.05, 0.6), self._step)
+        for agent in self.world.story.agents:
+            copy = self.copies.get(agent)
+            if copy is None or not copy.kept or self._judge.action(agent, self.name):
+                continue
+            if copy.state == "PREPARED" and self.clock >= self._asked.get(agent, 0.0) + 1.0:
+                self._ask(agent, copy)
+            elif copy.state == "EXITED" and copy.to == self.name:
+                self._send_termination(agent, copy)
+            elif self.lives(agent):
+                self._work(agent, copy)
+
+    def _work(self, agent: str, copy: Copy) -> None:
+        others = [name for name in self.world.hosts if name != self.name]
+        ends = self.world.story.ends
+        if ends and self._may_act(agent) and self._rng.random() < ends:
+            self._keep(agent, Copy(copy.generation, copy.sequence, "EXITED", self.name))
+        elif others and self._rng.random() < 0.3:
+            self._leave(agent, copy, self._rng.choice(others))
+        else:
+            self._act(agent)
+
+    def _act(self, agent: str) -> None:
+        copy = self.copies[agent]
+        if self._may_act(agent):
+            end = self.world.now + self._rng.choice([0.1, 1.0, 5.0])
+            token = copy.generation, copy.sequence
+            self._judge.on_action_started(agent, self.name, token, end, self.until)
+        else:
+            self.core.request_lease(self.clock)
+
+    def _leave(self, agent: str, copy: Copy, to: str) -> None:
+        transfer = Transfer(agent, copy.generation, copy.sequence + 1)
+        self._judge.counts["hops"] += 1
+        self._asked[agent] = self.clock
+        gone = Copy(transfer.generation, transfer.sequence, "PREPARED", to)
+        self._keep(agent, gone, then=lambda: self.world.send(self.name, to, transfer))
+
+    def _ask(self, agent: str, copy: Copy) -> None:
+        self._asked[agent] = self.clock
+        self.world.send(self.name, copy.to, Inquire(agent, copy.generation, copy.sequence))
+
+    def _send_termination(self, agent: str, copy: Copy) -> None:
+        """Repeat a termination to every host that has not confirmed it."""
+        for host in self.world.hosts.keys() - self.ends.confirmed_by(agent) - {self.name}:
+            self.world.send(self.name, host, copy.ended(agent))
+
+    def _learn_end(self, ended: Terminated) -> None:
+        """A termination elsewhere comes to the disk, and is then confirmed."""
+        copy = self.copies.get(ended.agent)
+        if copy is None or copy.generation < ended.generation or copy.state in ("PREPARED", "MOVED"):
+            if copy is None or copy.generation <= ended.generation:
+                self._keep(ended.agent, Copy(ended.generation, 0, "EXITED", ended.host))
+        elif copy.state == "RUN" and copy.generation == ended.generation:
+            return
+        answer = TerminatedAck(ended.agent, ended.generation)
+        self.after(ended.agent, lambda: self.world.send(self.name, ended.host, answer))
+
+    def on_message(self, sender: str, message: object) -> None:
+        """A message has come."""
+        self.ends.note(message)
+        match message:
+            case Transfer() | Inquire():
+                self._decide(sender, message)
+            case TransferVerdict():
+                self._learn(message)
+            case Terminated():
+                if not self.core.is_delayed(message, self.clock):
+                    self._learn_end(message)
+            case TerminatedAck():
+                copy = self.copies.get(message.agent)
+                if copy and copy.state == "EXITED" and copy.generation == message.generation:
+                    self.ends.confirmed_by(message.agent).add(sender)
+            case Propose():
+                self._promise(sender, message)
+            case Locate():
+                for record in self.core.lease_records(message.agents, self.clock):
+                    self._send_one(sender, record)
+            case LeaseRecord():
+                self.carry_out(self.core.on_located(sender, message, self.clock))
+            case _:
+                self.carry_out(self.core.on_message(sender, message, self.clock))
+
+    def _promise(self, sender: str, message: Propose) -> None:
+        """The judge sees which termination a member knew before it promised."""
+        knew = self.ends.known(message.agent, self.copies.get(message.agent))
+        effects = self.core.on_message(sender, message, self.clock)
+        told = [effect.message for effect in effects if isinstance(effect, SendQuorumMessage)]
+        given = [m for m in told if isinstance(m, Promise) and m.ended is None]
+        if any(promise.fence == message.generation for promise in given):
+            self._judge.promises(message.agent, message.generation, self.name, knew)
+        self.carry_out(effects)
+
+    def _decide(self, sender: str, asked: Transfer | Inquire) -> None:
+        """A number that is not above the highest seen gets its old answer; what is barred is not taken in."""
+        agent, generation, sequence = asked
+        seen, taken = self.verdicts.get((agent, generation), (-1, False))
+        if sequence > seen:
+            seen, taken = sequence, isinstance(asked, Transfer) and self._accepts(agent, generation)
+            self.verdicts[agent, generation] = seen, taken
+            page = {("verdict", agent, generation): (seen, taken)}
+            if taken:
+                self._keep(agent, Copy(generation, sequence, "RUN"), page)
+            else:
+                self.write(agent, page)
+        answer = TransferVerdict(agent, generation, sequence, taken or sequence < seen)
+        self.after(agent, lambda: self.world.send(self.name, sender, answer))
+
+    def _accepts(self, agent: str, generation: int) -> bool:
+        copy = self.copies.get(agent)
+        if self.core.is_fenced(agent, generation):
+            return False
+        if copy is not None and copy.state == "EXITED":
+            return copy.generation < generation
+        return copy is None or copy.generation <= generation
+
+    def _learn(self, verdict: TransferVerdict) -> None:
+        copy = self.copies.get(verdict.agent)
+        identity = verdict.generation, verdict.sequence
+        if copy and copy.state == "PREPARED" and (copy.generation, copy.sequence) == identity:
+            state = "MOVED" if verdict.accepted else "RUN"
+            self.copies[verdict.agent] = replace(copy, state=state, kept=True)
+            self._here[verdict.agent] = self.world.now
+            if verdict.accepted:
+                self.write(verdict.agent, {("copy", verdict.agent): self.copies[verdict.agent]})

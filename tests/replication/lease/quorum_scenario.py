@@ -1,0 +1,72 @@
+"""What befalls a team, drawn from a seed."""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+#: The lease of all stories, in seconds.
+LEASE = 2.0
+#: What may befall links, and what hosts.
+LINKS = ("link", "island", "only", "one way", "deaf", "mute", "lossy", "late")
+HOSTS = ("crash", "restart", "freeze", "slow disk")
+
+
+class Fault(NamedTuple):
+    """Something that befalls hosts at a time, for a span, both in real seconds."""
+
+    at: float
+    kind: str
+    hosts: tuple[str, ...]
+    span: float
+
+
+@dataclass(frozen=True)
+class Story:
+    """A team and what befalls it. `agents` has their homes; `interval` is what they ask for."""
+
+    seed: int
+    hosts: tuple[str, ...]
+    rates: tuple[float, ...]
+    members: tuple[str, ...]
+    agents: dict[str, str]
+    interval: float
+    faults: tuple[Fault, ...]
+    until: float
+    #: Links come back, and one goes, at the worst moment.
+    ambush: bool
+    #: How likely a coordinator terminates in each of its steps.
+    ends: float = 0.0
+
+
+def drawn(seed: int, hosts: tuple[int, int] = (1, 7), faults: int = 12, until: float = 40.0) -> Story:
+    """The story of a seed, with so many hosts and faults at most.
+
+    Each has some kinds of faults only: what one kind leads to, another would soon hide.
+    """
+    dice = random.Random(seed)
+    names = tuple("abcdefg"[: dice.randint(*hosts)])
+    members = names if dice.random() < 0.7 else tuple(dice.sample(names, dice.randint(1, len(names))))
+    rates = tuple(dice.choice([0.99, 1.01, dice.uniform(0.99, 1.01)]) for _ in names)
+    agents = {f"Tour:{number}": dice.choice(names) for number in range(dice.choice([1, 1, 2]))}
+    kinds = dice.sample(LINKS, dice.randint(1, 4)) + dice.sample(HOSTS, dice.choice([0, 1, 2]))
+    befalls = sorted(_fault(dice, kinds, names, until) for _ in range(dice.randint(0, faults)))
+    interval = dice.choice([0.5, 2.0, 3.0, 5.0])
+    return Story(seed, names, rates, members, agents, interval, tuple(befalls), until, dice.random() < 0.5)
+
+
+def ending(seed: int) -> Story:
+    """One of three hosts whose coordinators terminate; two hosts at a time have no link for seven seconds."""
+    dice = random.Random(f"ending {seed}")
+    story = drawn(seed, hosts=(3, 3), faults=0, until=30.0)
+    cuts = tuple(Fault(at, "link", tuple(dice.sample(story.hosts, 2)), 7.0) for at in (3.0, 11.0, 19.0))
+    interval = dice.choice([0.5, 2.0])
+    return replace(story, members=story.hosts, interval=interval, faults=cuts, ambush=False, ends=0.1)
+
+
+def _fault(rng: random.Random, kinds: list[str], names: tuple[str, ...], until: float) -> Fault:
+    kind = rng.choice(kinds)
+    most = max(1, len(names) - 1) if kind in LINKS else 1
+    hosts = rng.sample(names, min(2, len(names)) if kind == "link" else rng.randint(1, most))
+    return Fault(rng.uniform(1.0, until), kind, tuple(hosts), rng.choice([0.3, 1.5, 3.0, 6.0, 12.0]))

@@ -1,0 +1,74 @@
+"""A lease holds while a majority has acknowledged what was sent less than its length ago."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.replication.lease.lease import Lease
+from lfield.replication.lease.quorum_members import QuorumMembers
+
+
+def lease(names: str, here: str) -> Lease:
+    return Lease(QuorumMembers(names, here, 2.0))
+
+
+def test_a_new_life_holds_none() -> None:
+    assert not lease("abc", "a").holds(0.0)
+
+
+def test_it_counts_from_when_a_heartbeat_was_sent_however_late_the_answer_is() -> None:
+    mine = lease("abc", "a")
+    number = mine.next_heartbeat(10.0)
+    mine.on_ack("b", number)
+    assert mine.holds(11.99)
+    assert not mine.holds(12.0)
+
+
+@pytest.mark.parametrize(
+    ("names", "here", "needed"),
+    [("abc", "a", 1), ("abcd", "a", 2), ("abcde", "a", 2), ("abc", "x", 2), ("a", "x", 1)],
+)
+def test_a_majority_of_the_members_is_needed_and_a_member_counts_itself(
+    names: str, here: str, needed: int
+) -> None:
+    mine = lease(names, here)
+    number = mine.next_heartbeat(0.0)
+    others = [name for name in names if name != here]
+    for count, host in enumerate(others, start=1):
+        mine.on_ack(host, number)
+        assert mine.holds(1.0) == (count >= needed)
+
+
+def test_an_only_member_holds_it_always() -> None:
+    assert lease("a", "a").holds(1e9)
+    assert not lease("a", "b").holds(0.0)
+
+
+def test_it_lasts_as_long_as_the_oldest_answer_that_the_majority_needs() -> None:
+    mine = lease("abcde", "a")
+    first, second = mine.next_heartbeat(0.0), mine.next_heartbeat(0.5)
+    mine.on_ack("b", first)
+    mine.on_ack("c", second)
+    assert mine.valid_until == 2.0
+    mine.on_ack("d", second)
+    assert mine.valid_until == 2.5
+    mine.on_ack("b", first)
+    assert mine.valid_until == 2.5
+
+
+def test_answers_of_strangers_of_nothing_that_was_sent_and_from_long_ago_do_not_count() -> None:
+    mine = lease("abc", "a")
+    number = mine.next_heartbeat(0.0)
+    for host, answered in [("x", number), ("a", number), ("b", number + 1), ("b", 0), ("b", 2**63 - 1)]:
+        mine.on_ack(host, answered)
+        assert not mine.holds(0.1)
+    mine.next_heartbeat(2.0)
+    mine.on_ack("b", number)
+    assert not mine.holds(0.1)
+
+
+def test_what_is_remembered_is_bounded() -> None:
+    mine = lease("abc", "a")
+    for beat in range(10_000):
+        mine.next_heartbeat(beat * 0.5)
+    assert len(mine._sent) <= 5

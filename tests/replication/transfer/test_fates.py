@@ -1,0 +1,253 @@
+"""Every rule by which a host tells what became of a coordinator."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.replication.locate.outcomes import (
+    CoordinatorOutcome,
+    OutcomeResolver,
+    UnavailableHosts,
+    local_outcomes,
+    resolve_outcomes,
+)
+from lfield.wire.coordinator_messages import CoordinatorState
+
+HOMES = {"tom": "alpha"}
+
+
+def row(state, sequence=0, where="", *, generation=1, outcome="", detail="", id="tom", life=1):
+    return CoordinatorState(id, generation, sequence, sequence, state, where, outcome, detail, life)
+
+
+def fate(records, gone=(), **absent):
+    return resolve_outcomes(HOMES, records, UnavailableHosts(gone, **absent)).get("tom")
+
+
+@pytest.mark.parametrize("outcome", ["done", "died", "lost"])
+def test_an_ending_that_anybody_knows_counts(outcome):
+    known = {"alpha": [row("MOVED", 1, "bravo")], "carol": [row("EXITED", 1, "bravo", outcome=outcome)]}
+    assert fate(known, gone=("bravo",)) == CoordinatorOutcome("tom", outcome, "")
+
+
+def test_an_ending_keeps_its_detail():
+    ended = row("EXITED", outcome="died", detail="NullException: nothing there")
+    assert fate({"alpha": [ended]}) == CoordinatorOutcome("tom", "died", "NullException: nothing there")
+
+
+def test_a_loss_that_somebody_knows_of_is_none_while_a_host_may_have_started_it_again():
+    known = {"bravo": [row("EXITED", 1, "carol", outcome="lost", detail="it went")]}
+    assert fate(known, reachable_by_others=["alpha"]) is None
+    assert fate(known, silent_for={"alpha": 7.0}).outcome == "unheard"
+    assert fate(known, gone=["alpha"]).starts == (1,)
+
+
+def test_without_asking_a_loss_counts_only_just_after_it_was_proven():
+    lost = [row("EXITED", 1, "carol", outcome="lost", detail="it went")]
+    assert local_outcomes(HOMES, lost, ()) == {}
+    assert local_outcomes(HOMES, lost, {"tom"}) == {"tom": CoordinatorOutcome("tom", "lost", "it went")}
+    assert local_outcomes(HOMES, [*lost, row("RUN", 0, generation=2)], {"tom"}) == {}
+    assert local_outcomes(HOMES, [row("MOVED", 1, "bravo")], {"tom"}) == {}
+    assert local_outcomes(HOMES, [row("EXITED", 1, outcome="done")], ()) == {
+        "tom": CoordinatorOutcome("tom", "done", "")
+    }
+
+
+@pytest.mark.parametrize("state", ["RUN", "FROZEN", "PREPARED"])
+def test_one_that_is_somewhere_is_alive(state):
+    records = {"alpha": [row("MOVED", 1, "bravo")], "bravo": [row(state, 1, "carol")]}
+    assert fate(records, gone=("carol",)) is None
+
+
+def test_one_that_went_to_a_host_that_is_gone_is_lost():
+    found = fate({"alpha": [row("MOVED", 3, "bravo")], "carol": [row("MOVED", 2, "alpha")]}, gone=("bravo",))
+    assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 3), which is gone")
+
+
+def test_one_in_doubt_towards_a_host_that_is_gone_is_lost():
+    found = fate({"alpha": [row("IN DOUBT", 4, "bravo")]}, gone=("bravo",))
+    assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 4), which is gone")
+
+
+def test_one_in_doubt_towards_a_host_that_is_there_may_yet_live():
+    assert fate({"alpha": [row("IN DOUBT", 4, "bravo")]}, gone=("carol",)) is None
+
+
+def test_an_earlier_departure_to_a_host_that_is_gone_does_not_count():
+    records = {"alpha": [row("MOVED", 2, "bravo")], "carol": [row("RUN", 5)]}
+    assert fate(records, gone=("bravo",)) is None
+
+
+def test_a_departure_to_a_host_that_answers_is_awaited():
+    assert fate({"alpha": [row("MOVED", 1, "bravo")]}, gone=("carol",)) is None
+
+
+@pytest.mark.parametrize("there", [[], [row("MOVED", 2, "alpha")]])
+def test_one_that_went_to_a_host_that_knows_nothing_of_it_is_lost(there):
+    """That host was restarted: its memory began after the arrival."""
+    found = fate({"alpha": [row("MOVED", 3, "bravo")], "bravo": there})
+    assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 3), which was restarted")
+
+
+def test_a_copy_that_arrived_under_the_same_number_is_the_coordinator():
+    records = {"alpha": [row("MOVED", 1, "bravo")], "bravo": [row("RUN", 1)]}
+    assert fate(records, gone=("bravo",)) is None
+
+
+def test_the_latest_start_counts():
+    records = {"alpha": [row("MOVED", 9, "bravo"), row("RUN", 0, generation=2)]}
+    assert fate(records, gone=("bravo",)) is None
+
+
+def test_a_start_that_gave_way_to_an_earlier_one_does_not_count():
+    gave_way = row("EXITED", 0, "alpha", generation=2, outcome="superseded")
+    assert fate({"alpha": [gave_way], "bravo": [row("RUN", 1)]}) is None
+    assert fate({"alpha": [gave_way, row("MOVED", 1, "bravo")]}, gone=("bravo",)).outcome == "lost"
+
+
+def test_one_that_nobody_has_seen_is_lost_with_its_host():
+    assert fate({"bravo": []}, gone=("alpha",)) == CoordinatorOutcome("tom", "lost", "its host alpha is gone")
+    assert fate({"bravo": []}, gone=("carol",)) is None
+
+
+def test_only_coordinators_of_the_team_are_counted():
+    strangers = [row("EXITED", outcome="done", id="echo"), row("EXITED", outcome="done", id="stranger")]
+    assert resolve_outcomes(HOMES, {"alpha": strangers}, UnavailableHosts()) == {}
+
+
+def unheard(seconds=15.0, *hosts):
+    return dict.fromkeys(hosts or ("bravo",), seconds)
+
+
+WAYS = [row("MOVED", 3, "bravo"), row("IN DOUBT", 3, "bravo")]
+
+
+@pytest.mark.parametrize("last", WAYS, ids=lambda row: row.state)
+def test_one_that_went_to_a_silent_host_is_not_heard_of_and_never_lost(last):
+    assert fate({"alpha": [last]}, reachable_by_others=["bravo"]) is None
+    found = fate({"alpha": [last]}, silent_for=unheard())
+    assert found == CoordinatorOutcome(
+        "tom", "unheard", "it moved to bravo (transfer 3), and bravo has been unreachable for 15 s"
+    )
+    assert "lost" not in found.detail
+
+
+def test_one_whose_home_is_silent_is_not_heard_of():
+    found = fate({"bravo": []}, silent_for=unheard(12.4, "alpha"))
+    assert found == CoordinatorOutcome(
+        "tom", "unheard", "it starts on alpha, and alpha has been unreachable for 12 s"
+    )
+    assert fate({"bravo": []}, reachable_by_others=["alpha"]) is None
+
+
+def test_a_host_that_came_back_in_another_life_proves_it_and_one_in_the_same_does_not():
+    """In the same life it may still wait there for the devices to open."""
+    went = {"alpha": [row("MOVED", 3, "bravo", life=7)], "bravo": []}
+    assert fate(went, state_ids={"bravo": 7}) is None
+    assert fate(went, state_ids={"bravo": 8}).outcome == "lost"
+
+
+@pytest.mark.parametrize(
+    "proof", [{"gone": ("bravo",)}, {"state_ids": {"bravo": 8}}], ids=["gone", "restarted"]
+)
+def test_proof_is_none_while_somebody_who_cannot_be_asked_may_have_it(proof):
+    """From bravo it may have gone on to carol."""
+    known = {"alpha": [row("MOVED", 3, "bravo")]} | ({"bravo": []} if "state_ids" in proof else {})
+    assert fate(known, **proof, reachable_by_others=["carol"]) is None
+    found = fate(known, **proof, silent_for=unheard(15.0, "carol"))
+    assert found.outcome == "unheard"
+    assert found.detail.endswith(
+        "but it may have moved on from there, and carol has been unreachable for 15 s"
+    )
+    assert fate(known | {"carol": []}, **proof).outcome == "lost"
+
+
+def test_nothing_is_lost_before_all_starts_are():
+    later = row("MOVED", 1, "bravo", generation=2)
+    earlier = row("MOVED", 5, "carol", generation=1)
+    both = {"alpha": [earlier, later]}
+    assert fate(both, gone=("bravo",), reachable_by_others=["carol"]) is None
+    assert fate(both, gone=("bravo",), silent_for=unheard(15.0, "carol")).outcome == "unheard"
+    assert fate(both | {"carol": [row("RUN", 5)]}, gone=("bravo",)) is None
+    assert fate(both, gone=("bravo", "carol")).outcome == "lost"
+
+
+def test_an_ending_of_one_start_does_not_count_while_another_is_alive():
+    ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
+    assert fate({"alpha": [ended, row("RUN", generation=2)]}) is None
+    again = row("EXITED", 0, "alpha", generation=2, outcome="died")
+    assert fate({"alpha": [ended, again]}).outcome == "died"
+
+
+def test_an_ending_does_not_count_for_a_later_start_that_went_on():
+    """A restarted host hears of the ending of its earlier life, and has sent the new start away already."""
+    ended = row("EXITED", 2, "alpha", generation=1, outcome="done")
+    went = row("MOVED", 1, "bravo", generation=2)
+    assert fate({"alpha": [ended, went]}, reachable_by_others=["bravo"]) is None
+    assert fate({"alpha": [ended, went]}, silent_for=unheard()).outcome == "unheard"
+    # Of two that ran side by side the later one is lost, and the earlier one has ended.
+    assert fate({"alpha": [ended, went]}, gone=("bravo",)).outcome == "done"
+
+
+def test_a_start_that_was_superseded_is_left_out_wherever_it_went():
+    stopped = row("EXITED", 0, "alpha", generation=2, outcome="superseded")
+    shadow = row("MOVED", 4, "bravo", generation=2)
+    assert fate({"alpha": [stopped], "carol": [shadow], "bravo": [row("RUN", 1)]}) is None
+    assert fate({"alpha": [stopped], "carol": [shadow]}, reachable_by_others=["bravo"]) is None
+    assert fate({"alpha": [stopped], "carol": [shadow]}, silent_for=unheard()).outcome == "unheard"
+
+
+def test_one_given_up_in_doubt_is_alive_when_anybody_has_it():
+    given_up = row("EXITED", 3, "alpha", outcome="lost", detail="refused")
+    assert fate({"alpha": [given_up], "bravo": [row("RUN", 3)]}) is None
+    assert fate({"alpha": [given_up]}).outcome == "lost"
+
+
+def test_a_loss_is_certain_when_two_censuses_miss_the_same_transfer():
+    judge = OutcomeResolver(HOMES)
+
+    def lost(sequence):
+        known = {"alpha": [row("MOVED", sequence, "bravo")], "bravo": []}
+        return judge.resolve(known, UnavailableHosts(state_ids={"bravo": 2}))
+
+    assert lost(3) == {}
+    assert lost(4) == {}
+    assert lost(4)["tom"].outcome == "lost"
+
+
+def test_silence_counts_when_two_censuses_find_it():
+    judge = OutcomeResolver(HOMES)
+    known = {"alpha": [row("MOVED", 3, "bravo")]}
+    assert judge.resolve(known, UnavailableHosts(silent_for=unheard(15.0))) == {}
+    assert judge.resolve(known, UnavailableHosts(silent_for=unheard(15.5)))["tom"].outcome == "unheard"
+
+
+def test_what_a_host_told_counts_when_it_has_gone():
+    judge = OutcomeResolver(HOMES)
+    judge.resolve(
+        {"carol": [], "alpha": [row("MOVED", 3, "bravo")]}, UnavailableHosts(reachable_by_others=["bravo"])
+    )
+    silent = UnavailableHosts(ended=["alpha"], silent_for=unheard())
+    judge.resolve({"carol": []}, silent)
+    found = judge.resolve({"carol": []}, silent)["tom"]
+    assert found.detail == "it moved to bravo (transfer 3), and bravo has been unreachable for 15 s"
+
+
+def test_a_copy_that_was_seen_alive_had_come_that_far():
+    judge = OutcomeResolver(HOMES)
+    judge.resolve(
+        {"alpha": [row("MOVED", 3, "bravo")], "bravo": [row("RUN", 3)]},
+        UnavailableHosts(state_ids={"bravo": 7}),
+    )
+    silent = UnavailableHosts(silent_for=unheard())
+    judge.resolve({}, silent)
+    assert judge.resolve({}, silent)["tom"].detail.startswith("it moved to bravo (transfer 3)")
+    back = {"bravo": []}
+    assert judge.resolve(back, UnavailableHosts(state_ids={"bravo": 7})) == {}
+    judge.resolve(back, UnavailableHosts(state_ids={"bravo": 8}))
+    assert judge.resolve(back, UnavailableHosts(state_ids={"bravo": 8}))["tom"].outcome == "lost"
+
+
+def test_an_ending_needs_no_second_census():
+    done = {"alpha": [row("EXITED", outcome="done")]}
+    assert OutcomeResolver(HOMES).resolve(done, UnavailableHosts())["tom"].outcome == "done"

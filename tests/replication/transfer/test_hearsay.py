@@ -1,0 +1,362 @@
+"""Signs of life that go round: who is heard, through whom, how soon, and why no rumour feeds itself."""
+
+from __future__ import annotations
+
+import heapq
+import random
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from lfield.replication.membership.membership import (
+    GOSSIP_EVERY,
+    HEARTBEAT_CREDIT,
+    HEARTBEAT_EVERY,
+    MAX_COUNTERS,
+    MAX_INCARNATIONS,
+    SUSPICION_TIMEOUT,
+    Membership,
+)
+from lfield.replication.membership.overlay import Overlay
+from lfield.wire.messages import GossipUpdate, LivenessCounter
+
+HOSTS = ("a", "b", "c", "d")
+#: Seconds that a message takes.
+LATENCY = 0.02
+
+
+class Contacts:
+    """Links of which nothing was measured, or what a test says."""
+
+    def __init__(self, down=(), heard=()) -> None:
+        self.down_since, self._heard = dict(down), dict(heard)
+
+    def last_contact_at(self, host: str) -> float | None:
+        return self._heard.get(host)
+
+
+def ears(host: str, incarnation: int = 1, now: float = 0.0, hosts=HOSTS) -> Membership:
+    here = hosts.index(host)
+    return Membership(hosts, here, incarnation, now, Overlay(hosts, here), Contacts())
+
+
+def missing(hearsay: Membership, now: float, lost_after: float = 10.0) -> tuple[set[str], set[str]]:
+    """Who is unheard, and who is elsewhere, when nobody answers."""
+    absent = hearsay.unavailable_hosts((), now, lost_after, unmet=30.0)
+    return set(absent.silent_for), set(absent.reachable_by_others)
+
+
+class Town:
+    """Hosts that hear one another over the links that there are; `told` counts the messages."""
+
+    def __init__(self, hosts: int, links=None) -> None:
+        names = tuple(f"h{number}" for number in range(hosts))
+        self.now, self.told, self.signs = 0.0, 0, 0
+        self.ears = {name: ears(name, 7, hosts=names) for name in names}
+        self._posted: list[tuple[float, int, str, str, GossipUpdate]] = []
+        self._dead: set[str] = set()
+        all_links = [
+            (a, b) for a in names for b in self.ears[a].neighbours if names.index(a) < names.index(b)
+        ]
+        self.links = {frozenset(link) for link in (all_links if links is None else links)}
+        for a, b in map(sorted, self.links):
+            self.ears[a].on_linked(b, 7)
+            self.ears[b].on_linked(a, 7)
+
+    def cut(self, a: str, b: str) -> None:
+        self.links.discard(frozenset((a, b)))
+        for one, other in ((a, b), (b, a)):
+            if one not in self._dead and self.ears[one].is_linked(other):
+                self.ears[one].on_unlinked(other, self.now)
+
+    def kill(self, host: str) -> None:
+        self._dead.add(host)
+        for link in [sorted(link) for link in self.links if host in link]:
+            self.cut(*link)
+
+    def run(self, seconds: float) -> None:
+        end = self.now + seconds
+        while self.now < end:
+            self.now += 0.01
+            while self._posted and self._posted[0][0] <= self.now:
+                _, _, sender, receiver, heard = heapq.heappop(self._posted)
+                if frozenset((sender, receiver)) in self.links:
+                    self.ears[receiver].on_gossip(sender, heard, self.now)
+            for name, one in self.ears.items():
+                one.overlay_links(self.now)
+                if name not in self._dead and one.due is not None and one.due <= self.now:
+                    self._post(name, one.next_gossip(self.now))
+
+    def _post(self, sender: str, told: list[tuple[str, GossipUpdate]]) -> None:
+        for receiver, heard in told:
+            self.told += 1
+            self.signs = max(self.signs, len(heard.counters), len(heard.probes))
+            heapq.heappush(self._posted, (self.now + LATENCY, self.told, sender, receiver, heard))
+
+    def steps(self, host: str) -> dict[str, int]:
+        """How many links are between a host and each that can be reached from it."""
+        found, edge = {host: 0}, [host]
+        while edge:
+            near = {b for a in edge for link in self.links if a in link for b in link} - found.keys()
+            found |= dict.fromkeys(near, found[edge[0]] + 1)
+            edge = sorted(near)
+        return found
+
+
+def test_while_nobody_is_missed_nothing_is_told():
+    town = Town(30)
+    town.run(10.0)
+    assert town.told == 0
+    assert all(one.is_fully_connected(town.now) for one in town.ears.values())
+
+
+def bound(steps: int) -> float:
+    """Seconds in which a question and its answer go over so many links each way."""
+    return 2 * steps * (GOSSIP_EVERY + LATENCY + 0.02) + 2 * HEARTBEAT_EVERY
+
+
+@pytest.mark.few(0)
+@settings(deadline=None, max_examples=25)
+@given(st.integers(3, 14), st.randoms(use_true_random=False))
+def test_whatever_links_are_cut_a_live_host_is_heard_within_the_bound_as_long_as_the_rest_connects(
+    number, dice
+):
+    town = Town(number)
+    town.run(SUSPICION_TIMEOUT + 1.0)
+    for link in dice.sample(sorted(map(sorted, town.links)), len(town.links)):
+        whole = len(town.steps("h0"))
+        town.links.discard(frozenset(link))
+        if len(town.steps("h0")) < whole:
+            town.links.add(frozenset(link))
+        else:
+            town.cut(*link)
+            town.run(dice.choice([0.0, 0.3]))
+    for name, one in town.ears.items():
+        one.unavailable_hosts((), town.now, 10.0, 30.0)
+        assert set(town.steps(name)) == set(town.ears)
+    town.run(bound(max(max(town.steps(name).values()) for name in town.ears)))
+    for _ in range(30):
+        town.run(0.37)
+        for name, one in town.ears.items():
+            silent = bound(max(town.steps(name).values()))
+            found = one.unavailable_hosts((), town.now, silent, silent)
+            assert not found.silent_for, (name, found.silent_for)
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(3, 14), st.randoms(use_true_random=False))
+def test_a_dead_host_is_given_up_in_time_by_all_and_then_nothing_more_is_told(number, dice):
+    town = Town(number)
+    town.run(SUSPICION_TIMEOUT + dice.random())
+    town.kill("h1")
+    town.run(2.0)
+    told = town.told
+    town.run(SUSPICION_TIMEOUT + 1.0)
+    assert town.told == told
+    for name, one in town.ears.items():
+        if name != "h1":
+            assert not one.is_fully_connected(town.now)
+            found = one.unavailable_hosts(set(town.ears) - {"h1"}, town.now, SUSPICION_TIMEOUT, 30.0)
+            assert list(found.silent_for) == ["h1"], name
+
+
+def test_a_host_is_heard_through_a_chain_of_others():
+    town = Town(4, [("h0", "h1"), ("h1", "h2"), ("h2", "h3")])
+    for _ in range(30):
+        town.run(1.0)
+        if town.now > 2 * SUSPICION_TIMEOUT:
+            assert missing(town.ears["h0"], town.now, SUSPICION_TIMEOUT) == (set(), {"h1", "h2", "h3"})
+
+
+def test_a_dead_host_does_not_live_on_in_what_others_say_of_it():
+    town = Town(4)
+    town.run(5.0)
+    town.kill("h3")
+    town.run(10.5)
+    for name in ("h0", "h1", "h2"):
+        assert missing(town.ears[name], town.now)[0] == {"h3"}
+
+
+def test_a_host_that_was_restarted_is_known_to_all_for_that():
+    town = Town(20)
+    town.run(5.0)
+    town.kill("h9")
+    town.run(1.0)
+    town._dead.clear()
+    town.ears["h9"] = ears("h9", 8, town.now, hosts=tuple(town.ears))
+    for other in town.ears["h9"].neighbours:
+        town.links.add(frozenset(("h9", other)))
+        town.ears["h9"].on_linked(other, 7)
+        town.ears[other].on_linked("h9", 8)
+    town.run(3.0)
+    assert all(one.restarted == {"h9"} for name, one in town.ears.items() if name != "h9")
+
+
+def test_messages_stay_small_when_all_of_a_large_team_is_missed():
+    town = Town(100)
+    town.run(SUSPICION_TIMEOUT + 1.0)
+    one = town.ears["h0"]
+    one.unavailable_hosts({"h1"}, town.now, 10.0, 30.0)
+    town.run(6.0)
+    assert town.signs <= MAX_COUNTERS
+    assert missing(one, town.now, SUSPICION_TIMEOUT)[0] == set()
+
+
+def test_a_host_that_is_linked_is_heard_and_silence_begins_with_the_end_of_the_link():
+    a = ears("a")
+    a.on_linked("b", 1)
+    assert "b" in missing(a, 1000.0)[1]
+    a.on_unlinked("b", 1000.0)
+    assert "b" in missing(a, 1009.9)[1]
+    assert a.unavailable_hosts((), 1010.0, 10.0, 30.0).silent_for["b"] == 10.0
+
+
+def test_one_that_never_gave_a_sign_has_longer():
+    a = ears("a", now=100.0)
+    assert missing(a, 129.9) == (set(), {"b", "c", "d"})
+    assert missing(a, 130.0) == ({"b", "c", "d"}, set())
+
+
+def test_in_a_large_team_silence_begins_when_somebody_misses_it():
+    hosts = tuple(f"h{number}" for number in range(20))
+    one = ears("h0", hosts=hosts)
+    assert "h10" not in one.neighbours
+    one.on_gossip("h1", GossipUpdate([], [LivenessCounter(10, 5, HEARTBEAT_CREDIT)]), 1000.0)
+    assert "h10" in missing(one, 1009.0)[1]
+    assert one.unavailable_hosts((), 1010.0, 10.0, 30.0).silent_for["h10"] == 10.0
+
+
+def test_no_silence_is_shorter_than_a_sign_takes():
+    a = ears("a")
+    a.on_linked("b", 1)
+    a.on_unlinked("b", 50.0)
+    assert "b" in missing(a, 50.0 + SUSPICION_TIMEOUT - 0.1, lost_after=0.5)[1]
+    assert "b" in missing(a, 50.0 + SUSPICION_TIMEOUT, lost_after=0.5)[0]
+
+
+def test_who_answers_and_who_is_gone_is_not_missing():
+    a = ears("a")
+    a.on_linked("b", 7)
+    a.ended.add("c")
+    absent = a.unavailable_hosts({"b"}, 100.0, 10.0, 30.0)
+    assert (set(absent.ended), set(absent.silent_for), list(absent.reachable_by_others)) == ({"c"}, {"d"}, [])
+    assert absent.state_ids == {"b": 7}
+
+
+def test_a_new_life_counts_from_the_beginning_and_an_old_one_is_no_news():
+    a = ears("a")
+    a.on_linked("c", 1)
+    a.on_gossip("c", GossipUpdate([LivenessCounter(1, 11, 500)], []), 1.0)
+    a.on_gossip("c", GossipUpdate([LivenessCounter(1, 22, 1)], []), 20.0)
+    assert "b" in missing(a, 29.0)[1]
+    a.on_gossip("c", GossipUpdate([LivenessCounter(1, 11, 500)], []), 29.0)
+    assert "b" in missing(a, 30.0)[0]
+    ((to, heard),) = a.next_gossip(30.0)
+    assert (to, heard.counters) == ("c", [LivenessCounter(1, 22, 1)])
+
+
+def test_no_question_hides_another_one_about_the_same_host():
+    a = ears("a")
+    a.on_linked("b", 1)
+    questions = [LivenessCounter(2, 7, HEARTBEAT_CREDIT), LivenessCounter(2, 0, HEARTBEAT_CREDIT)]
+    a.on_gossip("b", GossipUpdate([], questions), 1.0)
+    ((_, heard),) = a.next_gossip(1.0)
+    assert heard.probes == questions
+
+
+def test_whoever_is_asked_for_gives_no_more_signs_than_it_was_asked_for():
+    a = ears("a", 9)
+    a.on_linked("b", 1)
+    a.on_gossip("b", GossipUpdate([], [LivenessCounter(0, 9, 1 << 60)]), 0.0)
+    counts = [
+        sign.count
+        for second in range(100)
+        for _, heard in a.next_gossip(float(second))
+        for sign in heard.counters
+        if sign.host == 0
+    ]
+    assert counts == list(range(1, HEARTBEAT_CREDIT + 1))
+
+
+def test_what_makes_no_sense_is_left_out_and_memory_is_bounded():
+    a = ears("a")
+    a.on_linked("b", 1)
+    a.on_gossip(
+        "b",
+        GossipUpdate([LivenessCounter(0, 9, 9), LivenessCounter(77, 1, 1)], [LivenessCounter(88, 1, 1)]),
+        1.0,
+    )
+    assert a.next_gossip(2.0) == []
+    for life in range(10 * MAX_INCARNATIONS):
+        a.on_gossip("b", GossipUpdate([LivenessCounter(1, life, 1)], []), 3.0)
+    assert len(a._counters._counts[1]) == MAX_INCARNATIONS
+
+
+def test_a_restart_is_seen_by_whoever_was_linked_before():
+    a = ears("a")
+    assert not a.on_linked("b", 1)
+    a.on_unlinked("b", 1.0)
+    assert not a.on_linked("b", 1)
+    assert a.on_linked("b", 2)
+    assert a.restarted == {"b"}
+
+
+@pytest.mark.parametrize(("hosts", "due"), [(("a",), None), (("a", "b"), None), (("a", "b", "c"), 5.0)])
+def test_two_hosts_have_nobody_to_tell_of(hosts, due):
+    assert ears("a", now=5.0, hosts=hosts).due == due
+
+
+# Neighbours
+
+
+@pytest.mark.parametrize("number", [*range(2, 64), 100, 300, 1000])
+def test_neighbours_are_few_mutual_and_near_to_everybody(number):
+    hosts = [f"h{n}" for n in range(number)]
+    near = {host: Overlay(hosts, here).neighbours for here, host in enumerate(hosts)}
+    assert all(len(others) == min(8, number - 1) for others in near.values())
+    assert all(host in near[other] for host, others in near.items() for other in others)
+    found, edge, steps = {"h0"}, {"h0"}, 0
+    while edge:
+        edge = {other for host in edge for other in near[host]} - found
+        found |= edge
+        steps += bool(edge)
+    assert len(found) == number
+    assert steps <= 1 + 2 * round(number**0.25)
+
+
+def test_in_the_place_of_neighbours_that_do_not_answer_the_next_are_called():
+    hosts = [f"h{n}" for n in range(20)]
+    one = Overlay(hosts, 0)
+    assert one.links(0.0) == one.neighbours == {f"h{n}" for n in (1, 2, 3, 6, 14, 17, 18, 19)}
+    for host in one.neighbours - {"h6"}:
+        one.on_linked(host)
+    assert one.links(2.9) == one.neighbours
+    assert one.links(3.1) == one.neighbours | {"h7"}
+    one.on_linked("h7")
+    assert one.links(60.0) == one.neighbours | {"h7"}
+    one.on_linked("h6")
+    assert one.links(61.0) == one.neighbours
+
+
+def test_a_host_that_nobody_answers_comes_round_to_everybody():
+    hosts = [f"h{n}" for n in range(20)]
+    one = Overlay(hosts, 4)
+    dice = random.Random(1)
+    now = 0.0
+    while now < 100.0:
+        now += dice.random()
+        one.links(now)
+    assert one.chosen == set(hosts) - {"h4"}
+
+
+def test_the_liveness_of_a_host_is_what_came_from_it_and_since_when_it_has_no_link() -> None:
+    contacts = Contacts(down={"b": 12.0, "c": 15.0}, heard={"b": 11.0})
+    one = Membership(HOSTS, 0, 1, 10.0, Overlay(HOSTS, 0), contacts)
+    assert [one.last_contact(host) for host in "bcd"] == [11.0, None, None]
+    assert [one.missing_for(host, 20.0) for host in "bcd"] == [8.0, 5.0, 0.0]
+    one.on_linked("b", 7)
+    assert one.missing_for("b", 20.0) == 0.0
+    one.on_unlinked("b", 30.0)
+    one.on_gossip("c", GossipUpdate([LivenessCounter(1, 7, 3)], []), 40.0)
+    assert one.last_contact("b") == 11.0, "another host has heard it, this one has not"

@@ -1,0 +1,137 @@
+"""Mobility on disks, under a bad network, with hosts that die before or after what they know is kept.
+
+The same test is run on machines that keep too little, to show that it can fail.
+"""
+
+import pytest
+from hypothesis import strategies as st
+from hypothesis.stateful import precondition, rule
+from journaled_world import JournaledWorld
+from test_mobility_property import AGENTS, HOSTS, Wandering, explored, hosts, picks, rarely
+
+from lfield.replication.transfer.core import Mobility
+
+
+class Surviving(Wandering):
+    """Everything that can happen, and disks that are late."""
+
+    world_type = JournaledWorld
+
+    @rule(name=hosts)
+    def sync(self, name) -> None:
+        if name in self.world.hosts:
+            self.world.sync(name)
+
+    @precondition(lambda self: any(host.running for host in self.world.hosts.values()))
+    @rule(pick=picks)
+    def save(self, pick) -> None:
+        self.world.save(*self._running(pick))
+
+    @rule(name=hosts, sync=st.booleans())
+    def crash(self, name, sync) -> None:
+        if name in self.world.hosts:
+            if sync:
+                self.world.sync(name)
+            self.world.kill(name)
+            self.world.boot(name)
+
+
+class Declared(Surviving):
+    """And hosts that are gone for good, by a person's true word; some come back later, and hear it first."""
+
+    @precondition(lambda self: any(host.running for host in self.world.hosts.values()))
+    @rule(pick=picks, goal=hosts)
+    def travel(self, pick, goal) -> None:
+        """A hop without trouble, if it can be: recoveries start from shadows."""
+        host, start = self._running(pick)
+        if goal != host.name:
+            self.world.wander(host, start, goal)
+        for _ in range(3):
+            for name in self.world.hosts:
+                self.world.sync(name)
+            self.deliver_in_order(len(self.world.packets))
+
+    @precondition(lambda self: self._left())
+    @rule(pick=picks, sync=st.booleans(), chance=rarely)
+    def recover(self, pick, sync, chance) -> None:
+        found = self._left()
+        host, agent = found[pick % len(found)]
+        if chance < 2 and self.world.bury(host, agent):
+            self.world.recover(host, agent)
+            if sync:
+                self.world.sync(host.name)
+
+    def _left(self):
+        everyone = [(host, agent) for host in self.world.hosts.values() for agent in AGENTS]
+        return [found for found in everyone if self.world.recoverable(*found)]
+
+    @precondition(lambda self: self.world.gone)
+    @rule(chance=rarely)
+    def come_back(self, chance) -> None:
+        # All others must be up: one that is down may be the only one that knows.
+        if chance == 0 and len(self.world.hosts) + len(self.world.gone) == len(HOSTS):
+            self.world.come_back(sorted(self.world.gone)[0])
+
+    @precondition(lambda self: len(self.world.hosts) + len(self.world.gone) < len(HOSTS))
+    @rule()
+    def boot(self) -> None:
+        up = self.world.hosts.keys() | self.world.gone
+        self.world.boot(next(name for name in HOSTS if name not in up))
+
+    def kill(self, name, back, chance) -> None:
+        """Left to `crash`."""
+
+
+def test_no_copy_runs_twice_and_some_disk_has_each():
+    explored(Surviving, Mobility, examples=60)
+
+
+def test_a_recovery_that_is_truly_declared_makes_no_second_copy():
+    explored(Declared, Mobility, examples=60)
+
+
+class Forgetful(Mobility):
+    """Keeps nothing of what it sends or takes in."""
+
+    forgets = ("PREPARED",)
+
+    def __init__(self, *args, **options) -> None:
+        super().__init__(*args, **options)
+        keep = self._copies.persist
+
+        def forget(copy, **options):
+            return [] if copy.state in self.forgets else keep(copy, **options)
+
+        self._copies.persist = forget
+
+
+class Unprepared(Forgetful):
+    """The page of what was sent is not on the disk."""
+
+
+class Unaware(Forgetful):
+    """The verdict on what came is not on the disk."""
+
+    forgets = ("RUN",)
+
+
+class Deaf(Mobility):
+    """Goes on with what its disk has before it hears of a recovery."""
+
+    def __init__(self, *args, **options) -> None:
+        super().__init__(*args, **options)
+        self._termination.fence = lambda *_: []
+        self._termination.compare_starts = lambda *_: []
+        self._termination.stop_for_other_start = lambda *_: []
+
+
+def test_a_host_that_comes_back_and_does_not_listen_is_found_out():
+    """A restarted host runs what its disk has, whatever it receives about a recovery."""
+    with pytest.raises(AssertionError, match="side by side"):
+        explored(Declared, Deaf, examples=400, shrink=False)
+
+
+@pytest.mark.parametrize("machine", [Unprepared, Unaware])
+def test_a_machine_that_keeps_too_little_is_found_out(machine):
+    with pytest.raises(AssertionError):
+        explored(Surviving, machine, examples=400, shrink=False)

@@ -1,0 +1,631 @@
+"""Every transition of the sender and the receiver, one by one."""
+
+import pytest
+
+from lfield.journal.records import CoordinatorRecord
+from lfield.replication.transfer.coordinator_copies import MAX_STARTS
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import (
+    DropTerminated,
+    Effect,
+    LogAnomaly,
+    MarkInDoubt,
+    MarkMigrated,
+    ResumeCopy,
+    ResumeWithException,
+    Send,
+    SendTransfer,
+    TerminateCopy,
+    TransferRefusal,
+)
+from lfield.replication.transfer.generations import GENERATION_STRIDE
+from lfield.replication.transfer.transfer_sender import PAUSED
+from lfield.wire.coordinator_messages import (
+    NEVER_ARRIVED,
+    SUPERSEDED,
+    CoordinatorState,
+    Terminated,
+    TerminatedAck,
+    Transfer,
+    TransferAccepted,
+    TransferQuery,
+    TransferRefused,
+)
+from lfield.wire.fields import MAX_TEXT
+from lfield.wire.messages import Hello
+
+PROGRAM = b"p" * 32
+TOUR = "Tour:one"
+UNREACHABLE = "UnreachableResourceException"
+
+
+class Host:
+    """One machine with a list of what was injected and what the next injections answer."""
+
+    def __init__(self, name: str, incarnation: int = 1, max_block: int = 1000) -> None:
+        self.name, self.incarnation, self.max_block = name, incarnation, max_block
+        self.injected: list[tuple[int, bytes]] = []
+        self.refusal: TransferRefusal | None = None
+        self.mobility = Mobility(self.hello(), peers=["a", "b", "c"], agents=[TOUR], unreachable_after=10.0)
+
+    def inject(self, header: Transfer, block: bytes) -> TransferRefusal | None:
+        if self.refusal is None:
+            self.injected.append((header.sequence, bytes(block)))
+        return self.refusal
+
+    def receive(self, host: str, header: Transfer, block: bytes) -> list[Effect]:
+        return self.mobility.on_transfer(host, header, block, self.inject)
+
+    def hello(self, *known: CoordinatorState) -> Hello:
+        return Hello("host", self.name, self.incarnation, PROGRAM, PROGRAM, self.max_block, list(known))
+
+    def greeting(self) -> Hello:
+        return self.hello(*self.mobility.known_states())
+
+    def known(self, generation: int = 1) -> CoordinatorState:
+        return next(k for k in self.mobility.known_states() if k.generation == generation)
+
+
+def seal(sequence: int) -> bytes:
+    return b"block %d" % sequence
+
+
+def transfer(sequence: int, generation: int = 1, receiver: int = 1, **other) -> Transfer:
+    fields = {"agent": TOUR, "hops": 1, "program": PROGRAM, "size": 7} | other
+    return Transfer(generation=generation, sequence=sequence, receiver_memory=receiver, **fields)
+
+
+@pytest.fixture
+def a() -> Host:
+    """A host on which the coordinator runs."""
+    host = Host("a")
+    host.mobility.start(TOUR, 1)
+    return host
+
+
+@pytest.fixture
+def b() -> Host:
+    return Host("b")
+
+
+@pytest.fixture
+def away(a, b) -> Host:
+    """Host a, from which the coordinator has been sent to b, at time 0; no answer yet."""
+    a.mobility.on_linked(b.hello())
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    return a
+
+
+# The sender
+
+
+def test_a_hop_is_one_message_there_and_one_back(a, b):
+    a.mobility.on_linked(b.greeting())
+    b.mobility.on_linked(a.greeting())
+    (sent,) = a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert sent == SendTransfer("b", transfer(1), b"block 1")
+    assert a.known().state == "PREPARED"
+    (_, answer) = b.receive("a", sent.header, sent.block)
+    assert answer == Send("a", TransferAccepted(TOUR, 1, 1))
+    assert b.injected == [(1, b"block 1")]
+    assert b.known() == CoordinatorState(TOUR, 1, 1, 1, "RUN")
+    assert a.mobility.on_message("b", answer.message, 0.1) == [MarkMigrated(TOUR, 1, 1, "b")]
+    assert a.known() == CoordinatorState(TOUR, 1, 1, 0, "MOVED", "b", receiver_memory=1)
+    assert a.mobility.shadow(TOUR, 1) == b"block 1"
+    assert a.mobility.next_deadline() is None
+
+
+def test_without_a_link_it_waits_frozen_and_is_sent_when_there_is_one(a, b):
+    assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
+    assert a.known().state == "FROZEN"
+    assert a.mobility.next_deadline() == 10.0
+    assert a.mobility.tick(9.9) == []
+    assert a.mobility.on_linked(Host("c").hello()) == []
+    assert a.mobility.on_linked(b.hello()) == [SendTransfer("b", transfer(1), b"block 1")]
+
+
+def test_who_waits_for_a_link_may_give_up_and_go_on_where_it_is(a, b):
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert a.mobility.cancel_departure(TOUR, 1)
+    assert a.known().state == "RUN"
+    assert a.mobility.next_deadline() is None
+    assert a.mobility.on_linked(b.hello()) == []
+    # It may leave again, and under the number that was never sent.
+    assert a.mobility.depart(TOUR, "b", seal, 1.0) == [SendTransfer("b", transfer(1), b"block 1")]
+
+
+def test_what_was_sent_is_not_given_up(away):
+    assert not away.mobility.cancel_departure(TOUR, 1)
+    assert away.known().state == "PREPARED"
+    assert not away.mobility.cancel_departure(TOUR, 2)
+    assert not away.mobility.cancel_departure("nobody", 1)
+
+
+def test_who_runs_has_nothing_to_give_up(a):
+    assert not a.mobility.cancel_departure(TOUR, 1)
+
+
+def test_a_host_that_stays_away_is_unreachable(a):
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    (resume,) = a.mobility.tick(10.0)
+    assert resume == ResumeWithException(
+        TOUR, 1, 0, UNREACHABLE, "b could not be reached within 10 s; is it up?"
+    )
+    assert a.known().state == "RUN"
+    assert a.mobility.tick(20.0) == []
+
+
+@pytest.mark.parametrize("said", [PAUSED, "its disk is full"])
+def test_what_a_host_said_of_its_room_is_not_believed_when_its_link_is_gone(a, b, said):
+    a.mobility.on_linked(b.hello())
+    assert a.mobility.on_backpressure("b", said) == []
+    assert a.mobility.depart(TOUR, "b", seal, 0.0) == []
+    a.mobility.on_unlinked("b")
+    (resume,) = a.mobility.tick(10.0)
+    assert resume == ResumeWithException(
+        TOUR, 1, 0, UNREACHABLE, "b could not be reached within 10 s; is it up?"
+    )
+    assert a.mobility.depart(TOUR, "b", seal, 20.0) == []
+    assert a.mobility.on_linked(Host("b", 2).hello()) == [
+        SendTransfer("b", transfer(1, receiver=2), b"block 1")
+    ]
+
+
+def test_who_is_linked_anew_says_anew_whether_it_has_room(a, b):
+    a.mobility.on_linked(b.hello())
+    a.mobility.on_backpressure("b", "its disk is full")
+    a.mobility.depart(TOUR, "b", seal, 0.0)
+    (sent,) = a.mobility.on_linked(b.hello())
+    assert sent == SendTransfer("b", transfer(1), b"block 1")
+
+
+def test_a_refusal_resumes_and_its_number_is_not_used_again(away):
+    (resume,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, "LimitException", "full"), 0.1)
+    assert resume == ResumeWithException(TOUR, 1, 1, "LimitException", "full")
+    (sent,) = away.mobility.depart(TOUR, "b", seal, 1.0)
+    assert sent.header.sequence == 2
+    assert sent.block == b"block 2"
+
+
+def test_a_block_larger_than_the_peer_takes_is_not_sent(a):
+    a.mobility.on_linked(Host("b", max_block=3).hello())
+    (resume,) = a.mobility.depart(TOUR, "b", seal, 0.0)
+    assert resume == ResumeWithException(
+        TOUR, 1, 1, "LimitException", f"{TOUR} has 7 bytes and b takes at most 3"
+    )
+
+
+def test_answers_to_other_numbers_and_from_other_hosts_mean_nothing(away):
+    for host, answer in [
+        ("b", TransferAccepted(TOUR, 1, 2)),
+        ("b", TransferAccepted(TOUR, 2, 1)),
+        ("c", TransferRefused(TOUR, 1, 1, UNREACHABLE, "")),
+        ("c", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, "")),
+        ("b", TransferRefused(TOUR, 1, 7, UNREACHABLE, "")),
+        ("b", TransferRefused("Other:x", 1, 1, UNREACHABLE, "")),
+    ]:
+        assert away.mobility.on_message(host, answer, 0.0) == []
+    assert away.known().state == "PREPARED"
+
+
+def test_any_host_may_know_that_it_has_gone_on_from_its_receiver(away):
+    away.mobility.on_unlinked("b")
+    assert [type(effect) for effect in away.mobility.on_message("c", TransferAccepted(TOUR, 1, 1), 0.0)] == [
+        MarkMigrated
+    ]
+    assert away.known().state == "MOVED"
+
+
+def test_any_host_may_know_that_it_was_recovered(away):
+    away.mobility.on_message("c", TransferRefused(TOUR, 1, 1, SUPERSEDED, "recovered"), 0.0)
+    assert away.known().outcome == "superseded"
+
+
+def test_a_host_vouches_for_a_transfer_to_another_one_by_a_higher_number_or_a_recovery_only(a):
+    asked = TransferQuery(TOUR, 1, 3, 99)
+    assert a.mobility.prove_outcome(asked) is None
+    a.mobility.on_message("c", TransferQuery(TOUR, 1, 3, 1), 0.0)
+    assert a.mobility.prove_outcome(asked) is None
+    a.mobility.on_message("c", TransferQuery(TOUR, 1, 4, 1), 0.0)
+    assert a.mobility.prove_outcome(asked) == TransferAccepted(TOUR, 1, 3)
+    a.receive("c", transfer(1, generation=GENERATION_STRIDE + 1), b"block")
+    assert a.mobility.prove_outcome(TransferQuery(TOUR, 1, 9, 99)).kind == SUPERSEDED
+
+
+def test_after_a_lost_link_the_sender_asks(away, b):
+    away.mobility.on_unlinked("b")
+    assert away.mobility.on_linked(b.hello()) == [Send("b", TransferQuery(TOUR, 1, 1, 1))]
+
+
+def test_what_never_arrived_is_sent_again_while_there_is_time(away):
+    (sent,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 5.0)
+    assert sent.header.sequence == 2
+    away.mobility.on_unlinked("b")
+    assert away.mobility.on_message("b", TransferRefused(TOUR, 1, 2, NEVER_ARRIVED, ""), 6.0) == []
+    assert away.known().state == "FROZEN"
+
+
+def test_what_never_arrived_is_resumed_when_the_time_is_over(away):
+    (resume,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 10.0)
+    assert (resume.kind, resume.sequence) == (UNREACHABLE, 1)
+
+
+def test_silence_leads_to_doubt_and_never_to_a_second_copy(away):
+    (doubt,) = away.mobility.tick(10.0)
+    assert isinstance(doubt, MarkInDoubt)
+    assert "b has not confirmed within 10 s" in doubt.reason
+    assert away.mobility.tick(1e6) == []
+    assert away.known().state == "IN DOUBT"
+    assert away.known().detail == doubt.reason
+
+
+def test_a_restarted_receiver_leaves_the_sender_in_doubt_for_good(away):
+    away.mobility.on_unlinked("b")
+    (doubt,) = away.mobility.on_linked(Host("b", incarnation=2).hello())
+    assert "restarted" in doubt.reason
+    assert away.mobility.on_linked(Host("b", incarnation=2).hello()) == []
+    assert away.mobility.tick(1e6) == []
+    assert away.mobility.next_deadline() is None
+
+
+def test_a_late_answer_ends_the_doubt(away):
+    away.mobility.tick(10.0)
+    (resume,) = away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, "LimitException", "full"), 11.0)
+    assert isinstance(resume, ResumeWithException)
+    assert away.known().state == "RUN"
+
+
+@pytest.mark.parametrize(
+    ("state", "sequence", "moved"),
+    [
+        ("RUN", 1, True),
+        ("FROZEN", 1, True),
+        ("MOVED", 1, False),
+        ("MOVED", 2, True),
+        ("RUN", 0, False),
+        ("PREPARED", 2, True),
+    ],
+)
+def test_only_proof_ends_the_doubt(away, state, sequence, moved):
+    away.mobility.tick(10.0)
+    effects = away.mobility.on_linked(Host("c").hello(CoordinatorState(TOUR, 1, sequence, 1, state, "b")))
+    assert effects == ([MarkMigrated(TOUR, 1, 1, "b")] if moved else [])
+
+
+def test_coming_home_ends_the_doubt_and_replaces_the_shadow(away):
+    (_, answer) = away.receive("b", transfer(2, hops=2), b"block 2")
+    assert answer == Send("b", TransferAccepted(TOUR, 1, 2))
+    assert away.known() == CoordinatorState(TOUR, 1, 2, 2, "RUN")
+    assert away.mobility.shadow(TOUR, 1) is None
+
+
+def test_a_return_that_is_refused_still_proves_the_departure(away):
+    away.refusal = TransferRefusal("LimitException", "full")
+    departed, answer = away.receive("b", transfer(2), b"block 2")
+    assert departed == MarkMigrated(TOUR, 1, 1, "b")
+    assert answer.message.kind == "LimitException"
+    assert away.known().state == "MOVED"
+
+
+def test_an_inquiry_for_a_later_number_proves_the_departure(away):
+    departed, answer = away.mobility.on_message("b", TransferQuery(TOUR, 1, 2, 1), 1.0)
+    assert departed == MarkMigrated(TOUR, 1, 1, "b")
+    assert answer.message.kind == NEVER_ARRIVED
+
+
+def test_misuse_is_an_error(a):
+    with pytest.raises(ValueError, match="cannot be started"):
+        a.mobility.start(TOUR, 1)
+    with pytest.raises(ValueError, match="cannot be started"):
+        a.mobility.start("Stranger:x", 1)
+    with pytest.raises(ValueError, match="does not run here"):
+        a.mobility.depart("Stranger:x", "b", seal, 0.0)
+    with pytest.raises(ValueError, match="cannot end here"):
+        a.mobility.on_ended(TOUR, 1, "lost")
+
+
+# The receiver
+
+
+def test_a_repeated_transfer_is_injected_once(b):
+    go, accepted = b.receive("a", transfer(1), b"block 1")
+    assert go == ResumeCopy(TOUR, 1)
+    assert b.receive("a", transfer(1), b"block 1") == [accepted]
+    assert b.injected == [(1, b"block 1")]
+
+
+def test_a_refused_transfer_stays_refused(b):
+    b.refusal = TransferRefusal("LimitException", "full")
+    (first,) = b.receive("a", transfer(1), b"block 1")
+    b.refusal = None
+    (second,) = b.receive("a", transfer(1), b"block 1")
+    assert first == second == Send("a", TransferRefused(TOUR, 1, 1, "LimitException", "full"))
+    (_, third) = b.receive("a", transfer(2), b"block 2")
+    assert third.message == TransferAccepted(TOUR, 1, 2)
+
+
+def test_a_transfer_that_comes_after_the_question_is_refused(b):
+    (answer,) = b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 1), 0.0)
+    assert answer.message.kind == NEVER_ARRIVED
+    (late,) = b.receive("a", transfer(1), b"block 1")
+    assert late == answer
+    assert b.injected == []
+    assert b.mobility.known_states() == []
+
+
+def test_a_question_about_what_arrived_is_answered(b):
+    b.receive("a", transfer(1), b"block 1")
+    assert b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 1), 0.0) == [
+        Send("a", TransferAccepted(TOUR, 1, 1))
+    ]
+
+
+def test_a_number_that_was_overtaken_is_accepted_and_not_injected(b):
+    b.receive("a", transfer(5), b"block 5")
+    assert b.receive("a", transfer(3), b"block 3") == [Send("a", TransferAccepted(TOUR, 1, 3))]
+    assert b.injected == [(5, b"block 5")]
+
+
+def test_what_was_meant_for_an_earlier_life_is_not_answered(b):
+    (note,) = b.receive("a", transfer(1, receiver=99), b"block 1")
+    assert isinstance(note, LogAnomaly)
+    (note,) = b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 99), 0.0)
+    assert isinstance(note, LogAnomaly)
+    (note,) = b.mobility.on_oversize("a", transfer(1, receiver=99), 5000)
+    assert isinstance(note, LogAnomaly)
+
+
+@pytest.mark.parametrize(
+    ("header", "kind", "words"),
+    [
+        (transfer(1, program=b"q" * 32), UNREACHABLE, "belongs to program 717171717171"),
+        (transfer(1, agent="Stranger:x"), UNREACHABLE, "knows no coordinator Stranger:x"),
+    ],
+)
+def test_what_does_not_fit_is_refused_before_injection(b, header, kind, words):
+    (answer,) = b.receive("a", header, b"block 1")
+    assert answer.message.kind == kind
+    assert words in answer.message.reason
+    assert b.injected == []
+
+
+def test_too_large_a_block_is_refused(b):
+    (answer,) = b.receive("a", transfer(1), bytes(1001))
+    (unread,) = b.mobility.on_oversize("a", transfer(1), 1001)
+    assert answer == unread
+    assert answer.message.reason == f"{TOUR} has 1001 bytes and b takes at most 1000"
+
+
+def test_a_second_copy_is_refused_while_the_first_is_here(a):
+    (answer,) = a.receive("b", transfer(9), b"block 9")
+    assert answer.message == TransferRefused(TOUR, 1, 9, UNREACHABLE, f"{TOUR} is already on a")
+    assert a.injected == []
+
+
+def test_strangers_do_not_fill_the_memory(b):
+    for generation in range(1, 1000):
+        b.mobility.on_message("a", TransferQuery(TOUR, generation, 1, 1), 0.0)
+        b.mobility.on_message("a", TransferQuery(f"Stranger:{generation}", 1, 1, 1), 0.0)
+        if generation < MAX_STARTS:
+            b.mobility.on_message("a", Terminated(TOUR, 2 * generation, "done", "", "a"), 0.0)
+    assert len(b.mobility.known_states()) < MAX_STARTS
+    (answer,) = b.receive("a", transfer(1, generation=5000), b"block 1")
+    assert "starts of it" in answer.message.reason
+
+
+def test_of_very_many_starts_the_first_that_ended_are_forgotten(b):
+    for generation in range(1, 1000):
+        b.mobility.on_message("a", Terminated(TOUR, generation, "done", "", "a"), 0.0)
+    assert [known.generation for known in b.mobility.known_states()] == list(range(1000 - MAX_STARTS, 1000))
+    go, _ = b.receive("a", transfer(1, generation=5000), b"block 1")
+    assert go == ResumeCopy(TOUR, 5000)
+
+
+# Endings
+
+
+def test_an_ending_is_told_until_every_host_confirms(a, b):
+    a.mobility.on_linked(b.hello())
+    (told,) = a.mobility.on_ended(TOUR, 1, "died", "it fell\n  at line 3")
+    assert told == Send("b", Terminated(TOUR, 1, "died", "it fell\n  at line 3", "a"))
+    finished, ack = b.mobility.on_message("a", told.message, 0.0)
+    assert finished == DropTerminated(TOUR, 1, "died", "it fell\n  at line 3", "a")
+    assert a.mobility.on_message("b", ack.message, 0.0) == []
+    a.mobility.on_unlinked("b")
+    assert a.mobility.on_linked(b.greeting()) == []
+    assert a.mobility.on_linked(Host("c").hello()) == [Send("c", told.message)]
+    assert a.mobility.on_message("c", TerminatedAck(TOUR, 1), 0.0) == []
+    assert b.known() == CoordinatorState(TOUR, 1, 0, 0, "EXITED", "a", "died", "it fell\n  at line 3")
+
+
+def test_a_host_that_was_away_learns_endings_from_anybody(a, b):
+    a.mobility.on_ended(TOUR, 1, "done")
+    assert b.mobility.on_linked(a.greeting()) == [DropTerminated(TOUR, 1, "done", "", "a")]
+    c = Host("c")
+    assert c.mobility.on_linked(b.greeting()) == [DropTerminated(TOUR, 1, "done", "", "a")]
+    assert c.mobility.on_linked(a.greeting()) == []
+
+
+def test_an_ending_settles_a_copy_in_doubt(away):
+    away.mobility.tick(10.0)
+    finished, _ = away.mobility.on_message("c", Terminated(TOUR, 1, "done", "", "c"), 11.0)
+    assert isinstance(finished, DropTerminated)
+    assert away.known().state == "EXITED"
+
+
+def test_an_ending_does_not_stop_a_copy_that_is_here(a):
+    assert a.mobility.on_message("c", Terminated(TOUR, 1, "lost", "", "c"), 0.0) == [
+        Send("c", TerminatedAck(TOUR, 1))
+    ]
+    assert a.known().state == "RUN"
+
+
+def test_lost_is_a_presumption(away):
+    away.mobility.tick(10.0)
+    away.mobility.on_ended(TOUR, 1, "lost", "given up")
+    finished, _ = away.mobility.on_message("c", Terminated(TOUR, 1, "done", "", "c"), 11.0)
+    assert finished == DropTerminated(TOUR, 1, "done", "", "c")
+    assert away.mobility.on_message("c", Terminated(TOUR, 1, "lost", "", "c"), 12.0) == [
+        Send("c", TerminatedAck(TOUR, 1))
+    ]
+
+
+def test_a_coordinator_given_up_as_lost_may_still_come_back(away):
+    away.mobility.tick(10.0)
+    away.mobility.on_ended(TOUR, 1, "lost")
+    (_, answer) = away.receive("c", transfer(2), b"block 2")
+    assert answer.message == TransferAccepted(TOUR, 1, 2)
+    assert away.known().state == "RUN"
+
+
+def test_a_transfer_after_the_end_is_not_injected(b):
+    b.mobility.on_message("a", Terminated(TOUR, 1, "done", "", "a"), 0.0)
+    assert b.receive("a", transfer(3), b"block 3") == [Send("a", TransferAccepted(TOUR, 1, 3))]
+    assert b.injected == []
+
+
+def test_a_long_detail_is_cut_to_what_travels(a):
+    a.mobility.on_ended(TOUR, 1, "died", "x" * 10000)
+    assert len(a.known().detail) == MAX_TEXT
+
+
+# What waits to be taken in
+
+
+def test_who_is_greeted_hears_of_a_coordinator_that_waits_to_be_taken_in(away, b):
+    (known,) = b.mobility.handshake_states([transfer(1)])
+    assert known == CoordinatorState(TOUR, 1, 1, 1, "PREPARED", "b", receiver_memory=1)
+    # That is no verdict: its sender goes on waiting for one.
+    assert away.mobility.on_linked(b.hello(known)) == [Send("b", TransferQuery(TOUR, 1, 1, 1))]
+    assert away.known().state == "PREPARED"
+
+
+def test_who_is_greeted_hears_nothing_of_what_will_not_be_taken_in(b):
+    b.mobility.on_message("a", TransferQuery(TOUR, 1, 1, 1), 0.0)
+    assert b.mobility.handshake_states([transfer(1)]) == []
+    assert len(b.mobility.handshake_states([transfer(2)])) == 1
+    assert b.mobility.handshake_states([transfer(2, receiver=7)]) == []
+
+
+def test_who_is_greeted_hears_once_of_each_start(b):
+    b.receive("a", transfer(1), b"block 1")
+    assert b.mobility.handshake_states([transfer(2), transfer(1)]) == b.mobility.known_states()
+
+
+# Two starts of one coordinator
+
+
+def test_a_later_start_ends_when_it_hears_of_the_earlier(b):
+    restarted = Host("a", incarnation=2)
+    restarted.mobility.start(TOUR, 2)
+    b.receive("a", transfer(1), b"block 1")
+    (stop, *_) = restarted.mobility.on_linked(b.greeting())
+    assert stop == TerminateCopy(
+        TOUR, 2, f"an earlier start of {TOUR} is alive on b, so this later one was stopped"
+    )
+    assert restarted.known(2).outcome == "superseded"
+    assert b.known(1).state == "RUN"
+
+
+def test_the_host_of_the_earlier_start_has_the_later_one_ended(b):
+    """Its own greeting may have been too early to show the copy."""
+    b.receive("a", transfer(1), b"block 1")
+    c = Host("c")
+    c.receive("a", transfer(1, generation=2), b"block 1")
+    (told,) = b.mobility.on_linked(c.greeting())
+    assert (told.message.outcome, told.message.generation) == ("superseded", 2)
+    stop, _ = c.mobility.on_message("b", told.message, 0.0)
+    assert isinstance(stop, TerminateCopy)
+
+
+def test_a_later_start_that_arrives_where_the_earlier_is_alive_is_ended(b):
+    b.receive("a", transfer(1), b"block 1")
+    (answer,) = b.receive("a", transfer(1, generation=2), b"block 1")
+    assert answer.message.kind == SUPERSEDED
+    restarted = Host("a", incarnation=2)
+    restarted.mobility.start(TOUR, 2)
+    restarted.mobility.on_linked(b.hello())
+    restarted.mobility.depart(TOUR, "b", seal, 0.0)
+    (stop,) = restarted.mobility.on_message("b", answer.message, 0.0)
+    assert isinstance(stop, TerminateCopy)
+    assert b.mobility.on_message("a", TransferQuery(TOUR, 2, 1, 1), 0.0) == [answer]
+
+
+def test_an_earlier_start_that_arrives_ends_the_later(b):
+    b.receive("a", transfer(1, generation=2), b"later")
+    stop, _, answer = b.receive("c", transfer(4, generation=1), b"earlier")
+    assert isinstance(stop, TerminateCopy)
+    assert stop.generation == 2
+    assert answer.message == TransferAccepted(TOUR, 1, 4)
+    assert b.injected == [(1, b"later"), (4, b"earlier")]
+
+
+def test_a_copy_in_doubt_gives_way_to_a_later_start(away):
+    """Otherwise it might resume beside the other, on one host."""
+    away.mobility.tick(10.0)
+    stop, _, answer = away.receive("b", transfer(1, generation=2), b"later")
+    assert stop.generation == 1
+    assert answer.message == TransferAccepted(TOUR, 2, 1)
+    # That is no proof of a loss: b may have it.
+    known = away.known(1)
+    assert (known.state, known.where, known.outcome) == ("IN DOUBT", "b", "")
+    assert known.detail.endswith("its copy here was displaced by a later start")
+    assert away.mobility.shadow(TOUR, 1) == b"block 1"
+    assert away.mobility.on_message("b", TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, ""), 11.0) == []
+    # Now it is one: b will never take it, and here it cannot go on.
+    assert (away.known(1).state, away.known(1).outcome) == ("EXITED", "lost")
+
+
+def test_a_copy_that_gave_way_in_doubt_is_asked_for_again(away, b):
+    away.mobility.tick(10.0)
+    away.receive("b", transfer(1, generation=2), b"later")
+    away.mobility.on_unlinked("b")
+    assert Send("b", TransferQuery(TOUR, 1, 1, 1)) in away.mobility.on_linked(b.hello())
+    assert away.mobility.on_message("b", TransferAccepted(TOUR, 1, 1), 12.0) == [
+        MarkMigrated(TOUR, 1, 1, "b")
+    ]
+    assert away.known(1).state == "MOVED"
+
+
+def test_a_copy_in_doubt_does_not_end_a_later_start(away):
+    away.mobility.tick(10.0)
+    restarted = Host("b", incarnation=2)
+    restarted.mobility.start(TOUR, 2)
+    assert restarted.mobility.on_linked(away.greeting()) == []
+    assert restarted.known(2).state == "RUN"
+
+
+def test_a_restored_copy_of_which_an_end_is_heard_does_not_go_on():
+    page = CoordinatorRecord(TOUR, 1, "PREPARED", 1, target="b", receiver_memory=1, block=b"block 1")
+    host = Host("a")
+    host.mobility.restore([page])
+    host.mobility.on_linked(Host("b").hello(CoordinatorState(TOUR, 1, 3, 2, "EXITED", "b", "done")))
+    assert host.known().state == "EXITED"
+
+    def put(copy, *, runs):
+        raise AssertionError("it has ended")
+
+    assert host.mobility.resume_restored(put, 0.0) == []
+
+
+@pytest.mark.parametrize(("memory", "gone"), [(7, False), (8, True)], ids=["the same", "another disk"])
+def test_what_a_receiver_says_of_itself_may_not_be_on_its_disk_yet(memory, gone):
+    """So the sender asks, since that answer waits for the disk; another disk's word counts."""
+
+    def hello(host, memory, *known):
+        return Hello(
+            host.role, host.host, host.incarnation, PROGRAM, PROGRAM, 1000, list(known), journal_id=memory
+        )
+
+    a, b = Host("a").hello(), Host("b").hello()
+    mobility = Mobility(hello(a, 5), peers=["a", "b"], agents=[TOUR])
+    mobility.on_linked(hello(b, 7))
+    mobility.start(TOUR, 1)
+    mobility.depart(TOUR, "b", seal, 0.0)
+    mobility.on_unlinked("b")
+    effects = mobility.on_linked(hello(b, memory, CoordinatorState(TOUR, 1, 2, 2, "RUN")))
+    assert any(isinstance(effect, MarkMigrated) for effect in effects) == gone
+    assert (
+        any(isinstance(effect, Send) and isinstance(effect.message, TransferQuery) for effect in effects)
+        != gone
+    )

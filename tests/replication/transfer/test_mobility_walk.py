@@ -1,0 +1,141 @@
+"""Long random walks through the same world as the property test: no shrinking, many more steps.
+
+Broken machines whose fault needs a long run of bad luck are found out here.
+"""
+
+import random
+
+import pytest
+from mobility_world import PATIENCE, World
+
+from lfield.replication.transfer.core import Mobility
+from lfield.replication.transfer.effects import Send
+from lfield.wire.coordinator_messages import NEVER_ARRIVED, TransferQuery, TransferRefused
+
+
+def walk(machine: type[Mobility], seed: int, steps: int = 150) -> World:
+    """One walk, judged after every step and once more after everything is healed."""
+    dice = random.Random(seed)
+    world = World("abc", {"Tour:one": "a", "Tour:two": "b"}, machine)
+    for pair in world.unlinked_pairs():
+        world.connect(*pair)
+    weights = {
+        deliver: 10,
+        wander: 4,
+        connect: 3,
+        flap: 2,
+        lose: 1,
+        repeat: 1,
+        wait: 1,
+        notice: 1,
+        disturb: 0.3,
+    }
+    actions, odds = list(weights), list(weights.values())
+    for action in dice.choices(actions, odds, k=steps):
+        action(world, dice)
+        world.check()
+    world.heal()
+    world.check_healed()
+    return world
+
+
+def walks(machine: type[Mobility], seeds: range) -> int:
+    """Many walks; how many hops they made."""
+    return sum(sum(walk(machine, seed).injected.values()) for seed in seeds)
+
+
+def deliver(world: World, dice: random.Random) -> None:
+    if world.packets:
+        late = dice.random() < 0.5
+        world.deliver(world.packets.pop(dice.randrange(len(world.packets)) if late else 0))
+
+
+def wander(world: World, dice: random.Random) -> None:
+    running = [(host, start) for host in world.hosts.values() for start in host.running]
+    if running:
+        host, start = dice.choice(running)
+        world.work(host, start)
+        world.wander(host, start, dice.choice([name for name in world.names if name != host.name]))
+
+
+def connect(world: World, dice: random.Random) -> None:
+    pairs = world.unlinked_pairs()
+    if pairs:
+        world.connect(*dice.choice(pairs))
+
+
+def flap(world: World, dice: random.Random) -> None:
+    one, other = dice.sample(world.names, 2)
+    world.cut(one, other)
+    world.notice(one, other)
+    if dice.random() < 0.8:
+        world.notice(other, one)
+        world.connect(one, other)
+
+
+def lose(world: World, dice: random.Random) -> None:
+    if world.packets:
+        world.packets.pop(dice.randrange(len(world.packets)))
+
+
+def repeat(world: World, dice: random.Random) -> None:
+    if world.packets:
+        world.packets.append(dice.choice(world.packets))
+
+
+def wait(world: World, dice: random.Random) -> None:
+    world.advance(dice.choice([1.0, PATIENCE / 2, PATIENCE + 1]))
+
+
+def notice(world: World, dice: random.Random) -> None:
+    world.notice(*dice.sample(world.names, 2))
+
+
+def disturb(world: World, dice: random.Random) -> None:
+    """What ends a life: a kill, a restart, a coordinator's end, a machine that takes no more."""
+    name = dice.choice(world.names)
+    host = world.hosts.get(name)
+    if host is None:
+        world.boot(name)
+    elif dice.random() < 0.3:
+        world.kill(name)
+    elif dice.random() < 0.5:
+        host.full = not host.full
+    elif host.running:
+        world.finish(host, dice.choice(sorted(host.running)), dice.choice(["done", "died"]))
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("start", range(0, 1000, 100))
+def test_walks(start):
+    assert walks(Mobility, range(start, start + 100)) > 500, "the walks must get somewhere"
+
+
+class Forgetful(Mobility):
+    """Says 'never arrived' and does not remember having said so."""
+
+    def on_message(self, host, message, now):
+        if isinstance(message, TransferQuery):
+            copy = self._copies.find(message.agent, message.generation)
+            if copy is None or message.sequence > copy.sequence:
+                answer = TransferRefused(
+                    message.agent, message.generation, message.sequence, NEVER_ARRIVED, ""
+                )
+                return [Send(host, answer)]
+        return super().on_message(host, message, now)
+
+
+class Trusting(Mobility):
+    """Believes that a restarted receiver can speak for its earlier life."""
+
+    def on_linked(self, peer):
+        for copy in self._copies:
+            if copy.state == "PREPARED" and copy.target == peer.host:
+                copy.receiver_memory = peer.state_id
+        return super().on_linked(peer)
+
+
+@pytest.mark.parametrize("machine", [Forgetful, Trusting])
+def test_a_subtly_broken_protocol_is_found_out(machine):
+    with pytest.raises(AssertionError, match=r"live copies|injected|old copy"):
+        walks(machine, range(3000))

@@ -1,0 +1,1 @@
+"""Deterministic simulation testing: scenarios from seeds, injected faults, checks of invariants."""

@@ -1,0 +1,137 @@
+"""Deterministic simulation testing from the command line.
+
+`python tests/simulate/simulate.py --seeds 1000` runs and checks the scenarios of 1,000 seeds.
+`python tests/simulate/simulate.py MISSION.dL --seed 7 --faults cut=5 kill=20` runs a mission in virtual time.
+
+Hosts and guards are the real ones. Whatever devices the mission has do what their manifests say, and nothing
+else: what they tell are constants.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import sys
+from collections.abc import Iterable
+from dataclasses import fields, replace
+from pathlib import Path
+
+from lfield.errors import LfieldError, ProgramError
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet
+from simulation_testing.fault_injection import FaultRates
+from simulation_testing.scenarios.scenario import Scenario
+from simulation_testing.scenarios.scenario_drawing import KINDS, draw_scenario
+from simulation_testing.scenarios.scenario_run import run_scenario
+from simulation_testing.scenarios.scenario_shrinker import COMMAND
+from simulation_testing.seed_runner import IN_A_LINE, lines_of, run_seeds
+
+#: What can go wrong.
+FAULTS = [field.name for field in fields(FaultRates)]
+
+
+def main() -> int:
+    """Run it and print what was said; returns the exit status."""
+    parser = _parser()
+    args = parser.parse_args()
+    if args.seeds is not None:
+        return _seeds(parser, args)
+    if args.story is not None:
+        return _run_scenarios(args)
+    if args.mission is None:
+        parser.error("give --seeds N, --story SEED or a MISSION.dL")
+    return _run_mission(args)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog=COMMAND, description=__doc__)
+    parser.add_argument("--quiet", action="store_true", help="print the last line only")
+    many = parser.add_argument_group("stories")
+    many.add_argument("--seeds", type=_count, metavar="N", help="tell and judge the stories of N seeds")
+    many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them")
+    many.add_argument("--processes", type=_count, default=0, metavar="N", help="one for each core")
+    many.add_argument("--outcomes", type=Path, metavar="FILE", help="write what came of each, as digests")
+    many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
+    for name in ("hosts", "walkers", "arms"):
+        many.add_argument(f"--{name}", type=int, metavar="N")
+    many.add_argument("--as", choices=KINDS, dest="kind", help="what becomes of its coordinators")
+    many.add_argument("--keep", type=_numbers, metavar="N,N", help="the faults of it that strike")
+    one = parser.add_argument_group("a mission")
+    one.add_argument("mission", metavar="MISSION.dL", type=Path, nargs="?", help="the deployment")
+    one.add_argument("--seed", type=int, default=0, help="of everything that is left to chance")
+    one.add_argument("--seconds", type=float, help="how long it runs, in virtual time")
+    kinds = f"mean seconds between two faults of a kind: {', '.join(FAULTS)}"
+    one.add_argument("--faults", metavar="KIND=SECONDS", type=_fault, nargs="*", default=[], help=kinds)
+    return parser
+
+
+def _seeds(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
+    if args.outcomes and (args.first or args.seeds % IN_A_LINE):
+        parser.error(f"--outcomes needs --first 0, and a multiple of {IN_A_LINE} for --seeds")
+    tally = run_seeds(range(args.first, args.first + args.seeds), args.processes)
+    if args.outcomes:
+        args.outcomes.write_text("\n".join([*lines_of(tally.outcomes), ""]), encoding="utf-8")
+    return 1 if tally.broken else 0
+
+
+def _run_scenarios(args: argparse.Namespace) -> int:
+    given = {name: getattr(args, name) for name in ("hosts", "walkers", "arms", "seconds", "keep")}
+    draws = KINDS[args.kind] if args.kind else draw_scenario
+    story: Scenario = replace(draws(args.story), **{name: v for name, v in given.items() if v is not None})
+    verdict = run_scenario(story, keep_log=True)
+    if not args.quiet:
+        _print(verdict.log, verdict.faults)
+    for breach in verdict.breaches:
+        print(breach)
+    print(f"{len(verdict.faults)} faults in {verdict.seconds:g} s; digest {verdict.digest}")
+    return 1 if verdict.breaches else 0
+
+
+def _run_mission(args: argparse.Namespace) -> int:
+    try:
+        fleet = Fleet(load_mission(args.mission, simulate=True), args.seed)
+    except ProgramError as error:
+        print("\n".join(d.render() for d in error.diagnostics), file=sys.stderr)
+        return error.exit_status
+    except LfieldError as error:
+        print(f"{COMMAND}: {error}", file=sys.stderr)
+        return error.exit_status
+    seconds = args.seconds or 60.0
+    storm = FaultRates(**dict(args.faults)).inject(fleet, random.Random(args.seed), seconds)
+    fleet.run(seconds)
+    if not args.quiet:
+        _print(fleet.log, storm.faults)
+    events, struck = fleet.timeline.events, len(storm.faults)
+    print(f"{events} events, {struck} faults in {seconds:g} s; digest {fleet.digest}")
+    return 0
+
+
+def _print(log: Iterable[tuple[float, str, str]], faults: Iterable[tuple[float, str]]) -> None:
+    weather = [(at, "weather", what) for at, what in faults]
+    for at, who, text in sorted([*log, *weather], key=lambda line: line[0]):
+        print(f"{at:12.6f} {who} | {text.rstrip()}")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or not int(text):
+        raise argparse.ArgumentTypeError(f"'{text}' is no number above 0")
+    return int(text)
+
+
+def _numbers(text: str) -> frozenset[int]:
+    if any(not part.isdecimal() for part in text.split(",") if part):
+        raise argparse.ArgumentTypeError(f"'{text}' is no list of numbers, as in 3,7,12")
+    return frozenset(int(part) for part in text.split(",") if part)
+
+
+def _fault(text: str) -> tuple[str, float]:
+    kind, _, mean = text.partition("=")
+    if kind not in FAULTS:
+        raise argparse.ArgumentTypeError(f"there is no fault '{kind}'; there are {', '.join(FAULTS)}")
+    try:
+        seconds = float(mean)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds < float("inf"):
+        raise argparse.ArgumentTypeError(f"'{text}' needs seconds above 0, as in {kind}=20")
+    return kind, seconds

@@ -1,0 +1,162 @@
+"""What programs say of their calls: none begins twice, none is skipped untold, none is made for an old copy.
+
+A coordinator keeps its *life* (a name and what it has drawn) when it is recovered elsewhere. Then its calls
+are counted again from where it goes on: what came after that is lost to it.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from lfield.replication.transfer.generations import is_recovery
+from lfield.simulate.host_fleet import HostLife
+from lfield.vm.agent import Agent
+from lfield.vm.memory.layout import THREAD_ID
+from lfield.vm.memory.threads import threads
+from simulation_testing.invariants.breaches import Breaches
+
+
+@dataclass(slots=True, eq=False)
+class _Call:
+    """What is known of one call: how often it began, and what its caller said of it."""
+
+    starts: int = 0
+    outcome: str = ""
+
+
+class CallChecks:
+    """The calls of all coordinators. `newest` says which start of an agent was the last to go on."""
+
+    def __init__(self, breaches: Breaches, newest: Callable[[str], int]) -> None:
+        self._breaches, self._newest = breaches, newest
+        #: How many calls began, and how many walkers were told that they go on elsewhere or again.
+        self.started = self.restarts = 0
+        #: How many calls of each agent have come to an end, since the weather.
+        self.ended: defaultdict[str, int] = defaultdict(int)
+        #: Whether all has been well for so long that every host must be reached.
+        self.settled = False
+        #: The agents that are done.
+        self.over: set[str] = set()
+        #: The lives of each agent, and which start of it each of them is at.
+        self._lives: defaultdict[str, set[str]] = defaultdict(set)
+        self._at: defaultdict[str, int] = defaultdict(int)
+        self._calls: dict[str, dict[int, _Call]] = defaultdict(dict)
+        self._served: dict[tuple[str, str], tuple[int, int]] = {}
+        #: For which start a call was begun last, by what its life has drawn and its number.
+        self._started_for: dict[tuple[float, float], tuple[str, int]] = {}
+
+    def on_output(self, life: HostLife, agent: Agent, text: str) -> None:
+        """A program has written something: a word, a life of a coordinator, the number of a call."""
+        host = life.core.name
+        for line in text.splitlines():
+            word, who, *more = line.split()
+            if word == "begin":
+                self._on_start(life, agent, who, int(more[0]))
+            elif word == "end" or self._is_old(agent, who):
+                continue
+            elif word == "over":
+                self.over.add(agent.id)
+            elif word == "born":
+                self._lives[agent.id].add(who)
+            elif word == "restarted":
+                self._restarted(host, agent, who, int(more[0]), " ".join(more))
+            else:
+                self._on_outcome(host, agent, who, int(more[0]), word)
+
+    def has_any(self, agent: str, generation: int) -> bool:
+        """Whether a start of an agent has begun a call."""
+        lives = (who for who in self._lives[agent] if self._at[who] == generation)
+        return any(call.starts for who in lives for call in self._calls[who].values())
+
+    def on_resumed_from_disk(self, agent: str) -> None:
+        """It goes on from a disk, and may not know any more of which calls it was told that they failed."""
+        for who in self._lives[agent]:
+            for call in self._calls[who].values():
+                if call.outcome == "failed":
+                    call.outcome = "forgotten"
+
+    def caller_of(self, arguments: tuple[object, ...]) -> tuple[str, int]:
+        """For which agent and start a device was commanded, by the arguments of that; '' for nobody known."""
+        drawn, number = arguments[:2]
+        assert isinstance(drawn, float)
+        assert isinstance(number, float)
+        return self._started_for.get((drawn, number), ("", 0))
+
+    # --- what callers say -----------------------------------------------------------------------------
+
+    def _is_old(self, agent: Agent, who: str) -> bool:
+        """Whether this copy has a successor; what it says between its calls nobody else hears."""
+        return agent.generation < self._at[who]
+
+    def _goes_on(self, who: str, generation: int, number: int) -> None:
+        """A start of it goes on with the call of this number. A recovery knows of none that came later.
+
+        Nor of this one, if it stood before it: what it was told was then about a call that only asks.
+        """
+        if generation > self._at[who]:
+            if is_recovery(generation):
+                self._calls[who] = {n: call for n, call in self._calls[who].items() if n < number}
+            self._at[who] = generation
+
+    def _on_outcome(self, host: str, agent: Agent, who: str, number: int, outcome: str) -> None:
+        self._goes_on(who, agent.generation, number)
+        call = self._calls[who].setdefault(number, _Call())
+        self.ended[agent.id] += 1
+        call.outcome = outcome
+        if outcome == "done" and call.starts != 1:
+            found = f"call {number} of {who} is done, and it began {call.starts} times"
+            self._breaches.add("I4", (host,), found)
+        if outcome == "failed" and self.settled:
+            self._breaches.add("reach", (host,), f"call {number} of {who} could not be made, and all is well")
+        if outcome == "failed" and call.starts:
+            self._breaches.add("I4", (host,), f"call {number} of {who} could not be made, and it has begun")
+
+    def _restarted(self, host: str, agent: Agent, who: str, number: int, text: str) -> None:
+        """A call that may have begun, or has not; what came after it had not begun, and is forgotten."""
+        self.restarts += 1
+        self._goes_on(who, agent.generation, number)
+        calls = self._calls[who]
+        later = sorted(n for n in calls if n > number)
+        for begun in (n for n in later if calls[n].starts):
+            found = f"{who} went back to call {number}, and call {begun} had begun"
+            self._breaches.add("I4", (host,), found)
+        for n in later:
+            del calls[n]
+        self._on_outcome(host, agent, who, number, "failed" if "has not begun" in text else "threw")
+
+    # --- what resources say ---------------------------------------------------------------------------
+
+    def _on_start(self, life: HostLife, resource: Agent, who: str, number: int) -> None:
+        self.started += 1
+        name = who.partition(".")[0]
+        generation, host = _caller(life, resource, name), (life.core.name,)
+        if generation < self._newest(name):
+            found = f"call {number} of {who} began for start {generation}; {self._newest(name)} had gone on"
+            self._breaches.add("I1", host, found)
+            return
+        self._goes_on(who, generation, number)
+        call = self._calls[who].setdefault(number, _Call())
+        call.starts += 1
+        self._started_for[float(who.partition(".")[2]), float(number)] = name, generation
+        if call.starts > 1:
+            self._breaches.add("I4", host, f"call {number} of {who} began again, on {resource.id}")
+        if call.outcome == "failed":
+            self._breaches.add("I4", host, f"call {number} of {who} began after it could not be made")
+        before = self._calls[who].get(number - 1)
+        if number > 1 and (before is None or not before.outcome):
+            found = f"call {number} of {who} began, and call {number - 1} has no end"
+            self._breaches.add("I4", host, found)
+        newest = self._served.get((resource.id, who), (0, 0))
+        if (generation, number) < newest:
+            found = f"{resource.id} served call {number} of {who} after call {newest[1]}"
+            self._breaches.add("I3", host, found)
+        self._served[resource.id, who] = max(newest, (generation, number))
+
+
+def _caller(life: HostLife, resource: Agent, name: str) -> int:
+    """The start of this agent whose call a resource serves: the latest that has come to it."""
+    block = resource.block
+    callers = (life.core.machine.caller(resource, block.w[place + THREAD_ID]) for place in threads(block))
+    return next((caller.generation for caller in callers if caller and caller.id == name), 0)

@@ -1,0 +1,117 @@
+"""Whether hosts keep what they answer to a person: `lfield estop`, `pause`, `forget` (operations.md).
+
+A host that has confirmed a stop commands no device until somebody lifts that, whatever becomes of its
+process; one that is paused runs no agent either, until the mission is resumed. Every device that was
+confirmed stays at rest. A host without a journal forgets both with its process, and so does one that said
+that its disk did not take the stop. A coordinator that was given up does not go on where that was confirmed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from lfield.mission.mission import Mission
+from lfield.simulate.hardware import Hardware
+from lfield.simulate.host_fleet import HostLife
+from lfield.vm.agent import Agent
+from lfield.wire.observer_messages import EmergencyStopResult
+from simulation_testing.invariants.breaches import Breaches
+from simulation_testing.simulated_operator import Hold
+
+
+@dataclass(frozen=True, slots=True)
+class _Held:
+    """What a host has confirmed: since when in true time, of which devices, and whether a restart ends it."""
+
+    since: float
+    devices: frozenset[str]
+    volatile: bool
+
+
+class OrderChecks:
+    """The orders that hold. `keeps` says whether hosts have journals, `now` is true time in seconds."""
+
+    def __init__(self, breaches: Breaches, now: Callable[[], float], keeps: Callable[[], bool]) -> None:
+        self._breaches, self._now, self._keeps = breaches, now, keeps
+        self._held: dict[tuple[Hold, str], _Held] = {}
+        self._given_up: dict[tuple[str, str], int] = {}
+        #: Whether a person recovers what a host had that is gone, or gives it up.
+        self.acted = False
+        #: How far each device's record was read.
+        self._read: dict[str, int] = {}
+
+    # --- what hosts have answered ---------------------------------------------------------------------
+
+    def on_confirmed(self, hold: Hold, host: str, answer: EmergencyStopResult) -> None:
+        """A host has answered that it is stopped, or paused."""
+        devices = frozenset(device for device, problem in answer.devices.items() if not problem)
+        volatile = bool(answer.trouble) or not self._keeps()
+        self._held[hold, host] = _Held(self._now(), devices, volatile)
+
+    def on_lifting(self, hold: Hold) -> None:
+        """From now on a host may hear that this is over."""
+        self._held = {key: held for key, held in self._held.items() if key[0] != hold}
+
+    def on_given_up(self, agent: str, starts: Mapping[str, int]) -> None:
+        """These hosts have given up a coordinator, up to these starts."""
+        for host, start in starts.items():
+            self._given_up[host, agent] = max(start, self._given_up.get((host, agent), 0))
+
+    def on_recovery_by_operator(self) -> None:
+        """A host is gone, and the person recovers its coordinators from copies, or gives them up."""
+        self.acted = True
+
+    def is_given_up(self, agent: str, start: int) -> bool:
+        """Whether a person has said that this start of a coordinator is lost."""
+        return any(who == agent and start <= last for (_, who), last in self._given_up.items())
+
+    # --- what becomes of hosts ------------------------------------------------------------------------
+
+    def on_host_start(self, host: str) -> None:
+        """Its process begins."""
+        volatile = [key for key, held in self._held.items() if key[1] == host and held.volatile]
+        for key in volatile:
+            del self._held[key]
+
+    def on_disk_lost(self, host: str) -> None:
+        """It has a new disk, and remembers nothing."""
+        self._held = {key: held for key, held in self._held.items() if key[1] != host}
+        self._given_up = {key: start for key, start in self._given_up.items() if key[0] != host}
+
+    # --- what is seen ---------------------------------------------------------------------------------
+
+    def on_computed(self, life: HostLife) -> None:
+        """The machine of a host has run an agent."""
+        host = life.core.name
+        if ("pause", host) in self._held:
+            self._breaches.add("pause", (host,), "an agent runs, and its host has confirmed a pause")
+
+    def on_running(self, life: HostLife, agent: Agent) -> None:
+        """A coordinator can run on a host."""
+        host = life.core.name
+        if agent.generation <= self._given_up.get((host, agent.id), 0):
+            found = f"start {agent.generation} of {agent.id} can run, and was given up by lfield forget"
+            self._breaches.add("forget", (host,), found)
+
+    def check(self, mission: Mission, name: str, hardware: Hardware) -> None:
+        """Look at a device of the mission, by its name."""
+        host = _host_of(mission, name)
+        since = self._read.get(name, 0)
+        self._read[name] = len(hardware.record)
+        for hold in ("stop", "pause"):
+            held = self._held.get((hold, host))
+            if held is None or name not in held.devices:
+                continue
+            for told in hardware.record[since:]:
+                if told.at > held.since and not told.safe:
+                    found = f"{name} is commanded to {told.what} at {told.at:.3f} s, after a confirmed {hold}"
+                    self._breaches.add(hold, (host,), found)
+            if hardware.is_moving and not hardware.record[-1].safe:
+                self._breaches.add(hold, (host,), f"{name} moves after a confirmed {hold}")
+
+
+def _host_of(mission: Mission, device: str) -> str:
+    """The host that a device is at."""
+    agent = next(found.agent for found in mission.bindings.all if found.name == device)
+    return next(mission.team.hosts[member.host] for member in mission.team.members if member.id == agent)

@@ -1,0 +1,221 @@
+"""Who has what by a `reserve`, judged from the grants that the machine is given and the calls that begin.
+
+A number is on the disk of its host when it is told, and is higher than all before it of that resource, over
+restarts too. Whoever was told one is alone with the resource until it leaves its block, its start is over, or
+nothing was heard of it for a lease: nobody else is given it, no portal begins for anybody else, and it does
+not hear that it has lost it. No portal begins by a number that is not the last.
+"""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+from lfield.journal.records import CoordinatorRecord, FenceRecord, Record, ReservationRecord
+from lfield.simulate.host_fleet import HostLife
+from lfield.vm.agent import Agent, TeamMember
+from lfield.vm.memory.layout import THREAD_ID
+from lfield.vm.memory.threads import threads
+from lfield.wire.reservation_messages import RenewReservation
+from simulation_testing.invariants.breaches import Breaches
+
+#: Of a lease so much passes at least in true time, whatever the clocks of the hosts do.
+MIN_LEASE_SHARE = 0.97
+
+
+@dataclass(slots=True)
+class _Resource:
+    """The last number of a resource that was told, to whom, and until when that one is surely alone."""
+
+    number: int = 0
+    holder: tuple[str, int] = ("", 0)
+    since: float = 0.0
+    until: float = 0.0
+
+
+class ReservationChecks:
+    """The reservations of a team. `pages` gives what is on the disk of a host, and `lease` is in seconds.
+
+    `newest_at` says which recovery of an agent was the last to go on before a time.
+    """
+
+    def __init__(
+        self,
+        breaches: Breaches,
+        now: Callable[[], float],
+        lease: Callable[[], float],
+        newest_at: Callable[[str, float], int],
+        pages: Callable[[str], Iterable[Record] | None],
+    ) -> None:
+        self._breaches, self._now, self._lease = breaches, now, lease
+        self._newest_at, self._pages = newest_at, pages
+        self._resources: defaultdict[str, _Resource] = defaultdict(_Resource)
+        #: How many calls began, inside of blocks and outside; how rounds have ended; how many of each agent
+        #: have, since the weather.
+        self.started: Counter[str] = Counter()
+        self.rounds: Counter[str] = Counter()
+        self.closed: Counter[str] = Counter()
+        self._started_for: set[tuple[str, int]] = set()
+        #: For which start each round of a life has begun a call last, by what the life has drawn.
+        self._rounds_of: dict[tuple[float, float], tuple[str, int]] = {}
+
+    def on_healed(self) -> None:
+        """The weather is over."""
+        self.closed.clear()
+
+    def on_disk_lost(self, resources: Iterable[str]) -> None:
+        """The host of these has a new disk, and knows nothing of what it has given."""
+        for name in resources:
+            self._resources.pop(name, None)
+
+    def has_any(self, agent: str, generation: int) -> bool:
+        """Whether a start of an agent has begun anything."""
+        return (agent, generation) in self._started_for
+
+    def on_output(self, life: HostLife, agent: Agent, text: list[str]) -> bool:
+        """A program has written a line; whether it is about a reservation."""
+        match text:
+            case ["uses", who, number, how]:
+                self._uses(life, agent, who, int(number), how)
+            case ["quits", _, _, how]:
+                self.rounds[how] += 1
+                self.closed[agent.id] += 1
+            case _:
+                return False
+        return True
+
+    # --- what is seen of the machine ------------------------------------------------------------------
+
+    def on_granted(self, life: HostLife, agent: Agent, resource: TeamMember, number: int) -> None:
+        """A coordinator is told the number by which it has a resource from now on."""
+        known, start, host = self._resources[resource.id], (agent.id, agent.generation), (life.core.name,)
+        if number <= known.number:
+            found = (
+                f"{resource.id} was given by number {number} to {start}, and {known.number} was told before"
+            )
+            self._breaches.add("number", host, found)
+        pages = self._pages(life.core.name)
+        kept = ReservationRecord(resource.id, number, *start)
+        if pages is not None and kept not in pages:
+            found = f"{agent.id} is told that it has {resource.id} by {number}, and that is on no disk"
+            self._breaches.add("given", host, found)
+        if self._is_alone(life, known, start):
+            found = f"{resource.id} is given to {start}, and {known.holder} has it"
+            self._breaches.add("reserved", host, found)
+        others = _callers(life, life.core.machine.agents[resource.id]).keys() - {agent.id}
+        if others:
+            found = f"{resource.id} is given to {start} while it works for {', '.join(sorted(others))}"
+            self._breaches.add("busy", host, found)
+        known.number, known.holder = max(number, known.number), start
+        known.since, known.until = self._now(), self._now() + MIN_LEASE_SHARE * self._lease()
+
+    def on_dropped(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
+        """A coordinator has left a block."""
+        for resource, number in held:
+            known = self._resources[resource.id]
+            if (known.holder, known.number) == ((agent.id, agent.generation), number):
+                known.until = 0.0
+
+    def on_reserved_call(
+        self, life: HostLife, agent: Agent, resource: TeamMember, number: int, *, lost: bool
+    ) -> None:
+        """A coordinator that has a resource by a number is served, or has lost it."""
+        known, start = self._resources[resource.id], (agent.id, agent.generation)
+        if (known.holder, known.number) != (start, number):
+            return
+        if lost and self._now() < known.until:
+            found = f"{agent.id} is told that it has lost {resource.id}, and nobody could take it"
+            self._breaches.add("robbed", (life.core.name,), found)
+        elif not lost:
+            known.until = max(known.until, self._now() + MIN_LEASE_SHARE * self._lease())
+
+    def on_renewed(self, message: RenewReservation) -> None:
+        """A host hears of who has a resource of it."""
+        known = self._resources[message.resource]
+        if (known.holder, known.number) != ((message.agent, message.generation), message.number):
+            return
+        if self._now() < known.until:
+            known.until = self._now() + MIN_LEASE_SHARE * self._lease()
+
+    # --- what devices were told -----------------------------------------------------------------------
+
+    def caller_of(self, arguments: tuple[object, ...]) -> tuple[str, int]:
+        """For which agent and start a device was commanded, by the arguments of that; '' for nobody known."""
+        drawn, number = arguments[:2]
+        assert isinstance(drawn, float)
+        assert isinstance(number, float)
+        return self._rounds_of.get((drawn, number), ("", 0))
+
+    def commanded(self, resource: str, start: tuple[str, int], at: float) -> None:
+        """The device of a resource was commanded for a start of a coordinator."""
+        known = self._resources[resource]
+        agent, generation = known.holder
+        if agent in ("", start[0]) or not known.since < at < known.until:
+            return
+        if generation >= self._newest_at(agent, at):
+            found = (
+                f"the device of {resource} was commanded for {start} at {at:.3f} s, and {known.holder} has it"
+            )
+            self._breaches.add("reserved", (), found)
+
+    # --- what resources say ---------------------------------------------------------------------------
+
+    def _uses(self, life: HostLife, resource: Agent, who: str, number: int, how: str) -> None:
+        self.started[how] += 1
+        name, _, drawn = who.partition(".")
+        known, host = self._resources[resource.id], (life.core.name,)
+        generation = max(_callers(life, resource).get(name, ()), default=0)
+        if not generation:
+            # It was taken from its caller before it came to its first line.
+            return
+        start = name, generation
+        self._started_for.add(start)
+        self._rounds_of[float(drawn), float(number)] = start
+        if self._is_alone(life, known, start):
+            found = f"a portal of {resource.id} began for {start}, and {known.holder} has it"
+            self._breaches.add("reserved", host, found)
+        if how != "inside":
+            return
+        agent = life.core.machine.agents.get(name)
+        held = (
+            life.core.machine.held_reservations.of_coordinator(agent)
+            if agent is not None and agent.generation == generation
+            else ()
+        )
+        mark = next((mark for member, mark in held if member.id == resource.id), 0)
+        if (known.holder, known.number) != (start, mark):
+            found = f"a portal of {resource.id} began for {start} by {mark}, not {known.number}"
+            self._breaches.add("stale", host, found)
+
+    def _is_alone(self, life: HostLife, known: _Resource, other: tuple[str, int]) -> bool:
+        """Whether somebody has a resource of a host surely, so that another one must not."""
+        (agent, generation), now = known.holder, self._now()
+        if not agent or agent == other[0] or now >= known.until:
+            return False
+        if generation < self._newest_at(agent, now):
+            return False
+        pages = self._pages(life.core.name) or ()
+        return not any(
+            _is_over(page, agent, generation) for page in pages
+        ) and not life.core.mobility.end_reason(agent, generation)
+
+
+def _is_over(page: Record, agent: str, generation: int) -> bool:
+    """Whether a host knows from its disk that a start acts no more."""
+    match page:
+        case FenceRecord():
+            return page.agent == agent and generation < page.generation
+        case CoordinatorRecord():
+            return (page.agent, page.generation, page.state) == (agent, generation, "EXITED")
+    return False
+
+
+def _callers(life: HostLife, resource: Agent) -> dict[str, set[int]]:
+    """The agents that a resource works for now, each with its starts."""
+    block, machine = resource.block, life.core.machine
+    found: dict[str, set[int]] = {}
+    for place in threads(block):
+        if caller := machine.caller(resource, block.w[place + THREAD_ID]):
+            found.setdefault(caller.id, set()).add(caller.generation)
+    return found

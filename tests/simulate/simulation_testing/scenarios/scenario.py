@@ -1,0 +1,388 @@
+"""Stories: a team, a mission and a forecast, all drawn from one seed, and small enough to be told quickly.
+
+The mission says by itself what it does: resources write down every call that they begin and end, coordinators
+what became of it, and devices are told who moves them. So nobody has to ask the code that is being tried.
+"""
+
+from __future__ import annotations
+
+import random
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
+
+from lfield.bytecode.program import Program
+from lfield.mission.bindings import DEFAULT_LEASE, DEFAULT_RESERVATION, MAX_MEMBERS, ReservationTimes
+from lfield.mission.loader import load_mission
+from lfield.mission.mission import Mission
+from simulation_testing.fault_injection import ORDERS, Fault, FaultRates
+from simulation_testing.scenarios import crew_programs, flown_programs, keeper_programs
+
+#: Every start of a coordinator draws a number; with its name that is its *life*.
+PROGRAM = """
+resource Post {
+    int begun;
+    init(string[] arg) { begun = 0; }
+    portal stamp(string life, int number, real seconds) {
+        write("begin " + life + " " + i2s(number) + "\\n");
+        begun = begun + 1;
+        sleep(seconds);
+        write("end " + life + " " + i2s(number) + "\\n");
+    }
+    portal look() emit int { return begun; }
+}
+resource Arm {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal drive(string life, int drawn, int number) {
+        write("begin " + life + " " + i2s(number) + "\\n");
+        fc.release();
+        for (int n = 0; n < 3; n = n + 1) {
+            fc.setVelocity(i2f(drawn), i2f(number), i2f(n));
+            sleep(0.1);
+        }
+        fc.hold();
+        write("end " + life + " " + i2s(number) + "\\n");
+    }
+}
+coordinator Walker {
+    init(string[] arg) {
+        int drawn = random(1000000000);
+        string life = arg[0] + "." + i2s(drawn);
+        //recovered
+        print("born " + life);
+        Post[] posts = findPost();
+        Arm[] arms = findArm();
+        int all = posts.length() + arms.length();
+        int at = 0;
+        int number = 0;
+        while (number != s2i(arg[1])) {
+            if (random(32) >= s2i(arg[3])) at = random(all);
+            number = number + 1;
+            try {
+                if (at < posts.length()) {
+                    posts[at].stamp(life, number, s2f(arg[2]));
+                } else {
+                    arms[at - posts.length()].drive(life, drawn, number);
+                }
+                print("done " + life + " " + i2s(number));
+            } catch (UnreachableResourceException gone) {
+                print("failed " + life + " " + i2s(number));
+            } catch (RestartException again) {
+                print("restarted " + life + " " + i2s(number) + " " + again.message());
+            } catch (Exception other) {
+                print("threw " + life + " " + i2s(number));
+            }
+            try {
+                if (random(32) >= s2i(arg[3]) && random(3) == 0) posts[random(posts.length())].look();
+            } catch (Exception other) { }
+            sleep(0.02 + 0.1 * random());
+        }
+        print("over " + life);
+    }
+}
+"""
+#: What makes it a coordinator that a majority may recover.
+RECOVERED = "heartbeatInterval(s2f(arg[4]));"
+_PROGRAMS: dict[bytes, Program] = {}
+#: What a walker does that never ends.
+FOR_EVER = -1
+#: What may strike in any story.
+USUAL = [
+    kind for kind in FaultRates.__dataclass_fields__ if kind not in ("swap", "split", "disk_slow", *ORDERS)
+]
+#: Seconds between two faults of a kind at least and at most, and how likely each kind is in a story.
+BETWEEN, LIKELY = (0.7, 6.0), 0.35
+#: So many stories are of hosts that keep journals; the others forget, as many a trial does.
+KEEP = 0.75
+#: So many of 32 times a walker calls where it has called before: one that may be recovered mostly, so that it
+#: works on where it is cut off.
+STAYS, STAYS_ON = 8, (26, 31, 31)
+#: Stories of coordinators that a majority may recover have nothing that leases do not hold under, and more
+#: time, in seconds.
+NOT_FENCED, LONGER = ("disk_new", "race"), 6.0
+#: What lets a host doubt another one that goes on; how likely each is then.
+DOUBTS, LIKELY_DOUBT = ("cut", "mute", "island", "stop", "kill"), 0.6
+#: Seconds between two of them, and of such a story, where there are many.
+OFTEN, DOUBTED = (2.0, 8.0), 8.0
+#: When walkers begin and what they do between two calls takes, about, in seconds; after so many leases
+#: without a sign a recovery has begun.
+START_TIME, BETWEEN_CALLS, RECOVERS_WITHIN = 0.2, 0.08, 3.0
+#: Seconds without a sign until a coordinator is recovered; how long a lease lasts.
+INTERVALS, LEASES = (1.0, 1.0, 1.0, 2.0, 4.0, 10.0), (1.0, 2.0, 2.0, 4.0)
+#: Seconds that a reservation of theirs lasts unheard, and that others wait for what is reserved.
+RESERVATIONS, RESERVED_WAITS = (1.0, 2.0, 4.0), (0.0, 0.5, 3.0, 10.0)
+#: So many hosts decide in a team of more than nine.
+DECIDERS = 5
+#: Seconds that a disk takes: one of a laptop, and one of a small board on a memory card.
+DISKS = (0.002, 0.002, 0.05)
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """All that a run depends on. Times are in seconds; `lost_after` None for walkers that walk for ever.
+
+    Walkers make so many `calls`, FOR_EVER for no end, each of which lets them `stay` so long. Hosts keep
+    `journals`, on disks that take `sync` to keep anything, or forget. The forecast is drawn for a team of
+    `cast` hosts and `weather` seconds; `keep` has the numbers of its faults that strike, None for all.
+    `hosts` and `seconds` are what is left when a story is made smaller. With an `interval` a majority of the
+    hosts may recover walkers, under leases of `lease`; then the last of them, `witnesses`, have no agents. A
+    walker `stays` where it is so many of 32 times. What it reserves is its own for `reservation` unheard, and
+    others wait `reserved_wait` for it. Code takes `slowness` times its usual processor time. Faults that are
+    `aimed` strike beside those that are drawn.
+    """
+
+    seed: int
+    cast: int
+    weather: float
+    hosts: int
+    walkers: int
+    arms: int
+    calls: int
+    stay: float
+    seconds: float
+    unreachable_after: float
+    lost_after: float | None
+    means: Mapping[str, float]
+    journals: bool
+    sync: float
+    interval: float = 0.0
+    lease: float = DEFAULT_LEASE
+    kind: str = "plain"
+    witnesses: int = 0
+    stays: int = STAYS
+    reservation: float = DEFAULT_RESERVATION
+    reserved_wait: float = 0.0
+    slowness: float = 1.0
+    aimed: tuple[Fault, ...] = ()
+    keep: frozenset[int] | None = None
+
+    @property
+    def mission(self) -> Mission:
+        """Its mission; stories of one shape share it."""
+        words = [str(self.calls), str(self.stay), str(self.stays)]
+        if self.interval:
+            words.append(f"{self.interval:g}")
+        posts = max(1, self.hosts - self.witnesses)
+        team = self.hosts, posts, self.walkers, self.arms
+        program = PROGRAMS.get(self.kind, PROGRAM)
+        times = self.lease, self.reservation, self.reserved_wait
+        deciders = DECIDERS if self.hosts > MAX_MEMBERS else 0
+        return _mission(*team, "&".join(words), *times, program, deciders)
+
+    @property
+    def forecast(self) -> list[Fault]:
+        """The faults that strike."""
+        return [fault for _, fault in self.numbered if {fault.one, fault.other} <= self._names(self.hosts)]
+
+    @property
+    def numbered(self) -> list[tuple[int, Fault]]:
+        """The faults that are kept, with their numbers."""
+        cast = sorted(self._names(self.cast))
+        drawn = FaultRates(**self.means).forecast(cast, random.Random(self.seed), self.weather)
+        faults = [*drawn, *self.aimed]
+        return [(n, fault) for n, fault in enumerate(faults) if self.keep is None or n in self.keep]
+
+    def _names(self, hosts: int) -> set[str]:
+        return {f"h{n}" for n in range(hosts)}
+
+
+def plain(seed: int) -> Scenario:
+    """One of coordinators that wait for their hosts, or are forgotten with them."""
+    dice = random.Random(f"story {seed}")
+    hosts = dice.choice((3, 3, 3, 4, 4, 5, 6, 7))
+    ends = dice.random() < 0.25
+    arms = dice.choice((0, 0, 0, 1, 1, 2))
+    means = {
+        kind: dice.uniform(*BETWEEN)
+        for kind in USUAL
+        if dice.random() < LIKELY and (arms or not kind.startswith("guard"))
+    }
+    seconds = dice.uniform(4.0, 10.0)
+    return Scenario(
+        seed,
+        hosts,
+        seconds,
+        hosts,
+        dice.randint(1, 3),
+        arms,
+        dice.choice((6, 12)) if ends else FOR_EVER,
+        dice.choice((0.04, 1.0)),
+        seconds,
+        dice.choice((0.5, 1.5, 3.0, 5.0)),
+        dice.uniform(2.0, 5.0) if ends else None,
+        means,
+        dice.random() < KEEP,
+        dice.choice(DISKS),
+    )
+
+
+def forgetful(seed: int) -> Scenario:
+    """One of hosts that keep no journals."""
+    return replace(plain(seed), kind="forgetful", journals=False)
+
+
+def fenced(seed: int) -> Scenario:
+    """One of coordinators that a majority may recover."""
+    story, dice = replace(plain(seed), journals=True), random.Random(f"recovered {seed}")
+    means = {kind: mean for kind, mean in story.means.items() if kind not in NOT_FENCED}
+    means |= {kind: dice.uniform(*BETWEEN) for kind in DOUBTS if dice.random() < LIKELY_DOUBT}
+    lease = dice.choice(LEASES)
+    seconds = story.weather + LONGER + lease
+    story = replace(
+        story,
+        kind="fenced",
+        weather=seconds,
+        seconds=seconds,
+        lost_after=None,
+        stay=dice.choice((0.04, 0.04, 0.04, 1.0)),
+        interval=dice.choice(INTERVALS),
+        stays=dice.choice(STAYS_ON),
+        lease=lease,
+        witnesses=dice.choice((0, 1)),
+    )
+    swaps = {"swap": dice.uniform(*OFTEN)} if dice.random() < LIKELY else {}
+    return replace(story, means=means | swaps)
+
+
+def doubted(seed: int) -> Scenario:
+    """One of a small team in which hosts often take others for gone, and coordinators work on meanwhile."""
+    story, dice = fenced(seed), random.Random(f"doubted {seed}")
+    seconds = DOUBTED + 2.0 * story.lease
+    return replace(
+        story,
+        kind="doubted",
+        cast=3,
+        hosts=3,
+        arms=min(story.arms, 1),
+        witnesses=0,
+        calls=FOR_EVER,
+        stay=0.04,
+        interval=1.0,
+        stays=STAYS_ON[-1],
+        means={kind: dice.uniform(*OFTEN) for kind in DOUBTS},
+        weather=seconds,
+        seconds=seconds,
+    )
+
+
+def parted(seed: int) -> Scenario:
+    """One of a small team in which whoever held a coordinator does not meet whoever went on with it.
+
+    Only who has promised knows of both, and that from its disk: it is started again in between.
+    """
+    mean = random.Random(f"parted {seed}").uniform(*OFTEN)
+    return replace(doubted(seed), kind="parted", means={"swap": mean})
+
+
+def ending(seed: int) -> Scenario:
+    """One of coordinators that terminate soon, while some hosts hear of that and others do not.
+
+    A link is cut a moment before the first of them is likely to terminate, for as long as a recovery takes;
+    at times with all others of that host for as long as it takes to promise one.
+    """
+    story, dice = doubted(seed), random.Random(f"ending {seed}")
+    hosts = dice.choice((3, 3, 4, 5))
+    more = (*DOUBTS[1:], "power", "disk_slow")
+    kinds = ["cut", *(kind for kind in more if dice.random() < LIKELY)]
+    calls, stay = dice.randint(1, 8), dice.choice((0.04, 1.0))
+    one, other = dice.sample([f"h{n}" for n in range(hosts)], 2)
+    at = max(0.1, START_TIME + calls * (stay + BETWEEN_CALLS) - dice.uniform(0.0, 1.0))
+    lasts = RECOVERS_WITHIN * story.lease + dice.uniform(1.0, 6.0)
+    aimed = [Fault(at, "cut", one, other, lasts, 1.0)]
+    if dice.random() < LIKELY:
+        brief = story.interval + story.lease * dice.uniform(1.0, 2.5)
+        others = (f"h{n}" for n in range(hosts))
+        aimed += [Fault(at, "cut", one, far, brief, 1.0) for far in others if far not in (one, other)]
+    return replace(
+        story,
+        kind="ending",
+        cast=hosts,
+        hosts=hosts,
+        witnesses=dice.choice((0, 1)),
+        calls=calls,
+        stay=stay,
+        stays=STAYS,
+        means={kind: dice.uniform(0.5, 5.0) for kind in kinds},
+        aimed=tuple(aimed),
+        weather=max(story.weather, at + lasts),
+        seconds=max(story.seconds, at + lasts),
+    )
+
+
+def crew(seed: int) -> Scenario:
+    """One of coordinators that have several resources work at a time; a majority may recover some of them."""
+    dice = random.Random(f"crew {seed}")
+    story = dice.choice((plain, fenced, doubted))(seed)
+    means = {kind: mean for kind, mean in story.means.items() if not kind.startswith("guard")}
+    return replace(
+        story,
+        kind="crew",
+        means=means,
+        walkers=min(story.walkers, 2),
+        arms=0,
+        calls=FOR_EVER,
+        lost_after=None,
+        journals=True,
+    )
+
+
+def keeper(seed: int) -> Scenario:
+    """One of coordinators that reserve what they work with; a majority may recover some of them.
+
+    No clock in it is worse than leases allow for.
+    """
+    dice, story = random.Random(f"keeper {seed}"), crew(seed)
+    means = {kind: mean for kind, mean in story.means.items() if kind != "race"}
+    return replace(
+        story,
+        kind="keeper",
+        means=means,
+        walkers=dice.choice((2, 3)),
+        reservation=dice.choice(RESERVATIONS),
+        reserved_wait=dice.choice(RESERVED_WAITS),
+    )
+
+
+#: What is flown where it is not the usual program.
+PROGRAMS = {"crew": crew_programs.PROGRAM, "keeper": keeper_programs.PROGRAM, "flown": flown_programs.PROGRAM}
+#: In which every round may have to wait for what others have reserved.
+RESERVES = ("keeper", "flown")
+
+
+@lru_cache(maxsize=16)
+def _mission(
+    hosts: int,
+    posts: int,
+    walkers: int,
+    arms: int,
+    arguments: str,
+    lease: float,
+    reservation: float,
+    reserved_wait: float,
+    program: str,
+    deciders: int,
+) -> Mission:
+    lines = [f"//Post:p{n}@h{n}" for n in range(posts)]
+    lines += [f"//@h{n}" for n in range(posts, hosts)]
+    lines += [f"//Arm:a{n}@h{posts - 1 - n}" for n in range(min(arms, posts))]
+    lines += [f"//Walker:w{n}@h{n % posts}?{arguments}" for n in range(walkers)]
+    program = program.replace("//recovered", RECOVERED) if arguments.count("&") > 2 else program
+    with tempfile.TemporaryDirectory(prefix="lfield-story-") as folder:
+        deployment = Path(folder) / "story.dL"
+        deployment.with_suffix(".L").write_text(program, encoding="utf-8")
+        deployment.write_text("\n".join([*lines, ""]), encoding="utf-8")
+        if deciders:
+            members = ", ".join(f"h{n}" for n in range(deciders))
+            devices = f"recovery: {{members: [{members}]}}\n"
+            deployment.with_suffix(".devices.yaml").write_text(devices, encoding="utf-8")
+        mission = load_mission(deployment, simulate=True)
+    # What hosts prepare of a program is as large as they are: one program is enough.
+    times = ReservationTimes(reservation, reserved_wait)
+    recovery = replace(mission.bindings.recovery, lease=lease)
+    bindings = replace(mission.bindings, recovery=recovery, reservations=times)
+    return replace(
+        mission, bindings=bindings, program=_PROGRAMS.setdefault(mission.program.digest, mission.program)
+    )

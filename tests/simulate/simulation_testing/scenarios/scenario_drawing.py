@@ -1,0 +1,204 @@
+"""Which story a seed has: its kind, and whether a person gives orders in it or its computers are slow."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+from simulation_testing.fault_injection import Fault
+from simulation_testing.scenarios.scenario import (
+    BETWEEN,
+    DOUBTED,
+    DOUBTS,
+    FOR_EVER,
+    LIKELY,
+    LONGER,
+    OFTEN,
+    PROGRAMS,
+    STAYS_ON,
+    Scenario,
+    crew,
+    doubted,
+    ending,
+    fenced,
+    forgetful,
+    keeper,
+    parted,
+    plain,
+)
+
+#: Of what kinds stories of hosts with journals are.
+KEPT, DOUBTFUL = ("plain", "plain", "fenced", "doubted"), ("doubted", "parted")
+#: So many of them are of crews, and so many of those of keepers instead.
+CREWS, KEEPERS = 0.25, 0.5
+#: How likely stories of these kinds are, beside all others.
+RARER = {"split": 0.12, "crowd": 0.04, "flown": 0.1, "wrecked": 0.06}
+#: So many stories are under orders of a person, and so many of those with devices; so many on slow computers.
+ORDERED, ORDERED_WITH_DEVICES, SLOW = 0.15, 0.35, 0.2
+#: So many of the usual stories of hosts with journals are of coordinators that end soon instead.
+ENDING = 0.06
+#: So many stories are of hosts without a direct link instead; how long that lasts, in seconds.
+APART, APART_FOR = 0.05, (14.0, 20.0)
+#: How much slower, for all that runs beside.
+SLOWNESS = (10.0, 50.0, 200.0)
+
+
+def draw_scenario(seed: int) -> Scenario:
+    """The story of a seed: some have larger teams, wrecks, orders of a person, or slow computers."""
+    dice = random.Random(f"beside {seed}")
+    kind = dice.choices([*RARER, ""], [*RARER.values(), 1.0 - sum(RARER.values())])[0]
+    story = KINDS[kind](seed) if kind else _usual(seed)
+    if not kind and story.journals and random.Random(f"drawn ending {seed}").random() < ENDING:
+        story = ending(seed)
+    elif not kind and random.Random(f"drawn apart {seed}").random() < APART:
+        story = apart(seed)
+    if dice.random() < (ORDERED_WITH_DEVICES if story.arms else ORDERED):
+        story = under_orders(story, dice)
+    if dice.random() < SLOW:
+        story = replace(story, slowness=dice.choice(SLOWNESS))
+    return story
+
+
+def under_orders(story: Scenario, rng: random.Random) -> Scenario:
+    """The same under orders of a person, with a device at least where the program has any."""
+    orders = rng.choice((("estop",), ("pause",), ("estop", "pause")))
+    means = {order: rng.uniform(*OFTEN) for order in orders}
+    arms = story.arms if story.kind in PROGRAMS else max(1, story.arms)
+    return replace(story, means={**story.means, **means}, arms=arms)
+
+
+def _usual(seed: int) -> Scenario:
+    story = plain(seed)
+    if not story.journals:
+        return forgetful(seed)
+    if random.Random(f"together {seed}").random() < CREWS:
+        return (keeper if random.Random(f"reserve {seed}").random() < KEEPERS else crew)(seed)
+    dice = random.Random(f"kind {seed}")
+    kind = dice.choice(KEPT)
+    return KINDS[dice.choice(DOUBTFUL) if kind == "doubted" else kind](seed)
+
+
+def split(seed: int) -> Scenario:
+    """One of a larger team that falls into two groups; the majority goes on with what the others had."""
+    story, dice = doubted(seed), random.Random(f"split {seed}")
+    hosts = dice.choice((4, 5, 5, 5, 6, 7))
+    means = {"split": dice.uniform(*OFTEN)}
+    means |= {kind: dice.uniform(*OFTEN) for kind in ("cut", "stop", "kill") if dice.random() < 0.5 * LIKELY}
+    lease = dice.choice((1.0, 2.0))
+    seconds = DOUBTED + 2.0 * lease
+    return replace(
+        story,
+        kind="split",
+        cast=hosts,
+        hosts=hosts,
+        walkers=3,
+        means=means,
+        stays=STAYS_ON[0],
+        lease=lease,
+        weather=seconds,
+        seconds=seconds,
+    )
+
+
+def crowd(seed: int) -> Scenario:
+    """One of a team of more than nine hosts: each keeps links with eight neighbours."""
+    dice = random.Random(f"crowd {seed}")
+    story = dice.choice((plain, plain, fenced))(seed)
+    hosts, seconds = dice.choice((10, 11, 13)), dice.uniform(4.0, 7.0) + (LONGER if story.interval else 0.0)
+    return replace(
+        story,
+        kind="crowd",
+        cast=hosts,
+        hosts=hosts,
+        walkers=dice.choice((1, 2)),
+        stays=0,
+        arms=min(story.arms, 1),
+        calls=FOR_EVER,
+        stay=0.04,
+        lost_after=None,
+        journals=True,
+        weather=seconds,
+        seconds=seconds,
+        witnesses=0,
+    )
+
+
+def apart(seed: int) -> Scenario:
+    """One in which links break for long while coordinators hop over them, and other hosts connect the two.
+
+    Of a team at times only a row is left, in any order.
+    """
+    dice = random.Random(f"apart {seed}")
+    story = dice.choice((plain, plain, fenced))(seed)
+    hosts = dice.choice((3, 3, 4, 5, 6))
+    row = [f"h{n}" for n in dice.sample(range(hosts), hosts)]
+    pairs = [(one, other) for n, one in enumerate(row) for other in row[n + 2 :]]
+    broken = pairs if dice.random() < 0.5 else dice.sample(pairs, 1)
+    kind, lasts = dice.choice(("cut", "cut", "one_way")), dice.uniform(*APART_FOR)
+    aimed = [Fault(dice.uniform(0.5, 2.5), kind, one, other, lasts, 1.0) for one, other in broken]
+    if dice.random() < 0.5:
+        aimed += [replace(fault, at=fault.at + 0.001, kind="reset") for fault in aimed]
+    kinds = [kind for kind in ("kill", "restart", "stop") if dice.random() < LIKELY]
+    seconds = 3.0 + lasts
+    return replace(
+        story,
+        kind="apart",
+        cast=hosts,
+        hosts=hosts,
+        walkers=3,
+        stays=0,
+        arms=min(story.arms, 1),
+        calls=FOR_EVER,
+        stay=0.04,
+        lost_after=None,
+        means={kind: dice.uniform(*OFTEN) for kind in kinds},
+        aimed=tuple(sorted(aimed, key=lambda fault: fault.at)),
+        weather=seconds,
+        seconds=seconds,
+        witnesses=0,
+    )
+
+
+def flight(seed: int) -> Scenario:
+    """One of keepers whose resources have devices, on slow computers at times."""
+    story, dice = keeper(seed), random.Random(f"flown {seed}")
+    means = {kind: dice.uniform(*BETWEEN) for kind in ("guard_kill", "guard_stop") if dice.random() < LIKELY}
+    return replace(story, kind="flown", means={**story.means, **means})
+
+
+def wrecked(seed: int) -> Scenario:
+    """One in which a host is gone for good, and a person goes on with what it had, or gives that up."""
+    story, dice = plain(seed), random.Random(f"wrecked {seed}")
+    kinds = [kind for kind in DOUBTS if dice.random() < LIKELY]
+    seconds = story.weather + LONGER
+    return replace(
+        story,
+        kind="wrecked",
+        means={"wreck": seconds / 3.0} | {kind: dice.uniform(*OFTEN) for kind in kinds},
+        arms=min(story.arms, 1),
+        calls=FOR_EVER,
+        stay=0.04,
+        lost_after=None,
+        journals=True,
+        weather=seconds,
+        seconds=seconds,
+    )
+
+
+#: Stories by what becomes of their coordinators.
+KINDS: Mapping[str, Callable[[int], Scenario]] = {
+    "plain": plain,
+    "forgetful": forgetful,
+    "fenced": fenced,
+    "doubted": doubted,
+    "parted": parted,
+    "ending": ending,
+    "crew": crew,
+    "keeper": keeper,
+    "split": split,
+    "apart": apart,
+    "crowd": crowd,
+    "flown": flight,
+    "wrecked": wrecked,
+}

@@ -1,0 +1,141 @@
+"""One story, told and judged."""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import hashlib
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from lfield import exit_status
+from lfield.mission.bindings import MAX_MEMBERS
+from lfield.replication.transfer.transfer_sender import MIN_DOUBT_TIME
+from lfield.simulate.computers.event_queue import TooManyEvents
+from lfield.simulate.host_fleet import Fleet, FleetOptions, HostLife
+from simulation_testing.fault_injection import FaultInjector
+from simulation_testing.invariants.breaches import Breach
+from simulation_testing.invariants.outcome_recorder import OutcomeRecorder
+from simulation_testing.invariants.run_judge import MIN_CALLS, RunJudge
+from simulation_testing.scenarios.scenario import RESERVES, Scenario
+
+#: Seconds between two looks at devices and logs.
+CHECK_INTERVAL = 0.25
+#: So much may happen in one story: ten times of what happens in the longest that were ever told.
+MAX_EVENTS = 200_000
+#: Seconds after the weather in which whoever may go on must have done so, beside those that a call waits: a
+#: greeting that nobody answered is given up after 10 s.
+PROGRESS_TIMEOUT = 25.0
+#: Seconds until hosts without a link must reach each other when they want to, and for how long coordinators
+#: go from one to the other then.
+SETTLES, ROAMS = 12.0, 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunVerdict:
+    """What came of a story. `seconds` of virtual time; `faults` as they struck.
+
+    `digest` covers every log line and the number of events; `outcome` what programs and devices did only.
+    `calls` that began, `restarts` that a walker was told of, starts that a majority or a person has
+    `recovered`, `orders` of a person that hosts have carried out, by kind.
+    """
+
+    story: Scenario
+    breaches: tuple[Breach, ...]
+    digest: str
+    outcome: str
+    seconds: float
+    faults: tuple[tuple[float, str], ...]
+    calls: int
+    restarts: int
+    recovered: int
+    orders: Mapping[str, int] = field(default_factory=dict)
+    log: tuple[tuple[float, str, str], ...] = ()
+
+
+def run_scenario(story: Scenario, *, keep_log: bool = False) -> RunVerdict:
+    """Let a story happen; it ends with the first breach, or when all that may go on have done so."""
+    # A story leaves much behind that is in circles: young while it is told, it is found at once afterwards.
+    gc.disable()
+    try:
+        return _judged_run(story, keep_log=keep_log)
+    finally:
+        gc.collect(0)
+        gc.enable()
+
+
+def _judged_run(story: Scenario, *, keep_log: bool) -> RunVerdict:
+    judge, outcome = RunJudge(), OutcomeRecorder()
+
+    def born(name: str, life: HostLife) -> None:
+        judge.on_host_start(name, life)
+        outcome.on_host_start(name, life)
+
+    fleet = judge.fleet = Fleet(
+        story.mission,
+        story.seed,
+        on_start=born,
+        options=FleetOptions(
+            unreachable_after=story.unreachable_after,
+            lost_after=story.lost_after,
+            keeps=story.journals,
+            slowness=story.slowness,
+        ),
+    )
+    for disk in fleet.disks.values():
+        disk.sync = story.sync
+    fleet.timeline.most = MAX_EVENTS
+    storm = FaultInjector(fleet, story.forecast, judge.orders)
+    # A guard whose host is gone tells the terminal.
+    with contextlib.redirect_stderr(io.StringIO()):
+        _happen(fleet, storm, judge, story)
+        orders = dict(storm.operator.carried_out) if storm.operator else {}
+        came_of_it = outcome.digest(fleet, orders, [breach.name for breach in judge.breaches])
+        fleet.close()
+    said = hashlib.sha256(f"{fleet.digest} {fleet.timeline.events} {storm.faults}".encode()).hexdigest()
+    log = tuple(fleet.log) if keep_log else ()
+    recovered, faults = judge.counts["recoveries"], tuple(storm.faults)
+    counts = judge.calls, judge.restarts, recovered, orders
+    return RunVerdict(story, tuple(judge.breaches), said, came_of_it, fleet.now, faults, *counts, log)
+
+
+def _happen(fleet: Fleet, storm: FaultInjector, judge: RunJudge, story: Scenario) -> None:
+    _until(fleet, judge, story.seconds)
+    if judge.breaches:
+        return
+    storm.end()
+    if story.journals:
+        fleet.restart_ended()
+    judge.on_healed()
+    waits = MIN_CALLS * story.reserved_wait * (story.kind in RESERVES)
+    # A person forgets a coordinator only when its transfer is in doubt.
+    doubt = max(story.unreachable_after, MIN_DOUBT_TIME)
+    end = fleet.now + PROGRESS_TIMEOUT + doubt + story.interval + waits
+    while judge.waits_for() and fleet.now < end and not judge.breaches:
+        # One that stood still may end in order, or give the others up, just when all is well again.
+        fleet.heal_all()
+        if storm.operator is not None:
+            storm.operator.free_all()
+        if story.journals:
+            fleet.restart_ended(exit_status.UNKNOWN_OUTCOME)
+        _until(fleet, judge, fleet.now + 1.0)
+    if story.hosts > MAX_MEMBERS and not judge.breaches:
+        settled = fleet.now + SETTLES + doubt
+        while fleet.now < settled and not judge.breaches:
+            if storm.operator is not None:
+                storm.operator.free_all()
+            _until(fleet, judge, min(settled, fleet.now + 1.0))
+        judge.on_settled()
+        _until(fleet, judge, fleet.now + ROAMS)
+    if not judge.breaches:
+        judge.end()
+
+
+def _until(fleet: Fleet, judge: RunJudge, when: float) -> None:
+    try:
+        while fleet.now < when and not judge.breaches:
+            fleet.run(min(CHECK_INTERVAL, when - fleet.now))
+            judge.check()
+    except TooManyEvents as error:
+        judge.breaches.add("endless", (), str(error))

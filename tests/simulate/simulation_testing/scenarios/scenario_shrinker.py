@@ -1,0 +1,74 @@
+"""Makes a story in which a promise was broken smaller: fewer faults, hosts, walkers, devices, and shorter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+from simulation_testing.scenarios.scenario import Scenario
+from simulation_testing.scenarios.scenario_drawing import KINDS, draw_scenario
+from simulation_testing.scenarios.scenario_run import RunVerdict, run_scenario
+
+#: The command that runs scenarios, from the root of the project.
+COMMAND = "python tests/simulate/simulate.py"
+#: So many smaller stories are tried at most.
+MAX_TRIALS = 200
+
+
+def shrink_scenario(found: RunVerdict, most: int = MAX_TRIALS) -> RunVerdict:
+    """The smallest story that was found in which the same promise is broken."""
+    name, best = found.breaches[0].name, found
+    tries = most
+    while tries > 0:
+        for story in _smaller(best):
+            tries -= 1
+            verdict = run_scenario(story)
+            if any(breach.name == name for breach in verdict.breaches):
+                best = verdict
+                break
+            if tries <= 0:
+                break
+        else:
+            break
+    return best
+
+
+def _smaller(verdict: RunVerdict) -> Iterator[Scenario]:
+    """Stories that are a little smaller, the boldest first."""
+    story = verdict.story
+    if verdict.seconds + 0.1 < story.seconds:
+        yield replace(story, seconds=round(verdict.seconds + 0.1, 3))
+    struck = [number for number, fault in story.numbered if fault.at < story.seconds]
+    size = len(struck)
+    if size < len(story.numbered):
+        yield replace(story, keep=frozenset(struck))
+    if story.hosts > 2:
+        witnesses = max(0, story.witnesses - 1)
+        yield replace(
+            story, hosts=story.hosts - 1, arms=min(story.arms, story.hosts - 1), witnesses=witnesses
+        )
+    if story.walkers > 1:
+        yield replace(story, walkers=story.walkers - 1)
+    if story.arms:
+        yield replace(story, arms=story.arms - 1)
+    while size > 1:
+        size = (size + 1) // 2
+        for first in range(0, len(struck), size):
+            yield replace(story, keep=frozenset(struck[:first] + struck[first + size :]))
+    if len(struck) == 1:
+        yield replace(story, keep=frozenset())
+
+
+def command(story: Scenario) -> str:
+    """The one command that tells this story again."""
+    usual, words = draw_scenario(story.seed), [f"{COMMAND} --story {story.seed}"]
+    if (usual.kind, usual.means, usual.slowness) != (story.kind, story.means, story.slowness):
+        usual = KINDS[story.kind](story.seed)
+        words.append(f"--as {story.kind}")
+    for name in ("hosts", "walkers", "arms", "seconds"):
+        value = getattr(story, name)
+        if value != getattr(usual, name):
+            words.append(f"--{name} {value}")
+    if story.keep is not None:
+        words.append(f"--keep {','.join(str(number) for number in sorted(story.keep))}")
+    return " ".join(words)

@@ -1,0 +1,224 @@
+"""A person at a computer beside a simulated team, who gives the orders that the commands give.
+
+Orders are sent by the code of `lfield estop`, `pause`, `resume`, `recover` and `forget`, over links of their
+own. What is held (a stop, a pause) is taken back after a while, and at the end whatever the hosts still hold.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import random
+from collections import Counter, defaultdict
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
+from contextlib import contextmanager
+from functools import partial
+from typing import Any, Literal, Protocol
+
+from lfield.errors import CoordinatorAlive, LfieldError, UsageError
+from lfield.event_loop import spawn
+from lfield.net.tcp_transport import TcpTransport
+from lfield.operator.client import SNAPSHOT, ask_all, emergency_stop, forget, pause, recover
+from lfield.operator.coordinator_location import records, require_in_doubt
+from lfield.operator.observer_link import Request, send_request
+from lfield.operator.recovery_candidates import best_candidate
+from lfield.operator.targets import HostRef
+from lfield.operator.team_model.host_model import host_states
+from lfield.operator.team_model.team_state import HostState
+from lfield.simulate.host_fleet import Fleet, host_at_address
+from lfield.wire.observer_messages import EmergencyStopResult, StartRequest, StartResponse
+
+#: What holds until it is taken back.
+Hold = Literal["stop", "pause"]
+REASON = "pressed in a simulation"
+#: A set of tasks in the order of their begin: that of a set depends on addresses in memory.
+Tasks = dict[asyncio.Task[None], None]
+
+_Hosts = Mapping[HostRef, HostState]
+
+
+class AnswerChecks(Protocol):
+    """Whoever checks what the answers promise."""
+
+    def on_confirmed(self, hold: Hold, host: str, answer: EmergencyStopResult) -> None:
+        """A host has answered that it is stopped, or paused."""
+
+    def on_lifting(self, hold: Hold) -> None:
+        """From now on a host may hear that this is over."""
+
+    def on_given_up(self, agent: str, starts: Mapping[str, int]) -> None:
+        """These hosts have given up a coordinator, up to these starts."""
+
+    def on_recovery_by_operator(self) -> None:
+        """A host is gone, and the person recovers its coordinators from copies, or gives them up."""
+
+
+class SimulatedOperator:
+    """The person. `checks` hears what hosts have answered, and that an order ends before any host does."""
+
+    def __init__(self, fleet: Fleet, checks: AnswerChecks, rng: random.Random) -> None:
+        self._fleet, self._checks = fleet, checks
+        seed = rng.random()
+        self._process = fleet.add_station("operator", random.Random(seed))
+        #: For the ids of orders.
+        self._rng = random.Random(f"ids {seed}")
+        self._transport = TcpTransport(fleet.mission.max_block, identify=host_at_address)
+        self._places = {
+            HostRef("", host): address for host, address in fleet.mission.team.addresses_by_host.items()
+        }
+        self._names = {place: place.host for place in self._places}
+        #: Until when the buttons of a kind are held, in true time; and how often each was pressed.
+        self._held: dict[Hold, float] = {}
+        self.presses: Counter[Hold] = Counter()
+        #: What gives an order of a kind, and what takes one back, until every host has answered. A person
+        #: does one of the two at a time.
+        self._pressing: defaultdict[Hold, Tasks] = defaultdict(dict)
+        self._lifting: defaultdict[Hold, Tasks] = defaultdict(dict)
+        #: What is to be done with coordinators whose host is gone for good.
+        self._orphans: dict[str, Callable[[str, _Hosts], Awaitable[bool]]] = {}
+        self._retries = self._starts = False
+        #: How many orders of a kind hosts have carried out.
+        self.carried_out: Counter[str] = Counter()
+
+    def _start_task(self, work: Callable[[], Coroutine[Any, Any, None]]) -> None:
+        self._process.loop.enter(lambda: spawn(work()))
+
+    # --- stop and pause -------------------------------------------------------------------------------
+
+    def press(self, hold: Hold, seconds: float) -> None:
+        """Stop or pause the team, and take that back after so many seconds."""
+        self._interrupt(self._lifting.pop(hold, {}))
+        self.presses[hold] += 1
+        self._held[hold] = max(self._held.get(hold, 0.0), self._fleet.now + seconds)
+        self._fleet.later(seconds, partial(self._release, hold))
+        for place in self._places:
+            self._start_task(partial(self._order, hold, place))
+
+    def _interrupt(self, tasks: Tasks) -> None:
+        """As by Ctrl-C: what is on its way already may come later."""
+        for task in list(tasks):
+            self._process.loop.enter(task.cancel)
+
+    async def _order(self, hold: Hold, place: HostRef) -> None:
+        press = self.presses[hold]
+        with _registered(self._pressing[hold]):
+            answer = await self._ask(place, self._request(hold, lift=False))
+        # An answer that comes when the button is let go promises nothing any more.
+        if isinstance(answer, EmergencyStopResult) and hold in self._held and press == self.presses[hold]:
+            self.carried_out[hold] += 1
+            self._checks.on_confirmed(hold, place.host, answer)
+
+    def _request(self, hold: Hold, *, lift: bool) -> Request[EmergencyStopResult]:
+        draw = self._rng.randbytes
+        return emergency_stop(REASON, lift=lift, draw=draw) if hold == "stop" else pause(lift=lift, draw=draw)
+
+    async def _ask(self, place: HostRef, request: Request[Any]) -> Any:
+        try:
+            return await send_request(self._transport, self._places[place], request, place.host)
+        except LfieldError as error:
+            return error
+
+    def _release(self, hold: Hold) -> None:
+        if self._held.get(hold, self._fleet.now + 1.0) <= self._fleet.now:
+            del self._held[hold]
+            self._checks.on_lifting(hold)
+            self._start_task(partial(self._lift, hold))
+
+    async def _lift(self, hold: Hold) -> None:
+        self._interrupt(self._pressing.pop(hold, {}))
+        with _registered(self._lifting[hold]):
+            await ask_all(self._transport, self._places, self._request(hold, lift=True))
+        if hold == "stop":
+            await self._start()
+
+    async def _start(self) -> None:
+        """As `lfield start --without` the hosts that are gone: what was not started during a stop."""
+        request = Request(StartRequest(sorted(self._fleet.gone)), StartResponse, 8.0, is_retried=True)
+        self._starts = True
+        try:
+            await ask_all(self._transport, self._places, request)
+        finally:
+            self._starts = False
+
+    # --- coordinators of hosts that are gone ----------------------------------------------------------
+
+    def lose(self, *, recovers: bool) -> None:
+        """A host is gone for good: go on with each coordinator that went there, or else give it up."""
+        go = self._recover if recovers else self._forget
+        self._checks.on_recovery_by_operator()
+        self._orphans = {member.id: go for member in self._fleet.mission.team.coordinators}
+        self.retry_orphans()
+
+    def retry_orphans(self) -> None:
+        """Try what could not be done so far."""
+        if self._orphans and not self._retries:
+            self._retries = True
+            self._start_task(self._retry)
+
+    async def _retry(self) -> None:
+        try:
+            hosts = host_states(await ask_all(self._transport, self._places, SNAPSHOT))
+            for agent, go in list(self._orphans.items()):
+                if self._was_lost(agent, hosts) and await go(agent, hosts):
+                    del self._orphans[agent]
+        finally:
+            self._retries = False
+
+    def _was_lost(self, agent: str, hosts: _Hosts) -> bool:
+        """Whether the newest that anybody knows of a coordinator is that it went to a host that is gone."""
+        silent = {place.host for place, host in hosts.items() if not host.linked}
+        known = [known for _, known in records(agent, hosts)]
+        newest = max(known, key=lambda known: (known.generation, known.hops, known.sequence), default=None)
+        return silent <= self._fleet.gone and newest is not None and newest.where in self._fleet.gone
+
+    async def _recover(self, agent: str, hosts: _Hosts) -> bool:
+        """As `lfield recover`."""
+        try:
+            belief = best_candidate(agent, hosts, self._names)
+        except (CoordinatorAlive, UsageError):
+            return False
+        answer = await self._ask(belief.host_ref, recover(belief.request))
+        done = not isinstance(answer, LfieldError) and bool(answer.generation)
+        self.carried_out["recover"] += done
+        return done
+
+    async def _forget(self, agent: str, hosts: _Hosts) -> bool:
+        """As `lfield forget`."""
+        try:
+            require_in_doubt(agent, hosts, self._names)
+        except (CoordinatorAlive, UsageError):
+            return False
+        told = await ask_all(self._transport, self._places, forget(agent))
+        starts = {
+            place.host: max(answer.starts)
+            for place, answer in told.items()
+            if not isinstance(answer, LfieldError) and answer.starts
+        }
+        if starts:
+            self.carried_out["forget"] += 1
+            self._checks.on_given_up(agent, starts)
+        return bool(starts)
+
+    # --- the end --------------------------------------------------------------------------------------
+
+    def free_all(self) -> None:
+        """Take back all that may hold; to be repeated, since an order may still be on its way to a host."""
+        for hold in list(self._held):
+            del self._held[hold]
+            self._checks.on_lifting(hold)
+        self.retry_orphans()
+        for hold in self.presses:
+            self._start_task(partial(self._lift, hold))
+        if self._fleet.gone and not self._starts:
+            self._start_task(self._start)
+
+
+@contextmanager
+def _registered(tasks: Tasks) -> Iterator[None]:
+    """The task that runs now is one of these meanwhile."""
+    task = asyncio.current_task()
+    assert task is not None
+    tasks[task] = None
+    try:
+        yield
+    finally:
+        tasks.pop(task, None)

@@ -1,0 +1,111 @@
+"""Somebody who watches hosts of a fleet, and the team that most are about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet
+from lfield.wire import events
+from lfield.wire.codec import decode, encode
+from lfield.wire.events import Event
+from lfield.wire.framing import HEADER_SIZE
+from lfield.wire.messages import Control, HandshakeRefused
+from lfield.wire.observer_messages import EmergencyStop, Pause, with_epoch
+from lfield.wire.subscription_messages import EventAck, EventBatch, Subscribe
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb(real height) { fc.takeoff(height); print("climbs"); write("to " + f2s(height, 0) + "\\n"); }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] posts = findPost();
+        int n = 0;
+        while (true) {
+            posts[n % 2].climb(i2f(n + 2));
+            print("at " + i2s(n));
+            sleep(0.5);
+            n = n + 1;
+        }
+    }
+}
+"""
+TEAM = "//Post:p@alpha\n//Post:q@beta\n//Walker:walker@alpha\n"
+
+
+@dataclass(eq=False)
+class EventWatcher:
+    """Somebody who watches one host of a fleet, by whole messages; `reads` when it says what it has seen."""
+
+    fleet: Fleet
+    host: str
+    reads: bool = True
+    who: str = "the eye"
+    batches: list[EventBatch] = field(default_factory=list)
+    refused: str = ""
+    others: list[Control] = field(default_factory=list)
+
+    def say(self, message: Control) -> None:
+        life = self.fleet.lives.get(self.host)
+        if life is not None:
+            life.process.loop.enter(lambda: life.host.on_message("", message, self))  # type: ignore[arg-type]
+
+    def order(self, message: EmergencyStop | Pause) -> None:
+        """An order that names what the host says of itself now."""
+        self.say(with_epoch(message, self.fleet.lives[self.host].core.orders.epochs))
+
+    def send(self, message: object) -> None:
+        """The host's end of the link."""
+        frame = encode(message)  # type: ignore[arg-type]
+        message = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
+        if isinstance(message, EventBatch):
+            self.batches.append(message)
+            if self.reads:
+                self.fleet.later(0.001, partial(self.say, EventAck(message.batch)))
+        elif isinstance(message, HandshakeRefused):
+            self.refused = message.reason
+        else:
+            self.others.append(message)  # type: ignore[arg-type]
+
+    def close(self) -> None:
+        """The host's end of the link."""
+
+    @property
+    def events(self) -> list[Event]:
+        return [event for batch in self.batches for event in batch.events]
+
+    @property
+    def states(self) -> list[Event]:
+        return [event for event in self.events if event.kind not in events.TELEMETRY]
+
+    def of(self, kind: type) -> list[Event]:
+        return [event for event in self.events if isinstance(event.what, kind)]
+
+    def by_number(self) -> dict[int, Event]:
+        return {event.number: event for event in self.states}
+
+
+def fleet_of(folder: Path, program: str = PROGRAM, team: str = TEAM, seed: int = 1) -> Fleet:
+    (folder / "mission.L").write_text(program)
+    (folder / "mission.dL").write_text(team)
+    return Fleet(load_mission(folder / "mission.dL", simulate=True), seed)
+
+
+def watch(fleet: Fleet, host: str, message: Subscribe | None = None, **options: bool) -> EventWatcher:
+    eye = EventWatcher(fleet, host, **options)
+    eye.say(message or Subscribe())
+    return eye
+
+
+def chain(eye: EventWatcher, event: Event) -> list[str]:
+    """The kinds of what led to an event, the last one first."""
+    known, kinds = eye.by_number(), []
+    while event.cause in known:
+        event = known[event.cause]
+        kinds.append(event.kind)
+    return kinds

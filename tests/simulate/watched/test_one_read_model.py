@@ -1,0 +1,92 @@
+"""A command that takes one snapshot and a page that follows events have the same state of a host."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from secrets import token_bytes
+
+import pytest
+from event_watcher import EventWatcher, fleet_of, watch
+
+from lfield.operator.team_model.host_model import host_states
+from lfield.operator.team_model.inventory import Inventory
+from lfield.operator.team_model.team_state import HostState
+from lfield.operator.team_model.team_view import TeamView
+from lfield.simulate.host_fleet import Fleet
+from lfield.wire.observer_messages import EmergencyStop, Pause
+from lfield.wire.subscription_messages import EventBatch, Subscribe
+
+
+def followed(batches: Sequence[EventBatch]) -> HostState:
+    """alpha after all batches of a subscription."""
+    view = TeamView(Inventory("team", ("alpha", "beta")))
+    for batch in batches:
+        view.feed("alpha", batch, batch.up, batch.now)
+    return view.snapshot(batches[-1].up).hosts["alpha"]
+
+
+def asked(fleet: Fleet) -> HostState:
+    """alpha after the answer to one request."""
+    command = watch(fleet, "alpha", Subscribe(once=True))
+    fleet.run(0.2)
+    (batch,) = command.batches
+    assert (batch.events, batch.after) == ([], batch.latest)
+    return host_states({"alpha": batch})["alpha"]
+
+
+def essence(host: HostState) -> dict[str, object]:
+    """What events change."""
+    held = {name: (each.latched, each.confirmed, each.moving) for name, each in host.devices.items()}
+    known = "linked", "stopped", "paused", "waits_for", "start_held", "refused", "bundle", "ending"
+    return {
+        **{name: getattr(host, name) for name in known},
+        "links": sorted(host.links),
+        "away": sorted(host.away),
+        "devices": held,
+    }
+
+
+def stop(fleet: Fleet, eye: EventWatcher) -> None:
+    eye.order(EmergencyStop(token_bytes(16), "people on the field"))
+
+
+def lift(fleet: Fleet, eye: EventWatcher) -> None:
+    eye.order(EmergencyStop(token_bytes(16), "", lift=True))
+
+
+def pause(fleet: Fleet, eye: EventWatcher) -> None:
+    eye.order(Pause(token_bytes(16)))
+
+
+def crash(fleet: Fleet, eye: EventWatcher) -> None:
+    fleet.crash("beta")
+
+
+def boot(fleet: Fleet, eye: EventWatcher) -> None:
+    fleet.boot("beta")
+
+
+@pytest.mark.parametrize("steps", [(stop, lift), (pause, stop), (crash, boot)])
+def test_events_lead_to_the_state_that_a_snapshot_has(
+    tmp_path: Path, steps: Sequence[Callable[[Fleet, EventWatcher], None]]
+) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    eye, states = watch(fleet, "alpha", Subscribe(telemetry=5.0)), []
+    for step in steps:
+        step(fleet, eye)
+        fleet.run(6.0)
+        states.append(essence(asked(fleet)))
+        assert essence(followed(eye.batches)) == states[-1]
+    assert states[0] != states[1]
+
+
+def test_a_request_for_a_snapshot_is_no_subscription(tmp_path: Path) -> None:
+    fleet = fleet_of(tmp_path)
+    fleet.run(8.0)
+    host = fleet.lives["alpha"].host
+    assert asked(fleet).linked
+    fleet.run(5.0)
+    assert host.core.machine.hooks.observer is None
+    assert not host.recorder.detailed

@@ -1,0 +1,64 @@
+"""Hybrid timestamps order events, and nothing else reads them: no certificate, lease, time limit or timer."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+#: The hybrid clock, and what gives or reads timestamps.
+NAMES = {"hybrid_clock", "_hybrid_clock", "HybridClock", "timestamp_of", "milliseconds_of", "counter_of"}
+#: The fields of messages and events that have them. `Block.stamp` is a method that writes a header.
+FIELDS = {"stamp", "ahead", "tick"}
+WORDS = (*NAMES, *(f".{name}" for name in FIELDS))
+#: Each file that may, with what it does.
+ALLOWED = {
+    "host/core.py": "greetings, and timestamps of messages that arrive",
+    "host/events/event_log.py": "stores the timestamps of events",
+    "host/events/event_recorder.py": "gives events their timestamps",
+    "host/events/migration_events.py": "gives the steps of a hop their timestamps",
+    "host/host.py": "lends the clock to the heartbeats of links",
+    "host/migration/delayed_acks.py": "timestamps of acknowledgements",
+    "host/migration/effect_executor.py": "timestamps of transfers and their answers",
+    "host/subscriptions/subscription_server.py": "timestamps of telemetry",
+    "host/team/coordinators.py": "timestamps of transfers that arrive",
+    "hybrid_clock.py": "the clock itself",
+    "net/health/link_monitor.py": "heartbeats carry timestamps",
+    "net/link_manager.py": "passes the clock on to the heartbeats",
+    "net/link_owner.py": "the type of what is passed on",
+    "operator/team_model/log_buffer.py": "the order of log lines",
+    "operator/team_model/team_view.py": "the order of log lines",
+    "operator/dashboard/timeline/event_timeline.py": "the order of events",
+    "cli/views/event_view.py": "shows the timestamp",
+    "wire/events.py": "the timestamp of an event",
+}
+
+
+def uses(text: str) -> Iterator[str]:
+    """What a module reads of timestamps."""
+    if not any(word in text for word in WORDS):
+        return
+    for node in ast.walk(ast.parse(text)):
+        match node:
+            case ast.Name(id=name) | ast.Attribute(attr=name) | ast.alias(name=name) if name in NAMES:
+                yield name
+            case ast.Attribute(value=ast.Name(id=owner) | ast.Attribute(attr=owner), attr=name):
+                if name in FIELDS and (owner == "event" or (name == "stamp" and owner != "block")):
+                    yield name
+
+
+def test_only_the_order_of_events_reads_timestamps() -> None:
+    product = ROOT / "lfield"
+    found = {
+        path.relative_to(product).as_posix(): sorted(set(uses(path.read_text(encoding="utf-8"))))
+        for path in sorted(product.rglob("*.py"))
+    }
+    readers = {path: names for path, names in found.items() if names}
+    assert {path: names for path, names in readers.items() if path not in ALLOWED} == {}
+    assert sorted(ALLOWED) == sorted(readers)
+
+
+def test_a_use_is_found() -> None:
+    text = "lease = header.stamp\nlimit = self.recorder.hybrid_clock.last\nblock.stamp(1)\n"
+    assert sorted(uses(text)) == ["hybrid_clock", "stamp"]
