@@ -119,8 +119,7 @@ def test_what_was_killed_is_tidied_up_when_its_last_host_has_ended(lfield, own, 
 
 def test_the_one_mission_that_runs_is_asked_without_its_name(lfield, own, mission):
     lfield.write("mission.capabilities.yaml", "registry: 1\nproviders: {Post: {serves: {Hold: {}}}}\n")
-    team = lfield.start("up", "--deploy", mission, "--all", env=own)
-    team.wait_for(r"bravo +\| posted")
+    up_all(lfield, own, mission)
     asked = lfield("query", "Hold", env=own)
     assert asked.out[0] == "from the running team: 2 of 2 hosts answered", asked.said
 
