@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from joined_hosts import JoinedHosts
 
 from lfield.bytecode.program import Program
 from lfield.capability.model import Registry
@@ -285,21 +286,8 @@ def test_offers_travel_with_the_coordinator_and_are_called_where_they_lead() -> 
     equivalent = FoundOffer(
         "as_climb_lifts", "copter", "b", "equivalent", 0.5, -1, {"as_climb_lifts": CLIMB}, **facts
     )
-    team = members(1)
-    desks, clock = [Asked([direct("byCrane", 0), equivalent, WHOLE]), Asked([])], ManualClock()
-    machines = [
-        Machine(program(body), MachineTeam(team, i, i + 1), desks[i], clock, random.Random(1)) for i in (0, 1)
-    ]
-    for member in team:
-        machines[member.host].start(member, AgentLimits(), generation=1)
-    for machine in (*machines, *machines):
-        run_until_idle(machine, clock)
-        for desk in desks:
-            while desk.departures:
-                agent, to = desk.departures.pop()
-                image = bytes(machines[1 - to.host].pack(agent))
-                machines[to.host].unfreeze(machines[to.host].inject(agent.member, image, AgentLimits()))
-                machines[1 - to.host].release(agent)
+    desks = [Asked([direct("byCrane", 0), equivalent, WHOLE]), Asked([])]
+    JoinedHosts(program(body), members(1), place=iter(desks).__next__).run()
     assert desks[1].output == [
         "crane 1.0", "crane 0.5", "copter 2.0", "copter 0.5", "hand", "copter 3.0", "hand", "copter 0.5",
         "hand+coptercomposed: ...2.51",

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import random
 from functools import cache
 
 import pytest
+from joined_hosts import JoinedHosts
 
 from lfield.bytecode.program import Program
-from lfield.clock import ManualClock
 from lfield.errors import BlockError
-from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
-from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.testing.golden import GoldenWorld, compile_text
+from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.engine_interface import AgentLimits
-from lfield.vm.machine import Machine
 from lfield.vm.memory import layout
 
 TEAM = [
@@ -44,12 +42,11 @@ def program(body: str) -> Program:
 
 
 class Disk(GoldenWorld):
-    """A world that packs whoever asks, and lets it go on when a test says so; at once if it is `volatile`."""
+    """A world that packs each agent that asks; a test lets it go on, or `volatile` does so at once."""
 
-    def __init__(self, volatile: bool = False) -> None:
+    def __init__(self, volatile: bool) -> None:
         super().__init__()
         self.volatile, self.asked = volatile, 0
-        self.machine: Machine
         self.kept: list[tuple[Agent, bytes]] = []
         self.stopped: set[int] = set()
 
@@ -67,56 +64,19 @@ class Disk(GoldenWorld):
         return generation in self.stopped
 
 
-class Hosts:
-    """Two hosts, in their first lives until `restart`; `images` are the bytes of every hop."""
+def joined(body: str, volatile: bool = True) -> JoinedHosts:
+    return JoinedHosts(program(body), TEAM, place=lambda: Disk(volatile))
 
-    def __init__(self, body: str, volatile: bool = True) -> None:
-        self.program, self.volatile = program(body), volatile
-        self.clock = ManualClock()
-        self.images: list[bytes] = []
-        self.machines: list[Machine] = []
-        self.disks: list[Disk] = []
-        for host in (0, 1):
-            self.machines.append(self._machine(host, 1 + host))
-        self.machines[0].start(CLERK, LIMITS, 1)
 
-    def _machine(self, host: int, life: int) -> Machine:
-        disk = Disk(self.volatile)
-        disk.machine = Machine(
-            self.program, MachineTeam(TEAM, host, life), disk, self.clock, random.Random(1)
-        )
-        self.disks[host:] = [disk, *self.disks[host + 1 :]]
-        disk.machine.start(TEAM[host], LIMITS, 0)
-        return disk.machine
-
-    def restart(self, host: int, life: int = 99) -> Machine:
-        """The host has another life, and nothing of what it had."""
-        self.machines[host] = self._machine(host, life)
-        return self.machines[host]
-
-    def settle(self) -> None:
-        for machine in self.machines:
-            run_until_idle(machine, self.clock)
-
-    def hop(self, source: int) -> Agent:
-        """Carry the clerk, who wants to leave this host, to the other one."""
-        agent, _ = self.disks[source].departures.pop()
-        self.images.append(bytes(self.machines[source].pack(agent)))
-        self.machines[source].release(agent)
-        return self.machines[1 - source].inject(CLERK, self.images[-1], LIMITS)
-
-    def run(self, restarted: int = 0) -> list[str]:
-        """All to the end; a host's next life is `restarted`, if any, while the clerk is on the other host."""
-        self.settle()
-        while away := [host for host in (0, 1) if self.disks[host].departures]:
-            agent = self.hop(away[0])
-            if restarted and self.machines[1].agents.get("clerk") is agent:
-                said = self.disks[0].output
-                self.restart(0, restarted)
-                self.disks[0].output, restarted = said, 0
-            self.machines[1 - away[0]].unfreeze(agent)
-            self.settle()
-        return [line for disk in self.disks for line in disk.output]
+def printed(hosts: JoinedHosts, restarted: int = 0) -> list[str]:
+    """The output of a whole run; `restarted`: host 0 gets this life while the clerk is on host 1."""
+    if restarted:
+        hosts.still()
+        clerk = hosts.hop(0)
+        hosts.restart(0, life=restarted)
+        hosts.machines[1].unfreeze(clerk)
+    hosts.run()
+    return hosts.printed
 
 
 AWAY = """
@@ -134,23 +94,23 @@ TOLD = (
 
 @pytest.mark.parametrize("life", [99, (1 << 63) - 5])
 def test_each_proxy_tells_once_of_a_later_start_before_the_call_begins(life: int) -> None:
-    assert Hosts(AWAY).run(restarted=life) == ["1", TOLD, "near", "1", "2", "3"]
+    assert printed(joined(AWAY), restarted=life) == ["1", TOLD, "near", "1", "2", "3"]
 
 
 def test_a_host_that_was_not_restarted_throws_nothing() -> None:
-    assert Hosts(AWAY).run() == ["1", "2", "3", "4"]
+    assert printed(joined(AWAY)) == ["1", "2", "3", "4"]
 
 
 def test_a_call_that_was_refused_at_a_limit_is_no_first_call() -> None:
     """What the proxy has not seen cannot be lost."""
-    hosts = Hosts("try { near.add(1); } catch (LimitException e) { far.add(1); print(near.add(1)); }")
+    hosts = joined("try { near.add(1); } catch (LimitException e) { far.add(1); print(near.add(1)); }")
     hosts.machines[0].agents["near"].limits = AgentLimits(threads=0)
-    assert hosts.run(restarted=99) == ["1"]
+    assert printed(hosts, restarted=99) == ["1"]
 
 
 def travelling() -> bytes:
-    hosts = Hosts("near.add(1); far.add(1); far.add(2);")
-    hosts.settle()
+    hosts = joined("near.add(1); far.add(1); far.add(2);")
+    hosts.still()
     hosts.hop(0)
     return hosts.images[0]
 
@@ -164,7 +124,7 @@ def test_a_proxy_with_an_impossible_start_is_refused(start: int) -> None:
         place += words[place] >> 32
     words[place + layout.PROXY_START] = start
     with pytest.raises(BlockError, match="a proxy does not refer to a resource of its type"):
-        Hosts("near.add(1); far.add(1); far.add(2);").machines[1].inject(CLERK, image, LIMITS)
+        joined("near.add(1); far.add(1); far.add(2);").machines[1].inject(CLERK, image, LIMITS)
 
 
 # --- older copies --------------------------------------------------------------------------------------
@@ -181,15 +141,15 @@ VISIT = "try { print(far.add(1)); } catch (UnreachableResourceException e) { pri
 
 def visited(copies: list[tuple[int, int]], stopped: set[int]) -> list[str]:
     """What copies with these generations and sequences print, which come to a store one after the other."""
-    hosts = Hosts(VISIT)
-    hosts.settle()
+    hosts = joined(VISIT)
+    hosts.still()
     hosts.hop(0)
-    hosts.disks[1].stopped = stopped
+    hosts.places[1].stopped = stopped
     machine = hosts.machines[1]
     for copy in copies:
         machine.unfreeze(machine.inject(CLERK, numbered(hosts.images[0], *copy), LIMITS))
-        run_until_idle(machine, hosts.clock)
-    return hosts.disks[1].output
+        hosts.still()
+    return hosts.places[1].output
 
 
 @pytest.mark.parametrize(
@@ -220,67 +180,67 @@ print(far.add(1)); print(far.add(1)); print(near.total()); print(near.add(1)); p
 
 
 def test_a_host_is_asked_before_each_further_call_that_acts() -> None:
-    hosts = Hosts(SEVERAL)
-    assert hosts.run() == ["0", "1", "1", "2", "2", "3", "2", "1", "2"]
+    hosts = joined(SEVERAL)
+    assert printed(hosts) == ["0", "1", "1", "2", "2", "3", "2", "1", "2"]
     # Twice before it leaves and once after it came back for a query; on the other host for the second call.
-    assert [disk.asked for disk in hosts.disks] == [3, 1]
+    assert [disk.asked for disk in hosts.places] == [3, 1]
 
 
 def test_a_call_waits_until_its_block_is_kept_and_begins_once() -> None:
-    hosts = Hosts("print(near.add(5)); print(near.add(5));", volatile=False)
-    (disk, machine) = hosts.disks[0], hosts.machines[0]
+    hosts = joined("print(near.add(5)); print(near.add(5));", volatile=False)
+    (disk, machine) = hosts.places[0], hosts.machines[0]
     for asked in (1, 2):
-        hosts.settle()
+        hosts.still()
         (agent, _) = disk.kept[-1]
         assert agent.frozen
         assert disk.asked == asked
         assert len(disk.output) == asked - 1
         machine.unfreeze(agent)
-    hosts.settle()
+    hosts.still()
     assert disk.output == ["5", "10"]
     assert disk.asked == 2
 
 
 def test_a_call_that_could_not_be_kept_has_not_begun_and_the_next_is_asked_about() -> None:
     body = "try { near.add(5); } catch (LimitException e) { print(e.message()); } print(near.add(5));"
-    hosts = Hosts(body, volatile=False)
-    hosts.settle()
-    disk, machine = hosts.disks[0], hosts.machines[0]
+    hosts = joined(body, volatile=False)
+    hosts.still()
+    disk, machine = hosts.places[0], hosts.machines[0]
     machine.resume(disk.kept[0][0], "LimitException", "the disk is full", "near")
-    run_until_idle(machine, hosts.clock)
+    hosts.still()
     assert disk.asked == 2
     machine.unfreeze(disk.kept[1][0])
-    run_until_idle(machine, hosts.clock)
+    hosts.still()
     assert disk.output == ["the disk is full", "5"]
 
 
 def test_a_coordinator_that_was_stopped_meanwhile_does_not_go_on() -> None:
-    hosts = Hosts("near.add(5);", volatile=False)
-    hosts.settle()
-    disk, machine = hosts.disks[0], hosts.machines[0]
+    hosts = joined("near.add(5);", volatile=False)
+    hosts.still()
+    disk, machine = hosts.places[0], hosts.machines[0]
     disk.kept[0][0].ended = "dropped"
     machine.unfreeze(disk.kept[0][0])
-    run_until_idle(machine, hosts.clock)
+    hosts.still()
     assert machine.agents["near"].served == 0
 
 
 def test_who_arrives_is_frozen_until_it_may_go_and_is_not_asked_about() -> None:
-    hosts = Hosts("print(far.add(1));", volatile=False)
-    hosts.settle()
+    hosts = joined("print(far.add(1));", volatile=False)
+    hosts.still()
     agent = hosts.hop(0)
-    hosts.settle()
+    hosts.still()
     assert agent.frozen
-    assert not hosts.disks[1].output
+    assert not hosts.places[1].output
     hosts.machines[1].unfreeze(agent)
     hosts.machines[1].unfreeze(agent)
-    hosts.settle()
-    assert hosts.disks[1].output == ["1"]
-    assert hosts.disks[1].asked == 0
+    hosts.still()
+    assert hosts.places[1].output == ["1"]
+    assert hosts.places[1].asked == 0
 
 
 def test_a_block_says_which_call_it_stands_at() -> None:
-    hosts = Hosts("far.total();")
-    hosts.settle()
+    hosts = joined("far.total();")
+    hosts.still()
     agent = hosts.hop(0)
     assert hosts.machines[1].itinerary.current_target(agent) == (TEAM[1], "total")
     # A block whose proxy is null is sound: its call throws a NullException.
@@ -304,30 +264,32 @@ print(near.add(7));
 
 def test_a_block_that_was_kept_at_a_local_call_goes_on_in_another_life_with_an_exception() -> None:
     """Its trail and its hops are what they were: it has not left."""
-    hosts = Hosts(RECOVERS, volatile=False)
-    hosts.settle()
+    hosts = joined(RECOVERS, volatile=False)
+    hosts.still()
     for source in (0, 1):
         hosts.machines[1 - source].unfreeze(hosts.hop(source))
-        hosts.settle()
-    ((_, image),) = hosts.disks[0].kept
+        hosts.still()
+    ((_, image),) = hosts.places[0].kept
     machine = hosts.restart(0)
     agent = machine.restore(CLERK, image, LIMITS)
     assert agent.block.trail() == [0, 1, 0]
     assert machine.itinerary.current_target(agent) == (TEAM[0], "add")
     machine.resume(agent, "RestartException", "the call may have begun", "near")
-    run_until_idle(machine, hosts.clock)
-    (disk,) = hosts.disks[:1]
+    hosts.still()
+    disk = hosts.places[0]
     assert disk.output == ["the call may have begun", "near", "2", "as new"]
-    machine.unfreeze(disk.kept[0][0])
-    run_until_idle(machine, hosts.clock)
+    machine.unfreeze(disk.kept[-1][0])
+    hosts.still()
     assert disk.output[4:] == ["7"]
 
 
 def test_a_block_that_came_for_a_call_goes_on_in_another_life_with_an_exception() -> None:
-    hosts = Hosts("try { far.add(7); } catch (RestartException e) { print(e.message()); } print(far.add(1));")
-    hosts.settle()
+    hosts = joined(
+        "try { far.add(7); } catch (RestartException e) { print(e.message()); } print(far.add(1));"
+    )
+    hosts.still()
     hosts.hop(0)
     machine = hosts.restart(1)
     machine.resume(machine.inject(CLERK, hosts.images[0], LIMITS), "RestartException", "not begun", "far")
-    run_until_idle(machine, hosts.clock)
-    assert hosts.disks[1].output == ["not begun", "1"]
+    hosts.still()
+    assert hosts.places[1].output == ["not begun", "1"]

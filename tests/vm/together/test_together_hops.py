@@ -54,8 +54,8 @@ def test_a_round_takes_two_hops_a_host_at_most_and_no_longer_than_its_longest_ca
     joined = run(ALL + TOLD, hosts)
     assert joined.printed == [*[f"cr{i}" for i in range(hosts)], "after 2.0"]
     # Out to each other host, and back from the last one to each that has not been fetched.
-    assert joined.hops == 2 * (hosts - 1)
-    assert joined.hops <= 2 * hosts
+    assert len(joined.images) == 2 * (hosts - 1)
+    assert len(joined.images) <= 2 * hosts
 
 
 def test_one_visit_begins_all_calls_of_a_host_and_the_last_host_is_fetched_first() -> None:
@@ -69,7 +69,7 @@ def test_one_visit_begins_all_calls_of_a_host_and_the_last_host_is_fetched_first
 
 def test_what_is_only_here_needs_no_hop() -> None:
     joined = run("together { x = r[0].count(); y = r[0].count(); } print(x + y);", 2)
-    assert (joined.hops, joined.printed) == (0, ["0"])
+    assert (joined.images, joined.printed) == ([], ["0"])
 
 
 def test_a_host_that_cannot_be_reached_is_an_exception_of_its_calls_and_the_others_go_on() -> None:

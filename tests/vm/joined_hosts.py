@@ -56,30 +56,33 @@ class HostWorldStub(GoldenWorld):
 
 
 class JoinedHosts:
-    """Hosts with one resource each, r0, r1 ..., and a coordinator `boss` that starts on host 0.
+    """Hosts with resources, and a coordinator that starts on host 0.
 
-    `hops` counts its migrations; hosts in `cut` are unreachable.
+    `team` ends with the coordinator; a number of hosts means one resource on each, r0, r1 ..., and `boss`.
+    `images` are the bytes of every migration; hosts in `cut` are unreachable.
     """
 
     def __init__(
         self,
         program: Program,
-        hosts: int,
+        team: int | Sequence[TeamMember],
         kind: str = "Post",
         limits: AgentLimits | None = None,
-        place: Callable[[], HostWorldStub] = HostWorldStub,
+        place: Callable[[], GoldenWorld] = HostWorldStub,
         rules: CallRules | None = None,
     ) -> None:
         self.program, self.clock, self.limits = program, ManualClock(), limits or AgentLimits()
         self.rules = rules
-        self.team = [TeamMember(i, f"r{i}", kind, "resource", i) for i in range(hosts)]
-        self.team.append(TeamMember(hosts, "boss", "Boss", "coordinator", 0))
-        self.places: list[HostWorldStub] = []
+        if isinstance(team, int):
+            boss = TeamMember(team, "boss", "Boss", "coordinator", 0)
+            team = [*(TeamMember(i, f"r{i}", kind, "resource", i) for i in range(team)), boss]
+        self.team = team
+        self.places: list[GoldenWorld] = []
         self.machines: list[Machine] = []
         self.cut: set[int] = set()
-        self.hops = 0
+        self.images: list[bytes] = []
         self.route = [0]
-        for host in range(hosts):
+        for host in range(1 + max(member.host for member in team)):
             self.places.append(place())
             self.machines.append(self._machine(host, 1 + host))
         self.machines[0].start(self.team[-1], self.limits, 1)
@@ -90,13 +93,15 @@ class JoinedHosts:
             self.program, MachineTeam(self.team, host, life), place, self.clock, random.Random(1)
         )
         place.machine.hooks.rules = self.rules
-        place.machine.start(self.team[host], self.limits, 0)
+        for member in self.team[:-1]:
+            if member.host == host:
+                place.machine.start(member, self.limits, 0)
         return place.machine
 
-    def restart(self, host: int, kept: Sequence[PendingCall] = ()) -> Machine:
+    def restart(self, host: int, kept: Sequence[PendingCall] = (), life: int = 0) -> Machine:
         """A new incarnation of a host, with the persisted records of its pending calls."""
         self.places[host].departures.clear()
-        self.machines[host] = self._machine(host, 100 + host)
+        self.machines[host] = self._machine(host, life or 100 + host)
         self.machines[host].pending_calls.restore(kept)
         return self.machines[host]
 
@@ -133,12 +138,19 @@ class JoinedHosts:
             message = f"host {target} cannot be reached"
             self.machines[source].resume(agent, "UnreachableResourceException", message)
             return
-        image = bytes(self.machines[source].pack(agent))
+        self.machines[target].unfreeze(self.move(source, agent, target))
+
+    def move(self, source: int, agent: Agent, target: int) -> Agent:
+        """The migration of a coordinator, which is frozen afterwards."""
+        self.images.append(bytes(self.machines[source].pack(agent)))
         self.machines[source].release(agent)
-        arrived = self.machines[target].inject(agent.member, image, agent.limits)
-        self.machines[target].unfreeze(arrived)
-        self.hops += 1
         self.route.append(target)
+        return self.machines[target].inject(agent.member, self.images[-1], agent.limits)
+
+    def hop(self, source: int) -> Agent:
+        """The migration of the coordinator that wants to leave this host."""
+        agent, resource = self.places[source].departures.pop()
+        return self.move(source, agent, resource.host)
 
     def run(self, until: float = 1000.0) -> None:
         """Run to the end, or for a time from now; hops take no time."""
