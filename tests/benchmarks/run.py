@@ -9,7 +9,10 @@ from harness.bench import main
 from harness.picture import Pictured
 
 # The emulated radio, the network in memory and the world of stops in virtual time are tools of the tests.
-sys.path += [str(Path(__file__).parents[1] / folder) for folder in ("radio", "net/memory", "host/orders")]
+sys.path += [
+    str(Path(__file__).parents[1] / folder)
+    for folder in ("radio", "net/memory", "host/orders", "operator/orders")
+]
 
 FIGURES = {
     "hop": "hops.hop",

@@ -8,20 +8,14 @@ import random
 from collections.abc import Callable
 from functools import cache, partial
 
-from lfield.authority.admission_policy import CertificateAdmission
+from order_host import OrderHost
+
 from lfield.authority.certificate_authority import CertificateAuthority, new_authority
 from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.key_material import Keys
-from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, verify_order
-from lfield.authority.trusted_clock import TrustedClock
-from lfield.clock import ManualClock
-from lfield.errors import LfieldError
-from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner
 from lfield.host.stop_orders.datagram_limits import Sender
-from lfield.host.stop_orders.order_executor import OrderCallback
-from lfield.host.stop_orders.order_receiver import OrderPorts, OrderReceiver, PendingCheck
 from lfield.operator.orders.order_protocol import OrderProtocol, OutgoingDatagram
-from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
 from lfield.wire.order_messages import Epochs, OrderKind, RelayedAnswer, RelayedOrder
 
 #: Seconds since 1970 UTC, when all certificates begin, and when they end.
@@ -75,87 +69,32 @@ class World:
             self.later(self.delay, on_arrival)
 
 
-class Post:
-    """A host whose device takes `slow` seconds to be safe. It has links with all other hosts."""
+class Post(OrderHost):
+    """A host of the world. It has links with all other hosts."""
 
     def __init__(self, world: World, name: str) -> None:
-        self.world, self.name, self.slow = world, name, 0.05
-        self.revoked: frozenset[str] = frozenset()
-        #: What was executed, as (kind, reason), and by whom.
-        self.executed: list[tuple[OrderKind, str]] = []
-        self.checks = 0
-        self.held = {"stop": False, "pause": False}
-        self.clock, self.life = ManualClock(), 0
-        self.boot()
+        self.world, self.name = world, name
+        super().__init__(keys("host", name), AT, world.rng, "p.fc", 0.05)
 
-    def boot(self, kept: dict[bytes, tuple[OrderKind, bool]] | None = None) -> None:
-        self.life += 1
-        own = keys("host", self.name)
-        self.signer, certificates = OrderSigner(own), CertificateCache(own.authority)
-        self.orders = ExecutedOrders(self.world.rng.randbytes, kept)
-        self.admission = CertificateAdmission(own, self.signer.who, TrustedClock(self.clock, AT))
-        ports = OrderPorts(
-            send=self._send,
-            relay=self._relay,
-            linked=lambda: [name for name in self.world.posts if name != self.name],
-            check=self._check,
-            execute=self._execute,
-            later=self._later,
-        )
-        self.datagrams = OrderReceiver(
-            self.signer,
-            certificates,
-            self.admission,
-            lambda: self.orders.epochs,
-            lambda: self.world.now,
-            ports,
-        )
+    def now(self) -> float:
+        return self.world.now
 
-    def _later(self, seconds: float, event: Callable[[], None]) -> None:
-        life = self.life
-        self.world.later(seconds, lambda: event() if life == self.life else None)
+    def later(self, seconds: float, event: Callable[[], None]) -> None:
+        self.world.later(seconds, event)
 
-    def came(self, data: bytes, desk: str, network: str = "desk") -> None:
-        self.datagrams.on_datagram(data, Sender(network, desk))
+    def linked(self) -> list[str]:
+        return [name for name in self.world.posts if name != self.name]
 
-    def _send(self, sender: Sender, data: bytes) -> None:
+    def send(self, sender: Sender, data: bytes) -> None:
         desk = str(sender.address)
         if desk in self.world.desks:
             self.world.carry(self.name, desk, data, partial(self.world.desks[desk].on_datagram, data))
         else:
             self.world.sent.append((self.name, desk, data))
 
-    def _relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
-        post = self.world.posts[host]
-        taken = partial(post.datagrams.on_relayed, self.name, message)
+    def relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
+        taken = partial(self.world.posts[host].datagrams.on_relayed, self.name, message)
         self.world.carry(self.name, host, message.datagram, taken)
-
-    def _check(self, checking: PendingCheck) -> None:
-        self.checks += 1
-        found: object
-        try:
-            found = verify_order(checking.signed, checking.known, keys("host", self.name).authority)[1]
-        except LfieldError as error:
-            found = error
-        self._later(0.001, lambda: self.datagrams.on_checked(checking, found))  # type: ignore[arg-type]
-
-    def _execute(self, message: EmergencyStop | Pause, who: str, answer: OrderCallback) -> None:
-        kind, hold = message.kind, "stop" if isinstance(message, EmergencyStop) else "pause"
-        standing = self.orders.standing_of(kind, message.id, message.epoch)
-        if standing == "new":
-            self.orders.mark_executed(kind, message.id)
-            self.executed.append((kind, getattr(message, "reason", "")))
-            self.held[hold] = not message.lift
-            self._later(self.slow, lambda: self._answer(message, answer))
-        elif standing in ("holds", "done", "ended"):
-            self._answer(message, answer, "" if standing != "ended" else "ended")
-        elif standing == "old" and message.lift:
-            self._answer(message, answer, "newer")
-        else:
-            answer(OrderChallenge(message.id, self.orders.epochs))
-
-    def _answer(self, message: EmergencyStop | Pause, answer: OrderCallback, trouble: str = "") -> None:
-        answer(EmergencyStopResult({"p.fc": ""}, trouble, message.id, self.orders.epochs))
 
 
 class OrderingPerson:

@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from unittest import mock
 
-import order_world
+import order_host
 from emulator.cells import CELLS, Cell
 from emulator.radio_model import Air
 from order_world import World, person
@@ -231,9 +231,9 @@ def unsigned() -> Iterator[None]:
 
     with ExitStack() as patches:
         for module, name, new in (
-            (order_world, "OrderSigner", Unsigned),
+            (order_host, "OrderSigner", Unsigned),
             (sys.modules[__name__], "OrderSigner", Unsigned),
-            (order_world, "verify_order", ordered),
+            (order_host, "verify_order", ordered),
             (order_protocol, "verify_answer", answered),
         ):
             patches.enter_context(mock.patch.object(module, name, new))

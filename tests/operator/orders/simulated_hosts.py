@@ -5,26 +5,23 @@ from __future__ import annotations
 import asyncio
 import random
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from typing import Any
 
-from lfield.authority.admission_policy import CertificateAdmission
+from order_host import OrderHost
+
 from lfield.authority.certificate_authority import CertificateAuthority, new_authority
 from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.key_material import Keys
-from lfield.authority.order_signing.order_signatures import CertificateCache, OrderSigner, verify_order
-from lfield.authority.trusted_clock import TrustedClock
-from lfield.clock import ManualClock
-from lfield.errors import AddressError, LfieldError, NoListener
-from lfield.host.order_history.executed_orders import ExecutedOrders
+from lfield.authority.order_signing.order_signatures import OrderSigner
+from lfield.errors import AddressError, NoListener
 from lfield.host.stop_orders.datagram_limits import Sender
-from lfield.host.stop_orders.order_receiver import OrderPorts, OrderReceiver, PendingCheck
 from lfield.net.connections.resolver import ResolvedAddress
 from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.orders.order_sender import OrderSender
 from lfield.wire.messages import Hello, Message
-from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.observer_messages import EmergencyStop, Pause
 from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
 #: A host needs so many seconds to make its devices safe, and a connection so many round trips.
@@ -146,63 +143,25 @@ class Connection:
     abort = close
 
 
-class Host:
-    """The part of a host that takes orders. It has links with all other hosts."""
+class Host(OrderHost):
+    """A host of the network. It has links with all other hosts."""
 
     def __init__(self, network: Network, name: str) -> None:
         self.network, self.name = network, name
-        #: The orders that were executed, and the devices.
-        self.executed: list[EmergencyStop | Pause] = []
-        self.devices = {f"{name}.fc": ""}
-        self.boot()
+        super().__init__(keys("host", name), time.time(), network.rng, f"{name}.fc", EXECUTES)
 
-    def boot(self) -> None:
-        """A new life: epochs and certificates that it knew are gone."""
-        self.send: Callable[[Sender, bytes], None] = lambda to, data: self.network.answered(self.name, data)
-        self.linked: Callable[[], Sequence[str]] = lambda: [n for n in self.network.hosts if n != self.name]
-        own = keys("host", self.name)
-        self.orders = ExecutedOrders(self.network.rng.randbytes)
-        signer, clock = OrderSigner(own), ManualClock()
-        self.certificates = CertificateCache(own.authority)
-        admission = CertificateAdmission(own, signer.who, TrustedClock(clock, time.time()))
-        ports = OrderPorts(
-            send=lambda sender, data: self.send(sender, data),
-            relay=self._relay,
-            linked=lambda: self.linked(),
-            check=self._check,
-            execute=self.execute,
-            later=self.network.later,
-        )
-        self.core = OrderReceiver(
-            signer, self.certificates, admission, lambda: self.orders.epochs, lambda: self.network.now, ports
-        )
+    def now(self) -> float:
+        return self.network.now
 
-    def came(self, data: bytes) -> None:
-        self.core.on_datagram(data, Sender("desk", "desk"))
+    def later(self, seconds: float, event: Callable[[], None]) -> None:
+        self.network.later(seconds, event)
 
-    def _relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
+    def linked(self) -> list[str]:
+        return [name for name in self.network.hosts if name != self.name]
+
+    def send(self, sender: Sender, data: bytes) -> None:
+        self.network.answered(self.name, data)
+
+    def relay(self, host: str, message: RelayedOrder | RelayedAnswer) -> None:
         other = self.network.hosts[host]
-        self.network.later(self.network.trip / 2.0, lambda: other.core.on_relayed(self.name, message))
-
-    def _check(self, checking: PendingCheck) -> None:
-        found: Any
-        try:
-            found = verify_order(checking.signed, checking.known, self.certificates.authority)[1]
-        except LfieldError as error:
-            found = error
-        core = self.core
-        self.network.later(0.001, core.on_checked, checking, found)
-
-    def execute(self, message: EmergencyStop | Pause, who: str, answer: Callable[[Any], None]) -> None:
-        standing = self.orders.standing_of(message.kind, message.id, message.epoch)
-        if standing in ("old", "unknown") and not (standing == "old" and message.lift):
-            answer(OrderChallenge(message.id, self.orders.epochs))
-            return
-        if standing == "new":
-            self.orders.mark_executed(message.kind, message.id)
-            self.executed.append(message)
-        trouble = "newer" if standing == "old" else ""
-        devices = dict.fromkeys(self.devices, trouble)
-        self.network.later(
-            EXECUTES, lambda: answer(EmergencyStopResult(devices, trouble, message.id, self.orders.epochs))
-        )
+        self.later(self.network.trip / 2.0, lambda: other.datagrams.on_relayed(self.name, message))

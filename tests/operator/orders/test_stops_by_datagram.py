@@ -67,7 +67,7 @@ def test_a_stop_takes_two_round_trips_of_a_desk_that_knows_nothing():
     answers, took = given(network)
     assert all_confirmed(network, answers)
     assert took["h1"] == pytest.approx(2 * network.trip + EXECUTES, abs=0.01)
-    assert [order.kind for order in network.hosts["h1"].executed] == ["stop"]
+    assert [kind for kind, _ in network.hosts["h1"].executed] == ["stop"]
 
 
 def test_what_one_order_has_taught_makes_the_next_one_take_one_round_trip():
@@ -93,7 +93,7 @@ def test_a_stop_that_was_ended_by_somebody_else_is_challenged_and_signed_again()
     network.hosts["h1"].orders.mark_executed("lift", bytes(16))
     answers, _ = given(network, desk=desk)
     assert all_confirmed(network, answers)
-    assert [order.kind for order in network.hosts["h1"].executed] == ["stop"]
+    assert [kind for kind, _ in network.hosts["h1"].executed] == ["stop"]
 
 
 def test_a_lift_names_the_state_that_the_host_tells_and_not_one_that_was_kept():
@@ -104,7 +104,7 @@ def test_a_lift_names_the_state_that_the_host_tells_and_not_one_that_was_kept():
     assert answers["h1"] == EmergencyStopResult(
         {"h1.fc": ""}, "", answers["h1"].id, network.hosts["h1"].orders.epochs
     )
-    assert [order.kind for order in network.hosts["h1"].executed] == ["lift"]
+    assert [kind for kind, _ in network.hosts["h1"].executed] == ["lift"]
 
 
 @pytest.mark.parametrize("order", [emergency_stop, lambda reason: emergency_stop(reason, lift=True)])
@@ -163,7 +163,7 @@ def test_hosts_that_are_not_reached_are_asked_through_those_that_are():
 def test_a_host_that_is_not_there_is_told_by_the_connection():
     network = Network(2)
     network.udp, network.refused = (lambda host: host != "h2"), (lambda host: host == "h2")
-    network.hosts["h1"].linked = tuple
+    network.hosts["h1"].linked = list
     answers, took = given(network)
     assert isinstance(answers["h2"], NoListener)
     assert took["h2"] <= 2.0
@@ -306,7 +306,7 @@ def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
             def read():
                 data, sender = port.recvfrom(2000)
                 received.append(data)
-                host.core.on_datagram(data, Sender("desk", sender))
+                host.datagrams.on_datagram(data, Sender("desk", sender))
 
             asyncio.get_running_loop().add_reader(port, read)
             party = TargetTeam((), {"h1": f"127.0.0.1:{port.getsockname()[1]}"})
@@ -318,7 +318,7 @@ def test_a_command_stops_a_host_by_datagrams_on_loopback(cache, tmp_path):
         return host, received
 
     host, received = asyncio.run(story())
-    assert [order.kind for order in host.executed] == ["stop", "pause"]
+    assert [kind for kind, _ in host.executed] == ["stop", "pause"]
     # The first order asks for the host's state and shows the certificate, unless a repeat came in between.
     assert received.index(None) >= 2
     assert cache.exists()
