@@ -9,6 +9,7 @@ import subprocess
 import sys
 
 import pytest
+from loopback import own_address
 
 from lfield.errors import DeviceError
 from lfield.guard import endpoint_lock
@@ -82,16 +83,18 @@ def port(tmp_path):
 @pytest.mark.parametrize(
     ("held", "wanted", "refused"),
     [
-        ("udp:127.0.0.1:9", "udp:127.0.0.1:9", True),
-        ("udp:127.0.0.1:9", "udp:127.0.0.1:19", False),
-        ("udp:127.0.0.1:9", "tcp:127.0.0.1:9", False),
-        ("tcp:127.0.0.1:9", "serial:/dev/null:9600, tcp:127.0.0.1:9", True),
-        ("socketcand:127.0.0.1:9/can0", "socketcand:127.0.0.1:9/can0?fd=True", True),
-        ("socketcand:127.0.0.1:9/can0", "socketcand:127.0.0.1:9/can1", False),
+        ("udp:OWN:9", "udp:OWN:9", True),
+        ("udp:OWN:9", "udp:OWN:19", False),
+        ("udp:OWN:9", "tcp:OWN:9", False),
+        ("tcp:OWN:9", "serial:/dev/null:9600, tcp:OWN:9", True),
+        ("socketcand:OWN:9/can0", "socketcand:OWN:9/can0?fd=True", True),
+        ("socketcand:OWN:9/can0", "socketcand:OWN:9/can1", False),
         ("virtual:one", "virtual:one", False),
     ],
 )
 def test_one_place_has_one_owner(held, wanted, refused):
+    held, wanted = (endpoint.replace("OWN", own_address()) for endpoint in (held, wanted))
+
     async def story() -> None:
         lock = EndpointLock()
         await lock.acquire(held)
@@ -117,7 +120,7 @@ def test_a_device_is_the_same_under_every_name(port):
 @pytest.mark.process
 @pytest.mark.parametrize("hangs", [False, True])
 def test_another_process_is_named_and_its_death_frees_the_endpoint(hangs, monkeypatch):
-    endpoint = f"udp:127.0.0.1:{os.getpid() % 60000 + 1}"
+    endpoint = f"udp:{own_address()}:9"
     with subprocess.Popen([sys.executable, "-c", HOLDER, endpoint], stdout=subprocess.PIPE) as holder:
         try:
             assert holder.stdout.readline() == b"held\n"

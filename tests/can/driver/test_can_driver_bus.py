@@ -15,6 +15,7 @@ import can
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from loopback import own_address
 
 from lfield.errors import DeviceError
 from lfield_can.bus import connection, socketcand
@@ -62,9 +63,9 @@ class Server:
     """A socketcand server of a few lines. It says `words` one after the other; an empty one hangs up."""
 
     def __init__(self, port: int = 0, *, words=(b"< hi >", b"< ok >", b"< ok >"), after: bytes = b"") -> None:
-        self.listener = socket.create_server(("127.0.0.1", port))
+        self.listener = socket.create_server((own_address(), port))
         self.port, self.words, self.after = self.listener.getsockname()[1], words, after
-        self.endpoint = f"socketcand:127.0.0.1:{self.port}/can0"
+        self.endpoint = f"socketcand:{own_address()}:{self.port}/can0"
         self.peers: list[socket.socket] = []
         threading.Thread(target=self.serve, daemon=True).start()
 

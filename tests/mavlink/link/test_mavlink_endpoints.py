@@ -8,9 +8,12 @@ import pty
 import socket
 
 import pytest
+from loopback import own_address
 
 from lfield.errors import DeviceError
 from lfield_mavlink.link.links import make_link
+
+HERE = own_address()
 
 
 @pytest.mark.parametrize(
@@ -32,9 +35,9 @@ def test_udpin_answers_all_who_speak():
         got = bytearray()
         loop = asyncio.get_running_loop()
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
+            free.bind((HERE, 0))
             port = free.getsockname()[1]
-        link = make_link(f"udpin:127.0.0.1:{port}", got.extend)
+        link = make_link(f"udpin:{HERE}:{port}", got.extend)
         await link.open()
         link.send(b"nobody there yet")
         replies = asyncio.Queue()
@@ -43,19 +46,19 @@ def test_udpin_answers_all_who_speak():
             def datagram_received(self, data, addr):
                 replies.put_nowait(data)
 
-        transport, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=("127.0.0.1", port))
+        transport, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=(HERE, port))
         transport.sendto(b"hello")
         await until(lambda: got == b"hello")
         link.send(b"you")
         assert await replies.get() == b"you"
-        other, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=("127.0.0.1", port))
+        other, _ = await loop.create_datagram_endpoint(Vehicle, remote_addr=(HERE, port))
         other.sendto(b" there")
         await until(lambda: got == b"hello there")
         link.send(b"both")
         assert [await replies.get(), await replies.get()] == [b"both", b"both"]
         other.close()
-        with pytest.raises(DeviceError, match=rf"cannot open udp:127.0.0.1:{port}: .*in use"):
-            await make_link(f"udpin:127.0.0.1:{port}", got.extend).open()
+        with pytest.raises(DeviceError, match=rf"cannot open udp:{HERE}:{port}: .*in use"):
+            await make_link(f"udpin:{HERE}:{port}", got.extend).open()
         transport.close()
         link.close()
 
@@ -65,13 +68,13 @@ def test_udpin_answers_all_who_speak():
 def test_a_port_where_nobody_listens_is_told_with_what_is_meant():
     async def talk():
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
-            free.bind(("127.0.0.1", 0))
+            free.bind((HERE, 0))
             port = free.getsockname()[1]
-        link = make_link(f"udp:127.0.0.1:{port}", lambda data: None)
+        link = make_link(f"udp:{HERE}:{port}", lambda data: None)
         await link.open()
-        assert link.why_silent().startswith(f"nothing received from udp:127.0.0.1:{port}; simulators use")
+        assert link.why_silent().startswith(f"nothing received from udp:{HERE}:{port}; simulators use")
         link.send(b"anybody")
-        await until(lambda: link.why_silent().startswith(f"no process listens at udp:127.0.0.1:{port}; "))
+        await until(lambda: link.why_silent().startswith(f"no process listens at udp:{HERE}:{port}; "))
         assert "tcp:127.0.0.1:5760" in link.why_silent()
         assert "udpin:127.0.0.1:14550" in link.why_silent()
         link.close()
