@@ -53,6 +53,8 @@ class Fleet:
         self.folder = folder
         self.network = MemoryNetwork(LoopClock(), max_block=max_block, on_pending=self._pending)
         self.running: list[Running] = []
+        # One run of a test is like any other; two starts of one host draw different numbers.
+        self._rng = random.Random(0)
         #: Of each host that keeps a journal; see `make`.
         self.disks: dict[str, JournalDisk] = {}
 
@@ -91,6 +93,8 @@ class Fleet:
         if options.pop("keeps", False):
             disk = self.disks.setdefault(name, JournalDisk(random.Random(name)))
             options["journal"] = disk.open(LoopClock(), err.write)
+        rng = random.Random(self._rng.random())
+        options = {"rng": rng, "random_bytes": rng.randbytes, **options}
         made = HostOptions(listen, clock=options.pop("clock", None) or LoopClock(), **options)
         transport = self.network.transport(name)
         running = Running(Host(mission, name, transport, Logbook(out, err), made), out, err)
