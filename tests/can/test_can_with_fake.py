@@ -23,6 +23,8 @@ from lfield.testing.driver_bench import guarded, running_fake
 pytestmark = pytest.mark.process
 
 DOORS = ("socketcand", "slcan")
+#: Seconds without a word of a guard after which a drive stops: more than a busy computer takes one away.
+TTL = 10.0
 LISTEN = ("--listen", "socketcand:127.0.0.1:0", "--listen", "slcan-pty")
 GRIPPER = Path(lfield_sim.can.__file__).with_name("gripper.dbc")
 
@@ -52,7 +54,7 @@ def gripper(binding):
         }
         waivers = ["device_watchdog"]
         return lambda endpoint: binding(
-            "CanSignals", field="gripper", endpoint=endpoint, options=options, waivers=waivers, ttl=5.0
+            "CanSignals", field="gripper", endpoint=endpoint, options=options, waivers=waivers, ttl=TTL
         )
 
     return make
@@ -62,7 +64,12 @@ def gripper(binding):
 def test_three_devices_on_one_bus(door, drive, odrive, gripper):
     async def mission():
         devices = (DRIVE, ODRIVE, f"dbc:{GRIPPER}")
-        async with team(door, drive(), odrive(), gripper(), devices=devices) as (_, axis, wheel, hand):
+        async with team(door, drive(ttl=TTL), odrive(ttl=TTL), gripper(), devices=devices) as (
+            _,
+            axis,
+            wheel,
+            hand,
+        ):
             for device in (axis, wheel):
                 await device.call("enable")
             await asyncio.gather(axis.call("moveTo", 2.0, 5.0), wheel.call("moveTo", -3.0, 5.0))
@@ -123,7 +130,11 @@ def test_a_drive_stops_by_itself_when_its_guard_hangs(drive):
 
 def test_a_guard_that_dies_comes_back_with_everything_safe(drive, odrive):
     async def mission():
-        async with team("socketcand", drive(), odrive(), devices=[DRIVE, ODRIVE]) as (_, axis, wheel):
+        async with team("socketcand", drive(ttl=TTL), odrive(ttl=TTL), devices=[DRIVE, ODRIVE]) as (
+            _,
+            axis,
+            wheel,
+        ):
             for device in (axis, wheel):
                 await device.call("enable")
                 await device.call("setVelocity", 3.0)
