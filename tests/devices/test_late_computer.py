@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import re
 import time
+from contextlib import suppress
 
 import msgspec
 import pytest
@@ -15,7 +16,7 @@ from lfield.devices.jitter_measurement import SPAN, TRIES, measure_jitter, requi
 from lfield.devices.scheduling_jitter import JitterLimit
 from lfield.driver.binding import SIMULATED
 from lfield.driver.plugins import Plugins
-from lfield.errors import DevicesError
+from lfield.errors import DeviceError, DevicesError
 from lfield.mission.bindings_file import read_bindings
 from lfield.operator.diagnostics import scheduling_lateness
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
@@ -105,14 +106,15 @@ def test_a_latch_for_silence_says_that_this_computer_was_late():
     async def story():
         with running_fake("mavlink", "--listen", "udp:127.0.0.1:0", "--set-up", "--climb", "8") as fake:
             async with guarded(bound(fake.endpoint), silence=0.5) as (flight,):
-                await flight.call("arm")
+                # A computer that is late in earnest may have its guard latch meanwhile, for the same reason.
+                with suppress(DeviceError):
+                    await flight.call("arm")
                 # The loop is held: neither a beat nor anything else goes out.
                 time.sleep(1.5)
                 why = "the host was silent for over 500 ms, since this computer was late"
                 await flight.until_note(f"in safe state 'land': {why}")
                 assert why in flight.latched
-                # A busy computer may be late by more than that, and before.
-                late = [line for line in flight.notes if "longest so far" in line]
-                assert any(re.match(r"heartbeats to the guards late by [1-9]", line) for line in late)
+                late = re.compile("heartbeats to the guards late by [1-9].*longest so far")
+                await flight.until(lambda: any(map(late.match, flight.notes)), 60.0, "the lateness")
 
     asyncio.run(story())
