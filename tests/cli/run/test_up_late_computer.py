@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import signal
 import time
 
@@ -72,9 +73,10 @@ def test_a_host_that_cannot_keep_its_bindings_does_not_start(here, lfield, monke
     assert up.status == 69
     # A computer that is late in earnest may have more to say, before and after this.
     (said,) = [line for line in up.err if line.startswith("this computer does not support 'silence: 0.1'")]
-    assert ": it was late by 0." in said
+    # By more than the 0.12 s, if the computer is late in earnest while it is measured.
+    assert re.search(r": it was late by [\d.]+ s and supports ", said)
     assert "reduce the load of this computer, give its guards real-time priority" in said
-    assert "or write 'silence: 0." in said
+    assert re.search(r"or write 'silence: [\d.]+' if ", said)
 
 
 @pytest.mark.few(0)
