@@ -10,7 +10,7 @@ pytestmark = pytest.mark.process
 
 PROGRAM = """
 resource Hoist {
-    init(string[] arg) { while (true) yield(); }
+    init(string[] arg) { write("ready\\n"); while (true) yield(); }
     portal lift(real height) emit real { return height; }
     portal lower(real height) emit real { return height; }
 }
@@ -36,6 +36,8 @@ def mission(shared_lfield):
     shared_lfield.write("mission.capabilities.yaml", CAPABILITIES)
     deployment = shared_lfield.mission(PROGRAM, DEPLOYMENT)
     team = shared_lfield.start("up", "--deploy", deployment, "--all")
+    # The coordinator may ask before the other host is up.
+    team.wait_for(r"bravo +\| ready")
     team.wait_for(r"boss: offers: 1")
     team.deployment = deployment
     return team

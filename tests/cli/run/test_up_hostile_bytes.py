@@ -140,7 +140,8 @@ def test_a_greeting_copied_from_another_host_is_not_believed(alpha):
     """The hashes in it are no secret among hosts; the name in a certificate is."""
     with connect_as(alpha, "bravo") as sock:
         sock.sendall(encode(Hello("observer", "observer", 0)))
-        (hello,) = frames(sock.recv(65536))
+        # What the host says next may come in the same bytes.
+        hello = frames(sock.recv(65536))[0]
     assert hello.host == "alpha"
     for name, who in (("bravo", "host bravo calls itself alpha"), ("me", "operator may only send commands")):
         with connect_as(alpha, name) as sock:
