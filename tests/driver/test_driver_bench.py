@@ -218,7 +218,7 @@ def test_the_tests_of_a_new_driver_pass(project):
     path = os.pathsep.join([str(project), os.environ.get("PYTHONPATH", "")])
     tests = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider"],
-        cwd=project, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, timeout=60,
+        cwd=project, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True,
     )  # fmt: skip
     assert "5 passed" in tests.stdout, tests.stdout
 

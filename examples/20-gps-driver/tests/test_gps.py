@@ -88,9 +88,9 @@ def test_the_fake_speaks_sentences(seconds):
 class Rig:
     """A bench with the fake on a pseudo-terminal; real time, at ten times a second."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, connect: float = 60.0) -> None:
         self.faults, self._path = Faults(FAULTS, ["1"]), folder / "gps"
-        binding = bind(PLUGIN, endpoint=f"serial:{folder / 'gps'}:9600", options={"connect": 1.0})
+        binding = bind(PLUGIN, endpoint=f"serial:{folder / 'gps'}:9600", options={"connect": connect})
         self.bench = DriverBench(PLUGIN, binding, fakes=[self.live])
 
     async def live(self) -> None:
@@ -150,7 +150,8 @@ def test_an_unplugged_receiver_comes_back(rig):
     rig.bench.run_real(story)
 
 
-def test_nobody_there_is_an_error_within_its_time(rig):
+def test_nobody_there_is_an_error_within_its_time(tmp_path):
+    rig = Rig(tmp_path, connect=1.0)
     rig.faults.apply(["silent=true"])
 
     async def story(gps):

@@ -16,7 +16,7 @@ from lfield_mavlink import PLUGIN
 pytestmark = pytest.mark.process
 
 #: No story may take longer, in seconds.
-LONGEST = 30.0
+LONGEST = 120.0
 
 
 def fly(story, *, opened=True, **stand_in):
