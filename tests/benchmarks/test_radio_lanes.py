@@ -42,12 +42,6 @@ class Air:
         return time.monotonic() + seconds
 
 
-def endless(seconds, every=0.002):
-    for _ in itertools.count():
-        time.sleep(every)
-        yield f"hops = {seconds}"
-
-
 def test_the_first_sample_of_a_cell_is_not_counted_and_every_lane_has_as_many():
     quick = Lane(Air(), Printing("up", "hops = 9", *["hops = 1"] * 50), "hops")
     slow = Lane(Air(), Printing(*["linked"] * 10, "hops = 9", "hops = 2", "hops = 2"), "hops")
@@ -71,9 +65,16 @@ def test_bytes_of_a_stop_are_those_of_the_desk_without_what_it_sends_at_rest(mon
     assert lane.again == ["again: not reached"]
 
 
-def test_an_outage_is_over_with_the_first_sample_after_the_return():
+def test_an_outage_is_over_with_the_first_sample_after_the_return(monkeypatch):
+    now = [1000.0]
     lane = Lane(Air(), Printing(*["hops = 1"] * 3), "hops")
-    some = endless(1.0)
-    lane.child = type("Child", (), {"lines": lambda self: [next(some)]})()
+
+    def lines(child):
+        now[0] += 0.004
+        return ["hops = 1"]
+
+    lane.child = type("Child", (), {"lines": lines})()
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "sleep", lambda seconds: None)
     (delay,) = outages([lane], "h1", 0.05)
-    assert 0 < delay < 0.05
+    assert delay == pytest.approx(0.002)
