@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import time
 
 import pytest
 from msgspec.structs import replace
@@ -58,10 +59,17 @@ def test_the_table_shows_what_runs_where(mission, lfield):
     assert re.match(r"bravo +tom +Guest +in a portal +1 +[\d.]+ (Ki)?B", rows["tom"])
 
 
-def test_the_same_as_json(mission, lfield):
+def told_as_json(mission, lfield):
     shown = lfield("ps", "--deploy", mission.deployment, "--json")
     assert lfield.status(shown) == 0
-    hosts = json.loads("\n".join(shown.out))
+    return json.loads("\n".join(shown.out))
+
+
+def test_the_same_as_json(mission, lfield):
+    # The guest says that it stays before the host that it left has the word of its arrival.
+    end, hosts = time.monotonic() + 60.0, told_as_json(mission, lfield)
+    while hosts["alpha"]["coordinators"][0]["state"] != "MOVED" and time.monotonic() < end:
+        hosts = told_as_json(mission, lfield)
     assert list(hosts) == ["alpha", "bravo"]
     assert hosts["alpha"]["linked"] == ["bravo"]
     agents = {agent["id"]: (host, agent) for host in hosts for agent in hosts[host]["agents"]}
