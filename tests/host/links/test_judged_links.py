@@ -261,7 +261,7 @@ def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(fleet,
         assert not looks.over
         lifts.link.send(EmergencyStop(bytes(16), "", lift=True))
         await team.until(lambda: lifts.over)
-        assert ("may only look and stop" if name == "desk" else "a person has it") in lifts.refused
+        assert ("may only observe and stop" if name == "desk" else "a person has it") in lifts.refused
         epoch = alpha.host.core.orders.epochs.hold
         looks.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
         await team.until(lambda: looks.over)
@@ -301,7 +301,7 @@ def test_a_person_who_was_known_and_whose_certificate_has_ended_may_stop_what_fl
         await send_request(desk, "alpha:8181", SNAPSHOT)
         await asyncio.sleep(30.0)
         await send_request(desk, "alpha:8181", SNAPSHOT)
-        with pytest.raises(HandshakeError, match=r"ended .*; until then desk may only look and stop"):
+        with pytest.raises(HandshakeError, match=r"expired .*; until then desk may only observe and stop"):
             await send_request(desk, "alpha:8181", emergency_stop("", lift=True))
         await send_request(desk, "alpha:8181", emergency_stop("enough"))
         with pytest.raises(HandshakeError, match="the certificate of desk ended"):
