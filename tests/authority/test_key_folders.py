@@ -326,7 +326,7 @@ def test_one_certificate_may_be_revoked_by_its_number(ledger: Ledger) -> None:
     assert ledger.renew("host", "alpha", AT + 3, AT + 9 * DAY).who.serial not in (old.serial, new.serial)
     for serial, words in (
         (new.serial, "is revoked already"),
-        ("x", "is no number"),
+        ("x", "is not the number"),
         ("abcdef0", "no cert"),
     ):
         with pytest.raises(KeysError, match=words):

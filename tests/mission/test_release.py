@@ -166,7 +166,7 @@ def test_a_signer_whose_certificate_has_ended_signs_no_start_and_stops_no_missio
     assert "the certificate of its signer anna expired 2026-12-03" in why(takes, signed, later)
     release, doubt = takes(signed, later, runs=True)
     assert release.by == "anna"
-    assert "ended 2026-12-03" in doubt
+    assert "expired 2026-12-03" in doubt
 
 
 def test_a_revoked_signer_signs_no_start_and_stops_no_mission(
@@ -183,7 +183,7 @@ def test_a_revoked_signer_signs_no_start_and_stops_no_mission(
 def test_nobody_has_signed_before_their_certificate_began(
     data: bytes, anna: Signer, takes: Callable[..., Acceptance]
 ) -> None:
-    with pytest.raises(KeysError, match="not valid now"):
+    with pytest.raises(KeysError, match="not valid at the present time"):
         anna.signs(data, NOW - 60.0)
     # A clock that is behind the signer's changes nothing: when it was signed is the signer's word.
     assert takes(anna.signs(data, NOW + 5 * DAY), NOW).bundle.at == NOW + 5 * DAY
