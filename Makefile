@@ -12,15 +12,15 @@ BIN := $(VENV)/bin
 demo: $(VENV)/.installed
 	$(BIN)/lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done
 
-# The last line of a run that could not try the page of `lfield watch` as a person does.
+# Printed last if there is no browser for the tests of the page of `lfield watch`.
 NO_BROWSER = command -v chromium >/dev/null && command -v chromedriver >/dev/null || \
-	echo "NOT TRIED: the page of lfield watch in a browser; sudo apt-get install chromium chromium-driver"
+	echo "NOT TESTED: the page of lfield watch in a browser; sudo apt-get install chromium chromium-driver"
 
 LINT = $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/lint-imports && $(BIN)/mypy
 
-# Lint and types run beside the tests and are shown behind them; either may fail the whole. A job in the background does
-# not hear Ctrl-C, so it is ended here. What Python and pytest compile is kept: the first time that is done once for all
-# workers, which would each do it for themselves.
+# Lint and types run in parallel with the tests and are printed after them; each can fail the target. A background job does
+# not receive Ctrl-C, so the trap ends it. The first run fills the byte-code caches once, before the workers start, which
+# would each compile everything.
 test: $(VENV)/.tested
 	@setsid sh -c '$(LINT)' >$(VENV)/lint.log 2>&1 & lint=$$!; \
 	trap 'kill -- -$$lint 2>/dev/null; exit 130' INT TERM; \
@@ -53,7 +53,7 @@ simulate: $(VENV)/.tested
 	$(BIN)/python tests/simulate/simulate.py --seeds $(SEEDS) --first $(FIRST)
 	$(BIN)/python tests/planted/catalogue.py --run tests/simulate
 
-# Real processes that are killed, stopped, cut off and out of disk, for so long. Disks that are full are mounted in a
+# Real processes that are killed, stopped, cut off and out of disk space, for SECONDS. Disks that are full are mounted in a
 # namespace of this command's own, where the system allows it.
 SECONDS ?= 120
 SEED ?= 1
@@ -86,7 +86,7 @@ bench: $(VENV)/.measured
 	$(BIN)/python tests/benchmarks/run.py --only "$(ONLY)" $(if $(SAVE),--save "$(SAVE)") $(if $(PICTURE),--picture "$(PICTURE)") \
 		$(if $(AGAINST),--against "$(AGAINST)") $(if $(ROUNDS),--rounds $(ROUNDS))
 
-# What is installed, to the byte, stands in deploy/locks; lfield itself is built by what stands there too.
+# deploy/locks has the version and hash of every installed package, including those that build lfield.
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check
 LOCKED = $(INSTALL) --require-hashes --requirement deploy/locks/$(1).txt && \
 	$(INSTALL) --no-deps --no-build-isolation --editable .

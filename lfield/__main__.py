@@ -1,20 +1,20 @@
-"""`lfield` and `python -m lfield`: the way in, where a Ctrl-C ends the process quietly at every moment.
+"""Entry point of `lfield` and `python -m lfield`; Ctrl-C ends the process without a traceback at any time.
 
-While modules are imported nothing has begun that would have to be ended in order, and an exception in the
-middle of an import is a traceback, or worse in a module of C: then the system itself ends the process, which
-a shell calls 130 too. What Python does before it comes here (its `site`, `runpy`) is not in our hands.
+While modules are imported, the default action of SIGINT ends the process (status 130 in a shell): an
+exception during an import would print a traceback, or crash in a C module. Python's own start-up (`site`,
+`runpy`) is not covered.
 """
 
-# Not `signal`: it imports `enum` first, which takes longer than all that is done here.
+# Not `signal`, which imports `enum`: that takes longer than this whole module.
 import _signal  # type: ignore[import-not-found]
 import sys
 
 
 def main() -> int:
     """Run the command line of this process; returns the exit status."""
-    # Whoever started it may have had it ignored, as a shell does for what runs in the background.
-    heard = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler
-    if heard:
+    # The parent may have set SIGINT to be ignored, as a shell does for background jobs.
+    is_default = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler
+    if is_default:
         _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
     try:
         from lfield.cli.main import main as command
@@ -25,7 +25,7 @@ def main() -> int:
 
         return INTERRUPTED
     finally:
-        if heard:
+        if is_default:
             _signal.signal(_signal.SIGINT, _signal.SIG_DFL)
 
 

@@ -137,7 +137,7 @@ class ProgramFileError(LfieldError):
     def __init__(self, reason: str, *, method: str = "", pc: int | None = None) -> None:
         self.reason, self.method, self.pc = reason, method, pc
         where = f" (in {method}, instruction {pc})" if method and pc is not None else ""
-        super().__init__(f"not a sound L program: {reason}{where}; build it again with 'lfield build'")
+        super().__init__(f"not a valid L program: {reason}{where}; build it again with 'lfield build'")
 
 
 class BundleError(LfieldError):
@@ -150,7 +150,7 @@ class BundleError(LfieldError):
         self, reason: str, advice: str = "build it again with 'lfield build'", *, file: str = ""
     ) -> None:
         self.reason, self.advice = reason, advice
-        super().__init__(f"{file or 'this'} is not a sound bundle: {reason}; {advice}")
+        super().__init__(f"{file or 'this'} is not a valid bundle: {reason}; {advice}")
 
     def of(self, file: object) -> BundleError:
         """This error with the name of the file."""
@@ -178,7 +178,7 @@ class BlockError(LfieldError):
 
     def __init__(self, reason: str, *, word: int | None = None) -> None:
         self.reason, self.word = reason, word
-        super().__init__(f"not a sound block: {reason}" + (f" (word {word})" if word is not None else ""))
+        super().__init__(f"not a valid block: {reason}" + (f" (word {word})" if word is not None else ""))
 
 
 class InputFileError(LfieldError):

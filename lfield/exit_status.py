@@ -1,8 +1,8 @@
-"""The statuses that commands end with: those of a run of hosts, and the numbers of sysexits for all else.
+"""Exit statuses of commands: those of missions, and the numbers of sysexits.h for all others.
 
-Which command ends with which is in `lfield/docs/exit-statuses.md`; exceptions bring theirs along (errors.py).
-The worst of several hosts is told: who reads only the number must not take a vehicle in the air for a mission
-that failed.
+The statuses of each command are in `lfield/docs/exit-statuses.md`; exceptions carry theirs (errors.py). Of
+several hosts the most severe status counts, so that a script can distinguish a vehicle in the air from a
+failed mission.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ from collections.abc import Iterable, Mapping
 DONE = 0
 #: A coordinator died, was stopped before its end, or is lost for certain; a check of `kit` failed.
 FAILED = 1
-#: A device has not been seen in its safe state and at rest: somebody must look at it, now.
+#: A device is not confirmed at rest in its safe state: a person must check it at once.
 UNSAFE = 3
-#: Another host was not heard of for too long: what became of the mission there is not known.
+#: Another host was unreachable for too long: the state of the mission there is unknown.
 UNKNOWN_OUTCOME = 4
 #: The command line makes no sense.
 USAGE = 64
-#: What a file says is wrong: a program, deployment, bundle, devices file, registry, dump, journal or key.
+#: An invalid file: program, deployment, bundle, devices file, registry, dump, journal or key.
 DATA = 65
 #: A file cannot be read.
 NO_INPUT = 66
@@ -33,7 +33,7 @@ NO_OUTPUT = 73
 INPUT_OUTPUT = 74
 #: A peer breaks the protocol between hosts, or is none of the team.
 PROTOCOL = 76
-#: Somebody stopped it.
+#: Interrupted by the user.
 INTERRUPTED = 130
 
 #: For people, in the order of the numbers.
@@ -54,12 +54,12 @@ MEANINGS: Mapping[int, str] = {
     INTERRUPTED: "interrupted",
 }
 
-#: From harmless to the one that must be told; a status that is not here counts between FAILED and UNHEARD.
+#: From the least to the most severe; other statuses count between FAILED and UNKNOWN_OUTCOME.
 _SEVERITY = (DONE, INTERRUPTED, FAILED, None, UNKNOWN_OUTCOME, UNSAFE)
 
 
 def most_severe(statuses: Iterable[int]) -> int:
-    """The status that must be told, of several; DONE of none. Of failures that weigh alike the first."""
+    """The most severe of several statuses, of equal ones the first; DONE for none."""
     return max(statuses, key=_severity, default=DONE)
 
 

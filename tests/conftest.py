@@ -113,7 +113,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
     for why in sorted(
         {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if on_radio(skip)}
     ):
-        terminalreporter.write_line(f"NOT TRIED: {why.removeprefix('Skipped: ')}")
+        terminalreporter.write_line(f"NOT TESTED: {why.removeprefix('Skipped: ')}")
     if terminalreporter.config.option.capture != "no":
         return
     for file, client in FOREIGN.items():

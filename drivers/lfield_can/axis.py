@@ -221,9 +221,9 @@ class CanAxis(Device):
         known = "its speed is unknown" if velocity is None else f"turning at {abs(velocity):.2g} rad/s"
         if silence > self.protocol.silence:
             last = f", last seen {known}" if velocity is not None else ""
-            return (
-                f"not heard for {silence:.1f} s{last}" if self._last_contact is not None else "not heard yet"
-            )
+            if self._last_contact is None:
+                return "no message yet"
+            return f"no message for {silence:.1f} s{last}"
         if not self._still:
             return known
         if not self.protocol.is_safe(self.safe_state, True):
@@ -261,12 +261,11 @@ class CanAxis(Device):
             # Report it before the periodic check does: the caller reads the state.
             self.protocol.on_silence()
             self.publish(online=False, enabled=False, state=self.protocol.state.state)
-            raise self.error(f"not heard for {self._silence():.1f} s", timeout=True)
+            raise self.error(f"no message for {self._silence():.1f} s", timeout=True)
 
     # -- instructions -----------------------------------------------------------------------------------
 
     async def do_enable(self) -> None:
-        """Enables it."""
         self._check_set_up("enable")
         await self.protocol.enable()
 
@@ -302,7 +301,6 @@ class CanAxis(Device):
         await self._make_safe("brake")
 
     async def do_move_to(self, position: float, speed: float) -> None:
-        """Moves to a position."""
         self._check_position("moveTo", position)
         self._check_within("moveTo", "speed", speed, "rad/s")
         if speed <= 0.0:

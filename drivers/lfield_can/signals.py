@@ -225,7 +225,7 @@ class CanSignals(Device):
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
             if not self._fits(term, since):
                 lacks = self._is_missing(term.message, term.signal)
-                unheard = f"absent ({self._problems[term.message][0]})" if lacks else "not heard"
+                unheard = f"absent ({self._problems[term.message][0]})" if lacks else "no message"
                 wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, unheard)}")
         return wrong
 
@@ -235,7 +235,7 @@ class CanSignals(Device):
             return ""
         silence = self._silence()
         if silence > self._patience:
-            return f"not heard for {silence:.1f} s"
+            return f"no message for {silence:.1f} s"
         return ", ".join(self._mismatches(-math.inf))
 
     # -- instructions -----------------------------------------------------------------------------------

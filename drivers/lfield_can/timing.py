@@ -62,7 +62,6 @@ class PeriodicTask:
         self._task = asyncio.get_running_loop().create_task(work)
 
     def stop(self) -> None:
-        """Stops it."""
         if self._task is not None:
             self._task.cancel()
             self._task = None

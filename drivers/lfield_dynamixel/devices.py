@@ -198,7 +198,6 @@ class Dynamixel(MovingMembers):
 
     @property
     def servo(self) -> Servo:
-        """The servo."""
         return next(iter(self.servos.values()))
 
     def publish_readings(self, readings: Readings) -> None:
@@ -219,7 +218,6 @@ class Dynamixel(MovingMembers):
         await self.read_conditions()
 
     async def do_move_to(self, angle: float) -> None:
-        """Moves to an angle."""
         await self.travel("moveTo", {self.servo.node.number: angle})
 
     async def do_move_until(self, angle: float, current: float) -> None:
@@ -321,7 +319,7 @@ class Dynamixel(MovingMembers):
             raise self.error(f"setRange requires a lower and a higher angle, not {lowest:g} and {highest:g}")
         low, high = (self.servo.model.to_counts(angle) for angle in (lowest, highest))
         if high == 2 * self.servo.model.centre and self.servo.model.protocol == 2:
-            high -= 1  # a half turn equals minus a half turn; the last count of the turn is meant
+            high -= 1  # a half turn equals minus a half turn; take the last count of the turn
         if low < 0:
             raise self.error(f"setRange: {lowest:g} rad is below {self.servo.model.to_angle(0):.3f} rad")
         await self.servo.write_eeprom(min_position_limit=low, max_position_limit=high)

@@ -83,7 +83,7 @@ class DynamixelDriver(Driver):
         self._awake.set()
 
     async def _poll(self) -> None:
-        """Polls every device; not while the host is silent, or the port is gone."""
+        """Polls every device; not while the host is silent or the port is lost."""
         period = min([PERIOD, *(0.5 * device.binding.ttl for device in self._members)])
         while True:
             await self._awake.wait()

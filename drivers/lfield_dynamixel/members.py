@@ -87,7 +87,6 @@ class Members(Device):
 
     @property
     def last_readings(self) -> Readings:
-        """The last reading of each member."""
         return {number: value for number, (_, value) in self._readings.items()}
 
     @property
@@ -312,7 +311,7 @@ class Members(Device):
         silence = self.clock.monotonic() - at
         if number in self._probe_at or silence > SILENT:
             last = f", last seen {turns}" if abs(seen.velocity) > STILL else ""
-            return f"not heard for {silence:.1f} s{last}"
+            return f"no message for {silence:.1f} s{last}"
         if abs(seen.velocity) > STILL:
             return turns
         known = self.conditions.get(number)

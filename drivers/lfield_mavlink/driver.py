@@ -158,9 +158,9 @@ class MavlinkDriver(Driver):
     # -- messages -------------------------------------------------------------------------------------
 
     def _why_silent(self) -> str:
-        """Why a vehicle may not be heard: other vehicles are heard, or noise, or nothing."""
-        if heard := str(self._neighbours):
-            return f"heard: {heard}; is 'system' in its binding right?"
+        """Why no message of a vehicle may arrive: messages of other vehicles arrive, or noise, or nothing."""
+        if others := str(self._neighbours):
+            return f"received: {others}; is 'system' in its binding right?"
         if self._received_bytes:
             count = self._received_bytes
             return f"the {count} received bytes contain no heartbeat; is it the right port and baud rate?"
@@ -253,7 +253,7 @@ class MavlinkDriver(Driver):
             await asyncio.sleep(HEARTBEAT)
 
     def _request_boards(self) -> None:
-        """Requests the unique id over other links on which the vehicle is heard: it may be another
+        """Requests the unique id over other links on which its system id arrives: it may be another
         vehicle.
         """
         now = self.clock.monotonic()

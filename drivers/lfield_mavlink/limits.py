@@ -172,7 +172,6 @@ class Limits:
 
     @property
     def bounds_heights(self) -> bool:
-        """Whether the height is limited."""
         return self._altitude < math.inf
 
     def check_speed(self, what: str, speed: float) -> None:

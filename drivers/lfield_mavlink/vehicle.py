@@ -47,10 +47,10 @@ ASKED, SECOND = 2, 0.2
 
 @dataclass(frozen=True, slots=True)
 class LinkViews:
-    """What a vehicle reads of its links.
+    """Data of the links of a vehicle.
 
-    `counts` returns the counters of their readers, `why_silent` why the vehicle may not be heard, and
-    `others` which other station commands it, if seen; `sources` are the addresses that it sends from.
+    `counts` returns the counters of their readers, `why_silent` a possible reason for silence, and `others`
+    another station that commands it, if known; `sources` are the addresses that it sends from.
     """
 
     counts: Callable[[], LinkCounts] = LinkCounts
@@ -131,7 +131,7 @@ class MavlinkVehicle(Contact):
             self._dispatch(message)
         self._changed.set()
 
-    # -- who it is ------------------------------------------------------------------------------------
+    # -- identity -------------------------------------------------------------------------------------
 
     def _note_sources(self) -> None:
         """Logs changes of its addresses."""
@@ -162,7 +162,7 @@ class MavlinkVehicle(Contact):
         await self._identity.gate(number)
 
     def check_link(self) -> None:
-        """Raises DeviceError when the link is lost, or another vehicle is heard."""
+        """Raises DeviceError when the link is lost, or messages of another vehicle arrive."""
         if self._identity.other_vehicle:
             raise self.error(self._identity.other_vehicle)
         if self.silence > LINK_LOST and (conflict := self.conflict):

@@ -9,7 +9,7 @@ rover waits FS_TIMEOUT more). A velocity setpoint ends after GUID_TIMEOUT (on a 
 configurable). The longer of the two is its watchdog. https://ardupilot.org/copter/docs/gcs-failsafe.html,
 https://ardupilot.org/copter/docs/ac2_guidedmode.html
 
-PX4 acts COM_OF_LOSS_T after the last setpoint, whatever ground stations it hears. That is its watchdog if it
+PX4 acts COM_OF_LOSS_T after the last setpoint, independent of ground stations. That is its watchdog if it
 moves by setpoints only. Autonomous motions, if waived (a mission, a return), end by the data link failsafe,
 which any ground station prevents: COM_DL_LOSS_T, at least 5 s, plus 2 s for detection (6.6 to 7.1 measured).
 Then the longer is its watchdog: at least 7 s. https://docs.px4.io/main/en/config/safety.html,
@@ -104,7 +104,7 @@ _STATION = Need(
     ("MAV_GCS_SYSID", "SYSID_MYGCS"),
     "its failsafe depends on this station alone: another one, at 255, does not prevent it. That one still "
     "commands modes, missions and parameters, but its sticks (RC override, MANUAL_CONTROL) are ignored, and "
-    "the vehicle cannot be armed while this station is not heard ('GCS failsafe on'). "
+    "the vehicle cannot be armed without heartbeats of this station ('GCS failsafe on'). "
     "'lfield setup --apply FILE' reverts that",
     station_of,
 )

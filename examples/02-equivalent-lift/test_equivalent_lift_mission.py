@@ -49,7 +49,7 @@ def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield_missi
     found = lifts(team)
     if lift is None:
         assert found == []
-        for why in ("crane: axis: not heard", "sky: battery 0.15 (measured ", "hand: motor: not heard"):
+        for why in ("crane: axis: no message", "sky: battery 0.15 (measured ", "hand: motor: no message"):
             assert team.said(why)
         return
     ((host, height),) = found

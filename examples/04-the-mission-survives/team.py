@@ -18,7 +18,7 @@ from lfield.testing.keyring import Keyring
 #: Seconds to wait for a line of the mission.
 PATIENCE = 60.0
 #: The part of the hosts' output that is shown.
-SHOWN = re.compile(r"^(survivor|clearer|nobody was heard|no other host)|safe state|Traceback|problem")
+SHOWN = re.compile(r"^(survivor|clearer|failover)|safe state|Traceback|problem")
 
 
 class Line(NamedTuple):

@@ -57,7 +57,9 @@ def sign_bundle(digest: bytes, keys: Keys, at: float) -> bytes:
             "command')"
         )
     if not who.valid_from <= at < who.valid_until:
-        raise KeysError(f"the certificate of {who} is not valid now: set the clock, or renew it")
+        raise KeysError(
+            f"the certificate of {who} is not valid at the present time: set the clock, or renew it"
+        )
     second = int(at)
     signature = private_in(keys.key).sign(_signed_text(digest, second))
     return _encoder.encode(_Seal(der_of(keys.certificate), second, signature))
@@ -82,7 +84,9 @@ def verify_bundle(digest: bytes, signature: bytes, authority: bytes) -> BundleSi
     except KeysError as error:
         raise SignatureError(f"its signature does not count: {error}") from None
     if not sound:
-        raise SignatureError(f"it is not what {who} has signed: copy it again, or sign it with 'lfield sign'")
+        raise SignatureError(
+            f"it has changed after {who} signed it: copy it again, or sign it with 'lfield sign'"
+        )
     return BundleSignature(who, float(seal.at))
 
 

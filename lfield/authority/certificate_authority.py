@@ -114,9 +114,7 @@ class CertificateAuthority(CertificateSigner[Ed25519PrivateKey]):
         It expires with the CA at the latest. Raises KeysError.
         """
         if not 0 < len(name) <= MAX_NAME or not name.isprintable():
-            raise KeysError(
-                f"'{name}' is no name: give one of 1 to {MAX_NAME} characters that can be printed"
-            )
+            raise KeysError(f"'{name}' is not a valid name: use 1 to {MAX_NAME} printable characters")
         if renews:
             key, public = None, public_in(certificate_in(renews))
         else:

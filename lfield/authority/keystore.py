@@ -61,7 +61,7 @@ def find_keys(
     if said is not None:
         whose = f"host {name}" if holder == "host" else "a person"
         raise KeysError(
-            f"{said} has no keys of {whose} that this user may see ({certificate_name(holder)}): copy there "
+            f"{said} has no keys of {whose} that this user may read ({certificate_name(holder)}): copy there "
             f"what 'lfield keys {holder}' has made"
         )
     return None

@@ -74,7 +74,7 @@ class Ledger:
         """Make keys for a host or person without valid ones. Raises KeysError."""
         if _NAME.fullmatch(name) is None:
             raise KeysError(
-                f"'{name}' is no name for keys: it begins with a letter or digit, and has letters, digits, "
+                f"'{name}' is not a valid name: it begins with a letter or digit, and has letters, digits, "
                 "'.', '_' and '-'"
             )
         if good := [row.who for row in self._rows_of(holder, name, at) if row.state == "good"]:
@@ -127,7 +127,7 @@ class Ledger:
         certificates that it issued after the copy.
         """
         if _SERIAL.fullmatch(serial) is None:
-            raise KeysError(f"'{serial}' is no number of a certificate: see 'lfield keys list'")
+            raise KeysError(f"'{serial}' is not the number of a certificate: see 'lfield keys list'")
         found = [who for who in self._issued() if who.serial.startswith(serial)]
         if not found and len(serial) >= _SERIAL_LENGTH:
             found = [replace(ANONYMOUS, serial=serial)]
@@ -174,7 +174,7 @@ class Ledger:
         last = max((who.valid_from for who in self._issued()), default=0.0)
         if at < max(last, self.revoked.at) - MIN_WARNING:
             raise KeysError(
-                f"the clock of this computer says {format_time(at)}, and this authority has made something "
+                f"the clock of this computer shows {format_time(at)}, and this authority has issued keys "
                 f"{format_time(max(last, self.revoked.at))}: set the clock"
             )
 

@@ -5,14 +5,14 @@ knows only the system clock and can only refuse. A vehicle in the air whose cert
 stop, be stopped and return: so the answer is yes, no, or yes to finish only. `at` is the time of
 `trusted_clock`.
 
-    | certificate of a peer   | new, or nothing flies | known, and the mission flies     |
-    |-------------------------|-----------------------|----------------------------------|
-    | ended                   | no                    | to finish                        |
-    | revoked, of a host      | no                    | to finish, on a link that stands |
-    | revoked, of a person    | no                    | no                               |
+    | certificate of a peer   | new, or not in flight | known, and in flight          |
+    |-------------------------|-----------------------|-------------------------------|
+    | expired                 | no                    | to finish                     |
+    | revoked, of a host      | no                    | to finish, on an open link    |
+    | revoked, of a person    | no                    | no                            |
 
 A revoked key may be stolen, so it opens no new link; an open link was made before the revocation. Only a
-link between hosts stays open to finish, not one of an observer. A host that is cut off cannot know of a
+link between hosts stays open to finish, not one of an observer. An unreachable host does not receive a
 revocation.
 """
 
@@ -54,7 +54,7 @@ class RevocationList:
         return f"list {self.number} of {format_time(self.at)}, with {count} certificate{'s' * (count != 1)}"
 
 
-#: Stands for a missing list.
+#: Replaces a missing list.
 NONE_REVOKED = RevocationList()
 
 
@@ -108,12 +108,12 @@ def verify_peer(
     if at < who.valid_from:
         return AdmissionDecision(
             "nothing",
-            f"the certificate of {who} begins {format_time(who.valid_from)}, and here it is "
+            f"the certificate of {who} is valid from {format_time(who.valid_from)}, and here it is "
             f"{format_time(at)}: set the clock",
         )
     if at >= who.valid_until:
         why = (
-            f"the certificate of {who} ended {format_time(who.valid_until)}, and the clock here says "
+            f"the certificate of {who} expired {format_time(who.valid_until)}, and the clock here shows "
             f"{_day(at)}: set the clock if it is wrong, else renew it with 'lfield keys renew "
             f"{_certificate_noun(who)}'"
         )
@@ -147,10 +147,10 @@ def verify_signer(
     sign = "sign it again with 'lfield sign', with keys that may 'command'"
     why = ""
     if who.serial in revoked.serials:
-        why = f"the keys of {who}, who signed it, are revoked (list {revoked.number}): {sign}"
+        why = f"the keys of its signer {who} are revoked (list {revoked.number}): {sign}"
     elif at >= who.valid_until:
-        clock = f"the clock here says {format_time(at)}, and the bundle was signed {format_time(signed)}"
-        ended = f"the certificate of {who}, who signed it, ended {format_time(who.valid_until)}"
+        clock = f"the clock here shows {format_time(at)}, and the bundle was signed {format_time(signed)}"
+        ended = f"the certificate of its signer {who} expired {format_time(who.valid_until)}"
         why = f"{ended}; {clock}: set the clock if it is wrong, else {sign}"
     return AdmissionDecision("all" if runs or not why else "nothing", why)
 
@@ -178,7 +178,7 @@ def _foreign(who: Identity, authority: str, expected: str) -> str:
             f"{authority[:12]}: give both keys of one authority"
         )
     if expected and (who.kind, who.name) != ("host", expected):
-        return f"{who} answers where host {expected} should: correct the address, or the keys there"
+        return f"{who} answers at the address of host {expected}: correct the address, or the keys there"
     return ""
 
 

@@ -34,22 +34,22 @@ def parse_or_error(sentence: str, read: Callable[[], Read]) -> Read:
 
 def certificate_in(pem: bytes) -> x509.Certificate:
     """The first certificate in a PEM text. Raises KeysError."""
-    sentence = "it is no certificate (PEM); copy it again from the authority's folder"
+    sentence = "not a certificate (PEM); copy it again from the authority's folder"
     return parse_or_error(sentence, lambda: x509.load_pem_x509_certificate(pem))
 
 
 def private_in(pem: bytes) -> Ed25519PrivateKey:
     """The private key in a PEM text. Raises KeysError."""
-    sentence = "it is no private key (PEM, no password); copy it again"
+    sentence = "not a private key (PEM, no password); copy it again"
     key = parse_or_error(sentence, lambda: serialization.load_pem_private_key(pem, None))
     if not isinstance(key, Ed25519PrivateKey):
-        raise KeysError("it is no Ed25519 key, which all keys of lfield are; make keys with 'lfield keys'")
+        raise KeysError("not an Ed25519 key; create keys with 'lfield keys'")
     return key
 
 
 def public_in(certificate: x509.Certificate) -> Ed25519PublicKey:
     """The public key of a certificate. Raises KeysError."""
-    sentence = "it is no certificate of an Ed25519 key; make certificates with 'lfield keys'"
+    sentence = "not a certificate of an Ed25519 key; create certificates with 'lfield keys'"
     public = parse_or_error(sentence, certificate.public_key)
     if not isinstance(public, Ed25519PublicKey):
         raise KeysError(sentence)

@@ -47,7 +47,7 @@ def missing_permission(who: Identity, verdict: AdmissionDecision, message: Messa
     """Why an observer may not send a message, in a sentence; '' if it may."""
     rights = RIGHTS.get(type(message))
     if rights is None:
-        return f"{who} sent a {type(message).__name__}, which only hosts say to one another"
+        return f"{who} sent a {type(message).__name__}, which only hosts may send"
     needed = rights[1] if getattr(message, "lift", False) else rights[0]
     may = verdict.remaining_rights(who.may | HOST_RIGHTS if who.kind == "host" else who.may)
     if needed is None or needed in may:
@@ -55,7 +55,7 @@ def missing_permission(who: Identity, verdict: AdmissionDecision, message: Messa
     if needed in verdict.denied_rights:
         return verdict.denied_rights[needed]
     if verdict.extent != "all" and needed in who.may:
-        return f"{verdict.why}; until then {who} may only look and stop"
+        return f"{verdict.why}; until then {who} may only observe and stop"
     has = sorted_rights(may).replace(",", " and ") or "do nothing"
     return f"{who} may {has}, and this takes the right to {needed}: {_remedy(who, needed)}"
 

@@ -51,7 +51,7 @@ def _constraint_error(text: str, mistakes: list[Mistake]) -> ConstraintError:
 
 
 def parse_expression(text: str) -> tuple[Expression | None, list[Mistake]]:
-    """The expression in a text, or None and what is wrong. What its names mean is not looked at."""
+    """Parses an expression without resolving its names; returns None and the errors if it is invalid."""
     tree, mistakes = condition_parser.parse_condition(text)
     return (None if tree is None else Expression(text, tree)), mistakes
 

@@ -44,7 +44,7 @@ def encode_tree(tree: ConditionExpr) -> list[object]:
 
 
 def decode_tree(text: str, data: object) -> ConditionExpr:
-    """The tree of the condition `text`. Raises ValueError for data that is none."""
+    """The tree of the condition `text`. Raises ValueError for invalid data."""
     return _decode(Source("", text), data, 1)
 
 

@@ -34,7 +34,7 @@ from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 #: The longest text that is read, in characters.
 MAX_LENGTH = 2000
 
-#: Hints in place of those that only help in a program, by code.
+#: Hints by code, which replace those that apply to programs only.
 _HINTS: Mapping[str, str] = {
     messages.NOT_TEXT.code: "write it as an escape: \\0 or \\u{...}",
     messages.MISSING_CLOSE.code: "add it, or remove the opening bracket",
@@ -58,7 +58,7 @@ class ParsedQuery:
 
 
 class _ConditionError(Exception):
-    """An expression of L that is no condition, or text after the condition."""
+    """An expression of L that is not a condition, or text after the condition."""
 
     def __init__(self, place: Span, message: str, hint: str = "") -> None:
         super().__init__(message)

@@ -12,7 +12,7 @@ from lfield.text.source_text import Span
 
 #: The greatest height of a tree: trees are walked recursively.
 MAX_HEIGHT = 100
-#: The most offers that can be asked for.
+#: Largest limit of a query.
 MAX_LIMIT = 1000
 
 

@@ -63,9 +63,9 @@ class SortKey:
 
 @dataclass(frozen=True, slots=True)
 class OfferQuery:
-    """What is asked of offers: a condition (None: any will do), what to order by first, and how many.
+    """A query: a condition (None: all offers), order keys, and a limit.
 
-    Where the keys are equal, and where there are none, the ranking decides; what is not known comes last.
+    Ties, and queries without keys, are ordered by the ranking; unknown values come last.
     """
 
     condition: Expression | None = None
@@ -183,9 +183,9 @@ class PortalMap:
 class LiveAttribute:
     """An attribute that an agent reports: `value * factor + offset` of `device.quantity`, telemetry.
 
-    Of a quantity that is an array, `index` is the element: `fc.position[0]` is how far north. Where no
-    `unit` was written, factor and offset follow from the device's manifest (program_check.py). Without a
-    `device` the quantity is what a `portal` of the resource gives, which is asked `every` so many seconds.
+    `index` is the element of an array quantity: `fc.position[0]` is north. Without a `unit`, factor and
+    offset follow from the device's manifest (program_check.py). Without a `device` the value is the result of
+    a `portal` of the resource, called `every` so many seconds.
     An attribute that is not live is reported once by a device, for instance its kind.
     """
 
@@ -201,7 +201,7 @@ class LiveAttribute:
 
     @property
     def portal(self) -> str:
-        """The portal that is asked, '' for telemetry."""
+        """The portal that is called, '' for telemetry."""
         return "" if self.device else self.quantity
 
 

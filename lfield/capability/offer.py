@@ -16,7 +16,7 @@ from lfield.capability.model import Value
 OfferKind = Literal["direct", "equivalent", "composed"]
 
 #: The provenance of a value, the most reliable last: usual for the type, stated for the mission or the type,
-#: reported by the device, or measured by it.
+#: told by the device, or measured by it.
 Provenance = Literal["nominal", "stated", "told", "measured"]
 
 
@@ -52,9 +52,9 @@ class Candidate(Struct, frozen=True, gc=False):
     `facts` are the values reported by its host, by attribute, and `stated` those of the mission, which take
     precedence; those of its type and the primitive are in the registry. `hops` is 0 when it is on this host,
     else 1. `refusal` is the reason why it cannot be called (`unreachable for 12 s`), '' when it can.
-    `unknown` has of single live attributes why there is no value (`fc has not reported battery`). `number` is
-    its place in the deployment. `barred` has by primitive the reason why the querying coordinator may not
-    call it.
+    `unknown` are the reasons for missing live attributes (`fc has not reported battery`). `number` is its
+    place in the deployment. `barred` has by primitive the reason why the querying coordinator may not call
+    it.
     """
 
     agent: str

@@ -6,7 +6,7 @@ from lfield.text.terminal_escape import escape
 
 
 def confirm(question: str) -> bool:
-    """Ask in the terminal. Whoever leaves it without a word (Ctrl-D) has not agreed."""
+    """Ask in the terminal. End of input (Ctrl-D) means no."""
     try:
         return input(escape(question)).strip().lower() == "yes"
     except EOFError:

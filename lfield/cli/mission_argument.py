@@ -52,7 +52,7 @@ class _GivenOnce(argparse.Action):
         option: object = None,
     ) -> None:
         if getattr(namespace, self.dest) is not None:
-            parser.error("--deploy names one mission, and stands here twice")
+            parser.error("--deploy is given twice")
         setattr(namespace, self.dest, values)
 
 
@@ -114,7 +114,7 @@ def selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam
         return targets_of_runs(runs)
     team = open_team(path)
     if args.run and runs[0].manifest.deployment != team.deployment.hex():
-        raise UsageError(f"{runs[0].id} is no run of {path}")
+        raise UsageError(f"{runs[0].id} is not a run of {path}")
     return targets_of_team(team, runs, args.map)
 
 
@@ -127,10 +127,10 @@ def selected_team(args: argparse.Namespace) -> TargetTeam:
 
     parties = selected_teams(args, selected_runs(args))
     party = single_target(parties)
-    beside = [other.id for other in parties if other.user and other is not party]
-    if beside:
+    foreign = [other.id for other in parties if other.user and other is not party]
+    if foreign:
         print(
-            f"lfield: runs of other users were not asked: name one with --run: {listed(beside)}",
+            f"lfield: runs of other users are not included; select one with --run: {listed(foreign)}",
             file=sys.stderr,
         )
     return party

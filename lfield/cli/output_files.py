@@ -10,9 +10,9 @@ from lfield.errors import OutputFileError
 
 
 def write_bytes(path: Path, data: bytes) -> None:
-    """Write a whole file or leave what was there; raises OutputFileError.
+    """Write a file atomically. Raises OutputFileError.
 
-    What is no plain file (a device, a pipe) is written to, never replaced.
+    A device or pipe is written to, never replaced.
     """
     temporary: Path | None = None
     try:

@@ -84,7 +84,6 @@ class ProgramTables:
         return self._classes[name]
 
     def method_index(self, method: tree.Method) -> int:
-        """The index of a method."""
         return self._methods[method]
 
     def async_variant(self, method: tree.Method) -> tree.Method:

@@ -120,7 +120,6 @@ class _Bus:
         ]
 
     async def close(self) -> None:
-        """Closes the bus."""
         if self._driver is not None:
             await self._driver.close()
         self._lock.release()

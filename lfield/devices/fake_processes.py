@@ -135,8 +135,8 @@ class FakeOutput:
         sys.stderr.write(kept or "")
 
     def exit_reason(self, what: str, said: str) -> str:
-        """`what` with the output of a fake that has ended, on stderr or in `said`; the last line of a
-        traceback.
+        """`what` with the output of a fake that has ended (stderr or `said`): of a traceback the last
+        line.
         """
         lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
         if any(line.startswith("Traceback") for line in lines):

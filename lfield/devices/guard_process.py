@@ -292,7 +292,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
                 f"{binding.field}: in its safe state {self.latched_devices.state(device)}: {why}"
             )
         lost = self.snapshots.silent_since(device)
-        return None if lost is None else Unavailability(f"{binding.field}: not heard", lost)
+        return None if lost is None else Unavailability(f"{binding.field}: no message", lost)
 
     @property
     def actuated_devices(self) -> tuple[str, ...]:

@@ -1,6 +1,6 @@
 """Latched devices of a guard: why they are held, and their progress to rest.
 
-Messages of the guard in, log lines out. Also records what a restarted guard must be asked for again.
+Messages of the guard in, log lines out. Also stores the requests that a restarted guard must get again.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ OnLatchEvent = Callable[
 
 
 class LatchedDevices:
-    """The latched devices of one guard by name. `pulse` tells when this computer caused a silence."""
+    """The latched devices of one guard by name. `pulse` determines when this computer caused a silence."""
 
     def __init__(
         self,

@@ -90,7 +90,7 @@ def read_backup(path: Path) -> list[BackupEntry]:
     except OSError as error:
         raise InputFileError(str(path), error_reason(error)) from None
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise DamagedFileError(str(path), f"it is no backup of 'lfield setup': {error}") from None
+        raise DamagedFileError(str(path), f"not a backup of 'lfield setup': {error}") from None
     if file.version != _VERSION:
         reason = f"it has version {file.version}; this lfield supports version {_VERSION}"
         raise DamagedFileError(str(path), reason)

@@ -17,7 +17,7 @@ from lfield.text.value_text import telemetry_text
 from lfield.vm.engine_interface import Reading
 from lfield.vm.memory.word_codec import bits_of_real
 
-#: Least seconds of silence after which a device that was heard before counts as lost.
+#: Least seconds of silence after which a device with earlier messages counts as lost.
 SILENCE_LIMIT = 3.0
 #: Quantities in the description of a device's last condition.
 MAX_DESCRIBED = 4
@@ -95,10 +95,10 @@ class Snapshots:
         Too long is the shortest `max_age` of its quantities, at least SILENCE_LIMIT. A device that has never
         sent anything is not lost: some never do.
         """
-        heard = self.last_contact.get(device)
-        if heard is None or self._clock.monotonic() - heard <= self._patience[device]:
+        last = self.last_contact.get(device)
+        if last is None or self._clock.monotonic() - last <= self._patience[device]:
             return None
-        return heard
+        return last
 
     def reading(self, device: str, quantity: str) -> Reading | None:
         """A reading that every snapshot updates, None for text, arrays and `age`."""
@@ -117,12 +117,12 @@ class Snapshots:
         reading.update(word, seen.when + self._quantities[key].max_age)
 
     def describe(self, device: str) -> str:
-        """The last known condition of a device: `last heard 0.3 s ago: armed yes, mode LAND`."""
+        """The last known condition of a device: `last contact 0.3 s ago: armed yes, mode LAND`."""
         if device not in self.last_contact:
-            return "it was never heard"
+            return "it has sent no message"
         age = self._clock.monotonic() - self.last_contact[device]
         words = telemetry_text(self.telemetry[device], MAX_DESCRIBED)
-        return f"last heard {age:.1f} s ago{f': {words}' if words else ''}"
+        return f"last contact {age:.1f} s ago{f': {words}' if words else ''}"
 
     @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:

@@ -1,4 +1,4 @@
-"""A bound device: what `mission.devices.yaml` says about one field of one agent."""
+"""A bound device: the entry of one field of one agent in `mission.devices.yaml`."""
 
 from __future__ import annotations
 

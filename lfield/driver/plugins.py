@@ -59,7 +59,6 @@ class Plugins:
         return [path for path in found if path is not None]
 
     def for_type(self, device_type: str) -> InstalledPlugin | None:
-        """The plugin of a device type."""
         return next((found for found in self.by_driver.values() if device_type in found.manifests), None)
 
     def find_source(self, path: str) -> Path | None:
@@ -99,7 +98,7 @@ def discover(entries: Iterable[EntryPoint] | None = None) -> Plugins:
     """Every installed driver. No vendor library is imported. Raises PluginError on duplicate names."""
     plugins = Plugins()
     found = entry_points(group=GROUP) if entries is None else entries
-    # One distribution may be found twice (an editable install beside a wheel): equal values are one plugin.
+    # One distribution may be found twice (an editable install and a wheel): equal values are one plugin.
     for reference, entry in sorted({entry.value: entry for entry in found}.items()):
         plugins.add(reference, f"{entry.dist.name} {entry.dist.version}" if entry.dist else "")
     return plugins

@@ -3,15 +3,15 @@
 A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
 
 - the host has sent no heartbeat for `silence` seconds (only if the host has moved the device since it was
-    opened or released), or is gone, or requests it;
+    opened or released), or has ended, or requests it;
   - a setpoint has expired without a replacement: its time-to-live starts when the device accepts it, and a
     running call that would replace it has as long;
   - its driver raised anything but a DeviceError, reports a breach, or the guard was restarted;
   - a call was cancelled, and the instruction that ends it has failed.
 
-A latched device may be asked for another safe state than that of its binding. Only `release()` frees it, once
-its safe state is confirmed. On each channel one actuation runs at a time: a newer one replaces an older one,
-so `land()` need not wait for a `goTo()` of another thread. A query to the device runs concurrently, also
+A latched device may be commanded to another safe state than that of its binding. Only `release()` frees it,
+once its safe state is confirmed. On each channel one actuation runs at a time: a newer one replaces an older
+one, so `land()` need not wait for a `goTo()` of another thread. A query to the device runs concurrently, also
 while it is latched.
 
 A device that still moves in its safe state is commanded again, in case it was moved out of it.
@@ -233,7 +233,7 @@ class GuardCore:
         return self._stop(reason)
 
     def on_host_gone(self, reason: str) -> list[Effect]:
-        """The host is gone: make everything safe, then exit."""
+        """The host has ended: make everything safe, then exit."""
         self._rest.on_host_gone()
         return self._stop(reason)
 

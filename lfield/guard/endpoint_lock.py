@@ -86,7 +86,6 @@ class EndpointLock:
                 ) from None
 
     def release(self) -> None:
-        """Releases all locks."""
         for lock in self._held:
             asyncio.get_running_loop().remove_reader(lock)
             lock.close()
@@ -118,7 +117,7 @@ async def _lock_name(place: EndpointTarget) -> str:
 
 
 def _answer_holder_query(lock: socket.socket) -> None:
-    """Another process has asked for the owner."""
+    """Another process has queried the owner."""
     with suppress(OSError):
         lock.accept()[0].close()
 

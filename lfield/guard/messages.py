@@ -122,7 +122,7 @@ class Refused(GuardMessage, frozen=True):
 class TelemetrySnapshot(GuardMessage, frozen=True):
     """Guard: telemetry of one device by quantity, and when the device itself last sent something.
 
-    `is_foreign_controlled`: somebody else, such as a pilot, controls it.
+    `is_foreign_controlled`: a pilot or another station controls it.
     """
 
     device: str
@@ -235,12 +235,12 @@ class MessageReader:
 
 
 def host_silent(silence: float) -> str:
-    """Why a device is made safe when its host has not responded for so many seconds."""
+    """The reason when a device is made safe after this silence (s) of its host."""
     return f"the host was silent for over {silence * 1000:.0f} ms"
 
 
 def unread_report(message: GuardMessage) -> str:
-    """Log line of a guard whose host is gone; '' for messages that need none."""
+    """Log line of a guard whose host has ended; '' for messages that need none."""
     match message:
         case Latched(device, reason, True):
             return f"{device} in safe state: {reason}"

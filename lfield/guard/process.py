@@ -30,9 +30,7 @@ from lfield.wire.framing import size_of
 
 
 async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> int:
-    """Guards one bus until the host stops it or is gone; returns the exit status. `first` was already
-    read.
-    """
+    """Guards one bus until the host stops it or ends; returns the exit status. `first` was already read."""
     running = asyncio.get_running_loop()
     output, _ = await running.connect_write_pipe(asyncio.BaseProtocol, os.fdopen(output_fd, "wb", 0))
     # Imported here: a vendor library that is slow to load must not delay the guards of other buses.

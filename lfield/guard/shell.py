@@ -139,7 +139,7 @@ class Shell(asyncio.Protocol):
             self._run(self._core.clear_stop())
 
     def _answer_beat(self) -> None:
-        """A rate-limited heartbeat, which tells an idle guard from one that hangs."""
+        """A rate-limited heartbeat, which distinguishes an idle guard from one that hangs."""
         now = self._clock.monotonic()
         if now - self._answered >= ANSWER_EVERY:
             self._answered = now
@@ -189,7 +189,7 @@ class Shell(asyncio.Protocol):
         self._send(Note(device, *report_fields(text)))
 
     def breach(self, device: str, reason: str) -> None:
-        """The device exceeds a limit: it is made safe, whatever its calls do."""
+        """The device exceeds a limit: it is made safe, independent of its calls."""
         if self._core is not None:
             self._run(self._core.latch(device, reason))
 

@@ -74,7 +74,6 @@ class Standstill:
             self._stopped_at = now
 
     def on_host_gone(self) -> None:
-        """The host is gone."""
         self._is_host_gone = True
 
     def on_muted(self, on: bool) -> None:

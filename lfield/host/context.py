@@ -71,7 +71,6 @@ class HostContext:
 
     @property
     def has_journal(self) -> bool:
-        """Whether this host has a journal."""
         return bool(self.journal_id)
 
     @cached_property

@@ -132,7 +132,6 @@ class HostCore:
         return effects
 
     def hello(self) -> Hello:
-        """The present Hello of this host."""
         states = self.coordinators.handshake_states()
         stamp = self.recorder.hybrid_clock.tick(self._clock.monotonic())
         return structs.replace(

@@ -138,7 +138,7 @@ def compile_in_process(
     except subprocess.TimeoutExpired:
         raise _compile_failure(f"took longer than {timeout:g} s") from None
     except (OSError, MemoryError) as error:
-        raise _compile_failure(f"could not begin: {error or 'there is no memory for it'}") from None
+        raise _compile_failure(f"could not start: {error or 'not enough memory'}") from None
     if ended.returncode:
         raise _compile_failure(_exit_reason(ended.returncode, ended.stderr))
     codes = _split_modules(ended.stdout)

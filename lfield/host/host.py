@@ -333,7 +333,6 @@ class Host:
     # --- Owner of the links ---------------------------------------------------------------------------
 
     def hello(self) -> Hello:
-        """The present Hello of this host."""
         return self.core.hello()
 
     def on_linked(self, hello: Hello) -> None:

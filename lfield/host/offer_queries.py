@@ -79,7 +79,7 @@ class MatchResults:
         """
         answer = self._matcher.find(capability, self._compiled(constraint))
         if answer.cut and not answer.offers:
-            raise SearchIncomplete(f"nobody was found for {capability}, but {'; '.join(answer.notes)}")
+            raise SearchIncomplete(f"no offer was found for {capability}, but {'; '.join(answer.notes)}")
         note = "; ".join(answer.notes)
         return [to_vm_offer(offer, self._numbers, answer.count, note) for offer in answer.offers]
 

@@ -31,9 +31,9 @@ _FREE_SPACE = "make room on that disk"
 _REASONS = {
     sqlite3.SQLITE_FULL: ("no space is left on its disk", _FREE_SPACE),
     sqlite3.SQLITE_READONLY: ("its disk is read-only", "mount it for writing, or name another --state"),
-    sqlite3.SQLITE_IOERR: ("its disk fails", "the system's log (dmesg) says why"),
-    sqlite3.SQLITE_CANTOPEN: ("it cannot be opened", "see who may write there, or name another --state"),
-    sqlite3.SQLITE_PERM: ("it may not be opened", "see who may write there, or name another --state"),
+    sqlite3.SQLITE_IOERR: ("its disk fails", "see the kernel log (dmesg)"),
+    sqlite3.SQLITE_CANTOPEN: ("it cannot be opened", "check the permissions, or name another --state"),
+    sqlite3.SQLITE_PERM: ("permission denied", "check the permissions, or name another --state"),
     sqlite3.SQLITE_BUSY: ("another program writes to it", "end that program"),
 }
 
@@ -206,6 +206,6 @@ def _failure(path: Path, error: sqlite3.Error | OSError) -> JournalError:
     if isinstance(error, OSError):
         return JournalError(str(path), (error.strerror or str(error)).lower())
     reason, advice = _REASONS.get(
-        primary_code(error), (str(error), "start this host again: it says what is left")
+        primary_code(error), (str(error), "start this host again: it reports what could be read")
     )
     return JournalError(str(path), reason, advice)

@@ -64,7 +64,7 @@ def open_journal(path: Path, owner: JournalOwner, report: Callable[[str], None],
     """
     _finish_replacement(path)
     if fault := unusable_reason(path):
-        raise JournalError(str(path), fault, "put the journal back, or remove it: then this host begins anew")
+        raise JournalError(str(path), fault, "put the journal back, or remove it: then this host starts anew")
     if not path.exists():
         _write_journal(path, _new_head(owner), {}, [], now)
         with suppress(OSError):
@@ -89,7 +89,7 @@ def unusable_reason(path: Path) -> str:
         return "it is a link that leads nowhere" if os.path.islink(path) else ""
     if stat.S_ISDIR(mode):
         return "it is a folder"
-    return "" if stat.S_ISREG(mode) else "it is no file"
+    return "" if stat.S_ISREG(mode) else "not a file"
 
 
 def is_damage(error: sqlite3.Error) -> bool:
@@ -179,7 +179,7 @@ def describe_loss(entry: JournalEntry) -> str:
     words = {
         "copy": f"the copy of {name}, start {number}",
         "begun": f"call {number} started here by start {str(name).replace(chr(32), ' of ', 1)}",
-        "reservation": f"who has reserved {name}",
+        "reservation": f"the reservation of {name}",
         "starts": "the count of starts",
         "run": "whether the last run continues",
         "paused": "whether the mission is paused here",
@@ -273,8 +273,7 @@ def _write_journal(
     damaged: list[DamagedEntry],
     now: float,
 ) -> str:
-    """Replace whatever is at the path by a whole journal; returns the new name of the old file, '' for
-    none."""
+    """Replace the file at the path by a valid journal; returns the new name of the old file, '' for none."""
     making = path.with_name(f"{path.name}.making")
     for ending in ("", "-journal", "-wal", "-shm"):
         making.with_name(making.name + ending).unlink(missing_ok=True)
@@ -331,7 +330,7 @@ def _check_owner(path: Path, head: JournalHeader, owner: JournalOwner) -> None:
         raise ForeignJournal(
             str(path),
             "it was written on another computer, where its coordinators may still run",
-            "use it there; if that computer is gone for good, remove it here: then this host begins anew",
+            "use it there; if that computer is lost for good, remove this journal: the host then starts anew",
         )
 
 

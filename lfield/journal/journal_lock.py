@@ -16,7 +16,7 @@ from lfield.errors import JournalError, JournalInUse
 _SOURCES = ("proc/device-tree/serial-number", "etc/machine-id")
 #: Only a hash is stored, as machine-id(5) requires.
 _PURPOSE = b"lfield journal "
-#: The lock file beside a journal, with the id of the process.
+#: The lock file of a journal, with the process id of its owner.
 LOCK_NAME = "host.lock"
 
 
@@ -57,7 +57,6 @@ class JournalLock:
             os.pwrite(self._descriptor, b"%-20d\n" % os.getpid(), 0)
 
     def release(self) -> None:
-        """Release the lock."""
         os.close(self._descriptor)
         os.close(self._folder)
 

@@ -23,7 +23,7 @@ from lfield.journal.salvage import salvage_database, temporary_copy
 from lfield.journal.store import BrokenFile, DamagedEntry, JournalHeader, Store
 from lfield.text.input_files import require_file
 
-#: SQLite's error where it may not write: it needs a shared-memory index beside the log, also for reading.
+#: SQLite's error without write permission: it needs a shared-memory index next to the log, also for reading.
 _NO_INDEX = (sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_READONLY, sqlite3.SQLITE_PERM)
 
 
@@ -61,7 +61,7 @@ def open_read_only(path: Path) -> ReadOnlyView:
     except OSError as error:
         raise InputFileError(str(path), (error.strerror or str(error)).lower()) from None
     if found.header is None and not found.records:
-        raise DamagedFileError(str(path), f"it is no journal, or nothing of it is left: {found.fault}")
+        raise DamagedFileError(str(path), f"not a journal, or completely damaged: {found.fault}")
     return found
 
 
@@ -102,7 +102,7 @@ def _read_valid(path: Path) -> ReadOnlyView:
 
 
 def _check_wal(path: Path) -> None:
-    """A log that is being written may look damaged for a moment. Raises BrokenFile."""
+    """Reads the log, which may appear damaged while it is written. Raises BrokenFile."""
     for _ in range(ATTEMPTS - 1):
         with suppress(BrokenFile):
             check_wal(path)

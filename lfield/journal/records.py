@@ -235,7 +235,7 @@ def decode_record(found: JournalEntry) -> Record:
     except (TypeError, ValueError, AttributeError, struct.error):
         raise RecordError("it is not of the right kind") from None
     if key_of(page) != found.key:
-        raise RecordError("it lies in the place of another")
+        raise RecordError("it is stored under another key")
     return page
 
 

@@ -1,7 +1,7 @@
-"""Reserved disk space of a journal: a file beside it that is deleted when the disk is full.
+"""Reserved disk space of a journal: a file in its folder that is deleted when the disk is full.
 
-Records that must be written then have space: verdicts, and the departure of each copy. On a copy-on-write
-file system (btrfs, ZFS) the space may become free later, or never while a snapshot holds it.
+This leaves space for records that must be written: verdicts, and the departure of each copy. On a
+copy-on-write file system (btrfs, ZFS) the space may become free later, or never while a snapshot holds it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ class SpaceReservation:
 
     def __init__(self, path: Path) -> None:
         self.path, self.is_released = path, False
-        #: Bytes that must be free beside the file: space just released is not available for new copies.
+        #: Bytes that must be free in addition: space just released is not available for new copies.
         self._extra_free_bytes = 0
         #: Bytes that must be free since space was short: otherwise an arrival after a departure would fail
         #: again.
@@ -32,7 +32,7 @@ class SpaceReservation:
         """Reserve space for overwriting copies of so many bytes in all. Raises OSError if there is none.
 
         A record is written twice: into SQLite's log, and from there into the database. After a failure the
-        reservation succeeds only when the missing bytes are free, whatever has left meanwhile.
+        reservation succeeds only when all missing bytes are free.
         """
         present, size = self._size(), MIN_BYTES + -(-2 * record_bytes // STEP_BYTES) * STEP_BYTES
         lacking = max(size - present, 0)

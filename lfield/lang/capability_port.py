@@ -64,7 +64,7 @@ class CapabilityTypes(Protocol):
     def generate(self, expected: Collection[str], files: Sequence[syntax.ParsedFile]) -> GeneratedClasses:
         """The classes of these capabilities and of those they refer to, for a program of these files.
 
-        A capability that has the name of a unit is none in this program.
+        A capability with the name of a unit of the program is left out.
         """
 
     def registry_problems(

@@ -110,7 +110,7 @@ class _Reader:
         scheme = re.match(r"([A-Za-z][\w+.-]*:)?//", whole.text)
         if scheme is None:
             if whole.text.startswith("/"):
-                self.problem(_part(whole, 0, 1), "one slash at the start: there are two or none")
+                self.problem(_part(whole, 0, 1), "one slash at the start: write two or none")
                 raise _Malformed
             return whole
         known = scheme.group(1) or ""

@@ -77,7 +77,7 @@ def check_text(
     find_include: FindInclude = no_include,
     capabilities: CapabilityTypes | None = None,
 ) -> CheckResult:
-    """Check a program text; its includes are looked up beside `name`."""
+    """Check a program text; includes are relative to the folder of `name`."""
     found = Diagnostics()
     files = FileSet(found, find_include)
     files.add(Source(name, text), Path(name))
@@ -110,7 +110,7 @@ def _checked(
 
 
 def _keep_only_portals(file: syntax.ParsedFile, unit: syntax.Unit, known: Collection[str]) -> None:
-    """Leave only the portals of a resource, which do nothing for ever, when it has an unknown device."""
+    """Reduce a resource with an unknown device to its portals, which wait without end."""
     names = {field.type.name for field in unit.fields} & unknown_names([file], known)
     if not names:
         return

@@ -1,7 +1,7 @@
-"""The library of L: names, parameter types, results, and who may call them.
+"""The library of L: names, parameter types, results, and the permitted callers.
 
-The thesis' own names (appendix J, table J.9) come first in each group; the rest complete them in kind.
-`operation` is the instruction of the machine that does it.
+The functions of the thesis (appendix J, table J.9) come first in each group, then the additional ones.
+`operation` is the instruction of the machine that implements the function.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ FUNCTIONS: tuple[LibraryFunction, ...] = (
         "f2s", (REAL,), STRING, "f2s", "any", "real to the shortest text that reads back the same"
     ),
     LibraryFunction(
-        "f2s", (REAL, INT), STRING, "f2s_digits", "any", "real to text with so many decimals (0-17)"
+        "f2s", (REAL, INT), STRING, "f2s_digits", "any", "real to text with this number of decimals (0-17)"
     ),
     LibraryFunction("b2s", (BOOLEAN,), STRING, "b2s", "any", "true or false as text"),
     LibraryFunction("abs", (INT,), INT, "abs_int", "any", "magnitude"),
@@ -122,7 +122,7 @@ EXCEPTION_METHODS: tuple[LibraryFunction, ...] = (
     ),
 )
 
-#: Methods of every proxy, answered where the coordinator is. A portal of that name is meant before them.
+#: Methods of every proxy, executed on the host of the coordinator. A portal of that name takes precedence.
 PROXY_METHODS: tuple[LibraryFunction, ...] = (
     LibraryFunction("agent", (), STRING, "agent", "coordinator", "the id of the resource"),
     LibraryFunction("host", (), STRING, "host", "coordinator", "the name of its host"),

@@ -99,7 +99,7 @@ _SIMPLE_ESCAPES = {"n": "\n", "t": "\t", "r": "\r", "0": "\0", '"': '"', "\\": "
 
 
 def scan(source: Source, found: Diagnostics, *, end: str = "the end of the file") -> Scan:
-    """All tokens of the source. Mistakes go to `found`; only a text that is none stops the scan."""
+    """All tokens of the source. Errors go to `found`; only a file that is not text stops the scan."""
     scanner = _Scanner(source, found)
     scanner.run(end)
     return scanner.result

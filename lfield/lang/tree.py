@@ -88,7 +88,6 @@ class Unit:
         self._fields[made.name] = made
 
     def add_method(self, made: Method) -> None:
-        """Add a method."""
         self.methods.append(made)
         self._methods.setdefault((made.name, made.kind), []).append(made)
 
@@ -97,7 +96,6 @@ class Unit:
         self.thrown = True
 
     def field(self, name: str) -> Field | None:
-        """The field of that name."""
         return self._fields.get(name)
 
     def overloads(self, name: str, kind: MethodKind) -> Sequence[Method]:

@@ -83,7 +83,7 @@ def is_reference(kind: Type) -> bool:
 
 
 def distance(given: Type, expected: Type) -> int | None:
-    """How many steps up a class is a kind of another one: 0 for itself; None when it is none.
+    """The distance from a class to a base class: 0 for itself; None if it is not a base class.
 
     Every class is a kind of `Exception`, since its objects can be thrown.
     """

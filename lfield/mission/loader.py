@@ -42,7 +42,7 @@ from lfield.vm.offer_objects import ways
 if TYPE_CHECKING:
     from lfield.lang.frontend import CheckResult
 
-#: Suffixes of the files of a mission, beside its deployment.
+#: Suffixes of the files of a mission, in the folder of its deployment.
 DEVICES, CAPABILITIES, ACCESS = ".devices.yaml", ".capabilities.yaml", ".access.yaml"
 
 
@@ -73,7 +73,7 @@ def load_mission(
 ) -> Mission:
     """Read, compile and check all files of a mission; raises ProgramError, BindingError and the like.
 
-    The program is `NAME.L` beside `NAME.dL`, the devices file `NAME.devices.yaml` and the mission's
+    The program is `NAME.L` in the folder of `NAME.dL`, the devices file `NAME.devices.yaml` and the mission's
     part of the registry `NAME.capabilities.yaml`, unless they are given. Access rules are in
     `NAME.access.yaml`. Agents that a test replaces (`doubled`) have no devices, and need neither bindings nor
     drivers.
@@ -112,7 +112,7 @@ def load_mission(
 
 
 def _access(deploy: Path, team: Team, program: Program, types: RegistryTypes) -> Access:
-    """The access rules in the file beside a deployment."""
+    """The access rules of a deployment, from its folder."""
     path = sibling_file(deploy, ACCESS)
     return NO_RULES if path is None else read_access(path, team.members, program, lambda: types.registry)
 
@@ -305,8 +305,8 @@ def compile_file(
 ) -> tuple[Program, list[Diagnostic]]:
     """Compile L source; returns the program and its warnings, raises ProgramError with its errors.
 
-    Its capabilities are those of `types`, else those of lfield and of `NAME.capabilities.yaml` beside
-    it. `doubled` are resource types that a test replaces.
+    Its capabilities are those of `types`, else those of lfield and of `NAME.capabilities.yaml` in
+    its folder. `doubled` are resource types that a test replaces.
     """
     from lfield.compiler.program_builder import compile_program
 
@@ -363,7 +363,7 @@ def _without_fakes(mission: Mission, devices: Path) -> Sequence[ReportableFindin
 
 
 def check_file(path: Path) -> Sequence[ReportableFinding]:
-    """The findings of a program, or of a deployment (with the program beside it, if it exists)."""
+    """The findings of a program, or of a deployment (with its program, if it exists)."""
     if path.suffix != ".dL":
         try:
             return compile_file(path)[1]

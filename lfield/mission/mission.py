@@ -128,7 +128,6 @@ class Mission:
         return replace(self, team=team)
 
     def with_bindings(self, bindings: Bindings) -> Mission:
-        """The same mission with other bindings."""
         return replace(self, bindings=bindings)
 
 

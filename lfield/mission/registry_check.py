@@ -33,7 +33,7 @@ def check_registry(
     """The findings in some files, which are merged with the registry of lfield unless `alone`.
 
     A file named `NAME.capabilities.yaml` belongs to a mission: it may override the registry of lfield, its
-    agents are those of `NAME.dL` beside it, and its program is `NAME.L` unless `program` is given. A note
+    agents are those of `NAME.dL` in its folder, and its program is `NAME.L` unless `program` is given. A note
     lists what a resource type of the program, with the name of one of lfield, does not serve. Raises
     InputFileError for a file that cannot be read.
     """

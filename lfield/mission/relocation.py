@@ -22,7 +22,7 @@ def relocate(mission: Mission, folder: Path, devices: Path) -> Mission:
     """The mission with source names relative to `folder`, which has its deployment.
 
     Paths of files in device options are relative to the folder `devices` where they are below it: they are
-    copied beside the bundle. Others stay absolute.
+    copied into the folder of the bundle. Others stay absolute.
     """
     names = {source.name: _name(source.name, folder) for source in mission.program.debug.sources}
     warnings = tuple(_renamed(warning, names) for warning in mission.warnings)

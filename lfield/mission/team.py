@@ -61,7 +61,6 @@ class Team:
 
     @property
     def coordinators(self) -> list[TeamMember]:
-        """All coordinators."""
         return [m for m in self.members if m.kind == "coordinator"]
 
     @property

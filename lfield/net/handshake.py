@@ -80,7 +80,7 @@ class Handshake:
             raise HandshakeError(f"{self._dialled or 'the peer'} refused this host: {message.reason}")
         if isinstance(message, IncompatibleHello):
             self._refuse(
-                f"{self.own.host} speaks protocol {PROTOCOL} and its peer protocol {message.protocol}; "
+                f"{self.own.host} uses protocol {PROTOCOL} and its peer protocol {message.protocol}; "
                 "install the same version of lfield on both"
             )
         if not isinstance(message, Hello):
@@ -140,7 +140,7 @@ class Handshake:
         if self._linked.get(name, hello.incarnation) != hello.incarnation:
             self._refuse(
                 f"{self.own.host} already has a link to another {name}; stop one of the two, or try again "
-                "when the old link is gone"
+                "when the old link has ended"
             )
 
     def _check_mission(self, hello: Hello) -> None:
@@ -225,7 +225,7 @@ class Handshake:
         """A host that renews too rarely for the others would lose its reservations."""
         if "observer" not in (self.own.role, hello.role) and self.own.reservation != hello.reservation:
             self._refuse(
-                f"reservations of {self.own.host} last {self.own.reservation:g} s unheard and those of "
+                f"reservations of {self.own.host} last {self.own.reservation:g} s without contact, those of "
                 f"{hello.host} {hello.reservation:g} s; give both the same 'reservations: {{lease: ...}}' in "
                 "their devices files"
             )

@@ -267,7 +267,6 @@ class LinkManager:
     # --- what sessions report -------------------------------------------------------------------------
 
     def new_handshake(self, dialled: str | None, who: Identity) -> Handshake:
-        """The handshake for a new link."""
         if dialled is None:
             self._last_incoming[who.name] = self.now()
         return Handshake(
@@ -355,7 +354,6 @@ class LinkManager:
         self.on_dialled(hello.host)
 
     def on_link_closed(self, session: Session) -> None:
-        """A link is closed."""
         for guests in (self._ungreeted, self._observers):
             guests.release(session)
         host = session.hello.host if session.hello else ""

@@ -242,7 +242,6 @@ class Session:
         self._owner.on_link_closed(self)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """The link is closed."""
         self._cancel_timeout()
         self.reason = self.reason or str(error or "")
         if isinstance(error, HandshakeError) and not self.linked:

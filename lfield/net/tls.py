@@ -139,7 +139,7 @@ class TlsChannel:
         Data of a stranger is bounded; data that is no TLS is not stored.
         """
         if self._has_received == 0 and len(data) and data[0] != _HANDSHAKE:
-            raise WireError("received data is not TLS: the peer is no lfield host, or an outdated one")
+            raise WireError("received data is not TLS: the peer is not an lfield host, or an outdated one")
         part, rest = data[: MAX_HANDSHAKE - self._has_received], data[MAX_HANDSHAKE - self._has_received :]
         self._has_received += len(part)
         self._incoming.write(part)
@@ -208,5 +208,5 @@ def _tls_error(error: ssl.SSLError) -> LfieldError:
     if reason.endswith(_REJECTED):
         return HandshakeError("peer rejected the certificate of this host: it trusts another CA")
     return WireError(
-        f"received data is no TLS 1.3, or was corrupted in transit: {reason.lower().replace('_', ' ')}"
+        f"received data is not TLS 1.3, or was corrupted in transit: {reason.lower().replace('_', ' ')}"
     )

@@ -52,8 +52,8 @@ OrderOnOpenLink = Callable[[str, OrderMessage], Awaitable[EmergencyStopResult]]
 
 #: Answers are printed at this interval in seconds while another host has not answered.
 REPORT_AFTER = 1.0
-#: Concurrent requests to hosts of own runs and of other users' runs: a process may have 1024 descriptors. Of
-#: one such run so many hosts that did not answer get a line each.
+#: Concurrent requests to hosts of own runs and of other users' runs (a process may have 1024 descriptors),
+#: and the maximum number of lines about unanswering hosts of one run of another user.
 MAX_AT_ONCE, MAX_FOREIGN, MAX_LINES = 512, 128, 8
 
 #: The largest block, in bytes; an observer receives none.
@@ -111,7 +111,7 @@ def ask_in_turn(
     """The answers in parts that are not empty, those of other users' hosts last.
 
     A host that does not answer delays the answers of others by at most `REPORT_AFTER`. Nothing is sent while
-    the caller uses a part. A bug in lfield is raised when all hosts have been asked.
+    the caller uses a part. A bug in lfield is raised after all requests.
     """
     places = {place: address for party in teams for place, address in party.host_refs.items()}
     failed: dict[HostRef, LfieldError] = {}
@@ -123,7 +123,7 @@ def ask_in_turn(
         if own is not None and known is not None and isinstance(request.message, OrderMessage):
             desk = order_sender(own, known)
     except KeysError as error:
-        # Hosts of this computer are asked without keys: it may be a stop.
+        # Requests to hosts of this computer need no keys: it may be a stop.
         transport, brings = observer_transport(), None
         failed = {place: error for place, address in places.items() if not address.startswith(UNIX)}
     asked = {place: address for place, address in places.items() if place not in failed}
@@ -171,7 +171,7 @@ def by_host(found: Mapping[HostRef, V], party: TargetTeam) -> dict[str, V]:
 
 
 def is_reached(answer: T | LfieldError) -> bool:
-    """Whether a program listens there, whatever it answered."""
+    """Whether a program listens there, even if it refused the request."""
     return not isinstance(answer, NoListener)
 
 
@@ -276,7 +276,7 @@ class _Requests(Generic[K, T]):
         self._request, self._crl = request, crl
         self._sender, self._standing, self._on_answer = sender, standing, on_answer
         self._answers: dict[K, T | LfieldError] = {}
-        #: Bugs, raised when all hosts have been asked.
+        #: Bugs, raised after all requests.
         self.bugs: list[Exception] = []
         loop = asyncio.get_running_loop()
         self._end = loop.time() + request.timeout
@@ -310,7 +310,7 @@ class _Requests(Generic[K, T]):
             self._sender.finish(given)
 
     async def _each(self, keys: Sequence[K], most: int) -> None:
-        """Ask hosts in order, at most so many at a time."""
+        """Send requests in order, at most `limit` at the same time."""
         left = iter(keys)
 
         async def some() -> None:
@@ -323,7 +323,7 @@ class _Requests(Generic[K, T]):
     async def _one(self, key: K) -> T | LfieldError:
         address = self._addresses[key]
         if _user(key) and not (address.startswith(UNIX) or is_number(address)):
-            # A look-up takes a thread for as long as the owner of the name likes.
+            # A name look-up blocks a thread for as long as the name server takes.
             return AddressError(
                 address, "an address of another user's run: name the run with --run to use it"
             )
@@ -355,7 +355,7 @@ class _Requests(Generic[K, T]):
         return {key: answer for key, answer in self._answers.items() if not _user(key)}
 
     async def believed_within(self, seconds: float) -> bool:
-        """Wait for the answers of `trusted` for at most so long; returns whether they are complete."""
+        """Wait for the answers of `trusted` until a time-out; returns whether they are complete."""
         done, _ = await asyncio.wait([self._trusted], timeout=seconds)
         for task in done:
             task.result()

@@ -41,7 +41,7 @@ def require_in_doubt(agent: str, hosts: Mapping[K, HostState], names: Mapping[K,
     if any(known.state != "EXITED" for _, known in found) or any(parked_copies(agent, hosts)):
         return
     if not found:
-        raise UsageError(f"no host that answers knows of a coordinator {agent}; 'lfield ps' shows them")
+        raise UsageError(f"no reachable host has a coordinator {agent}; 'lfield ps' lists them")
     last = max((known for _, known in found), key=lambda known: known.generation)
     raise UsageError(f"{agent} has ended on {last.where} ({last.outcome}): there is nothing to end")
 
@@ -61,7 +61,6 @@ def require_no_live_copy(agent: str, hosts: Mapping[K, HostState], names: Mappin
 
 
 def _state(agent: str, host: HostState) -> str:
-    """Its state on that host."""
     return next((found.state for found in host.report.agents if found.id == agent), "not woken yet")
 
 
@@ -79,9 +78,9 @@ def doubt_advice(hosts: Mapping[str, HostState]) -> Iterator[str]:
             yield f"{agent}: start its own mission again, or end it: lfield forget {agent}"
         elif newest and newest.state in ("MOVED", "IN DOUBT"):
             away = newest.where and newest.where not in told
-            first = f"start {newest.where} again; if that is gone for good, " if away else ""
+            first = f"start {newest.where} again; if it is permanently lost, " if away else ""
             if any(k.state in ("MOVED", "IN DOUBT") and not k.unreadable for k in found):
-                first += f"go on without it: lfield recover {agent}, or "
+                first += f"continue without it: lfield recover {agent}, or "
             yield f"{agent}: {first}end it: lfield forget {agent}"
 
 

@@ -1,7 +1,7 @@
 """Diagnoses of `lfield doctor`: problems between a computer and its devices, with remedies.
 
-Passive: it reads files, asks the system and measures how late the computer is; only `endpoints` opens
-devices, as a mission would.
+Passive: it reads files, queries the system and measures scheduling delays; only `endpoints` opens devices, as
+a mission would.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ PORTS = ("ttyUSB*", "ttyACM*", "ttyAMA*", "ttyTHS*", "serial0")
 #: Milliseconds that a USB adapter may hold bytes back; the usual 16 costs that for every answer.
 SERIAL_LATENCY = 1
 _REINSTALL = "pip install 'lfield[wasm]' again, for this processor, and see 'ulimit -v'"
-#: What is tried of an engine: whatever a version of wasmtime may lack is in the code of any such program.
+#: The program to test an engine with: its code needs every feature that a version of wasmtime may lack.
 _TRIAL_PROGRAM = """
 resource Tried {
   init(string[] arg) {
@@ -49,15 +49,15 @@ resource Tried {
   }
 }
 """
-#: adjtimex's word for a clock that nothing disciplines.
+#: adjtimex's state of an unsynchronised clock.
 _TIME_ERROR = 5
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticFinding:
-    """One diagnosis; `details` are lines, `cure` says what to do about a problem.
+    """One diagnosis; `details` are lines, `cure` is the remedy of a problem.
 
-    A note is what nothing here needs now.
+    The level `note` is for something that this mission does not need.
     """
 
     state: Literal["ok", "note", "warning", "problem"]
@@ -84,7 +84,7 @@ def shared_runs() -> DiagnosticFinding:
     """Whether the group may see and stop what this user starts."""
     if shared_group_id() is not None:
         return DiagnosticFinding(
-            "ok", f"members of the group {GROUP} may look at what this user starts, and stop it"
+            "ok", f"members of the group {GROUP} may observe and stop the missions of this user"
         )
     join = "" if os.geteuid() == 0 else f" && sudo usermod -aG {GROUP} $USER, then log in again"
     return DiagnosticFinding(
@@ -148,7 +148,7 @@ def _latency(timer: Path) -> DiagnosticFinding:
     return DiagnosticFinding(
         "warning",
         f"{port}: holds bytes back for up to {text} ms, which every answer of a servo waits for",
-        f"echo 1 | sudo tee {timer}; for ever: the udev rule {rule}",
+        f"echo 1 | sudo tee {timer}; permanently: the udev rule {rule}",
     )
 
 
@@ -169,7 +169,7 @@ def _can(root: Path) -> Iterator[DiagnosticFinding]:
 def _clock() -> DiagnosticFinding:
     """Whether the clock is synchronised; logs of a team are compared by it."""
     libc = ctypes.CDLL(None, use_errno=True)
-    # struct timex is 208 bytes on 64-bit Linux; modes 0 only asks.
+    # struct timex is 208 bytes on 64-bit Linux; modes 0 only reads.
     state = libc.adjtimex(ctypes.create_string_buffer(256))
     if state == _TIME_ERROR:
         return DiagnosticFinding(
@@ -177,7 +177,9 @@ def _clock() -> DiagnosticFinding:
             "the clock is not synchronised: the logs of the hosts will not fit together",
             "run chrony or systemd-timesyncd; without a network, a GPS receiver with gpsd",
         )
-    return DiagnosticFinding("ok", "the clock is synchronised" if state >= 0 else "the clock cannot be asked")
+    return DiagnosticFinding(
+        "ok", "the clock is synchronised" if state >= 0 else "the state of the clock cannot be read"
+    )
 
 
 def _promptness() -> DiagnosticFinding:
@@ -254,4 +256,4 @@ def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[s
         cure = "" if "log in again" in problem else "check power, cable, endpoint and ids"
         return DiagnosticFinding("problem", problem, cure)
     details = [note.removeprefix(f"{device.name}: ") for note in notes]
-    return DiagnosticFinding("problem", problem, f"{setup} (it asks first)", details)
+    return DiagnosticFinding("problem", problem, f"{setup} (with a confirmation)", details)

@@ -1,7 +1,7 @@
 """Plans the reset of a journal: what is discarded, and what forbids it. Sans-IO.
 
-`lfield up --fresh` begins another run. What this host itself holds it may throw away by a person's word; what
-has left it belongs to somebody else, who is asked.
+`lfield up --fresh` starts another run. Copies on this host are discarded after a confirmation. Copies that
+have left it belong to other hosts, which are queried.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from lfield.operator.coordinator_location import parked_copies, records
 from lfield.operator.team_model.team_state import HostState
 from lfield.wire.coordinator_messages import Outcome
 
-#: The word of the person, as every host is told it.
+#: The reason, as sent to every host.
 RESET_REASON = "thrown away by 'lfield up --fresh'"
 
 
 class ResetPlan(NamedTuple):
     """The discarded copies, those that may be alive elsewhere, and the new records.
 
-    `parked` says which host keeps one that is thrown away for another mission, and has to give it up.
+    `parked`: the host that keeps a discarded copy for another mission, and must release it.
     """
 
     discarded: Sequence[CoordinatorRecord]
@@ -41,7 +41,7 @@ def departed(pages: Iterable[Record]) -> list[CoordinatorRecord]:
 def plan_reset(host: str, pages: Sequence[Record], others: Mapping[str, HostState]) -> ResetPlan:
     """The reset after which the next start of a host is a new run; the counter of starts stays.
 
-    `others` are the other hosts, as far as they were asked.
+    `others` are the answers of the other hosts.
     """
     held = [page for page in pages if isinstance(page, CoordinatorRecord) and page.state == "RUN"]
     away, thrown, changed = list[CoordinatorRecord](), list(held), list[Record]()

@@ -12,7 +12,7 @@ from lfield.authority.peer_verification import RevocationList, format_time
 from lfield.errors import KeysError
 from lfield.operator.diagnostics import DiagnosticFinding
 
-#: So many seconds before their end somebody should renew them.
+#: Keys that expire within this time (s) should be renewed.
 EXPIRY_WARNING = 30 * 86400.0
 _HOLDERS: tuple[Holder, ...] = ("host", "person")
 
@@ -20,7 +20,7 @@ _HOLDERS: tuple[Holder, ...] = ("host", "person")
 def local_keys_health(
     environment: Mapping[str, str], at: float, system: Path = folders.SYSTEM
 ) -> Iterator[DiagnosticFinding]:
-    """The same of all keys of this computer, as far as this user may look; a note where there are none."""
+    """The same for all keys on this computer that this user may read; a note if there are none."""
     found = folders.local_folders(environment, system)
     for folder in found:
         yield from health(folder, at)
@@ -67,9 +67,9 @@ def _page(folder: Path, at: float) -> DiagnosticFinding:
             f"'lfield keys page {' '.join(page.names)}' makes the next",
         )
         return DiagnosticFinding(
-            "warning", f"{what}end in {days} days, {format_time(page.valid_until)}", renew
+            "warning", f"{what}expire in {days} days, {format_time(page.valid_until)}", renew
         )
-    return DiagnosticFinding("ok", f"{what}until {format_time(page.valid_until)}")
+    return DiagnosticFinding("ok", f"{what}valid until {format_time(page.valid_until)}")
 
 
 def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
@@ -82,21 +82,23 @@ def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
     details = list(_details(who, revoked))
     if who.serial in revoked.serials:
         return DiagnosticFinding(
-            "problem", f"{what}revoked", f"'lfield keys {who.kind} {who.name}' makes new ones", details
+            "problem", f"{what}revoked", f"'lfield keys {who.kind} {who.name}' creates new ones", details
         )
     renew = f"'lfield keys renew {who.kind} {who.name}' where the authority is, and copy the folder again"
     if at >= who.valid_until:
-        cure = f"set the clock if it is wrong: it says {format_time(at)}; else {renew}"
-        return DiagnosticFinding("problem", f"{what}ended {format_time(who.valid_until)}", cure, details)
+        cure = f"set the clock if it is wrong: it shows {format_time(at)}; else {renew}"
+        return DiagnosticFinding("problem", f"{what}expired {format_time(who.valid_until)}", cure, details)
     if at < who.valid_from:
-        cure = f"set the clock of this computer, which says {format_time(at)}"
-        return DiagnosticFinding("warning", f"{what}begin {format_time(who.valid_from)}", cure, details)
+        cure = f"set the clock of this computer, which shows {format_time(at)}"
+        return DiagnosticFinding(
+            "warning", f"{what}not valid before {format_time(who.valid_from)}", cure, details
+        )
     if who.valid_until - at < EXPIRY_WARNING:
         days = int((who.valid_until - at) // 86400)
         return DiagnosticFinding(
-            "warning", f"{what}end in {days} days, {format_time(who.valid_until)}", renew, details
+            "warning", f"{what}expire in {days} days, {format_time(who.valid_until)}", renew, details
         )
-    return DiagnosticFinding("ok", f"{what}until {format_time(who.valid_until)}", "", details)
+    return DiagnosticFinding("ok", f"{what}valid until {format_time(who.valid_until)}", "", details)
 
 
 def _details(who: Identity, revoked: RevocationList) -> Iterator[str]:

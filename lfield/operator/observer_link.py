@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=EventBatch | EmergencyStopResult | ForgetResponse | RecoverResponse | StartResponse)
 
-#: Seconds before something is asked again.
+#: Seconds between two attempts.
 RETRY_DELAY = 0.1
 #: A message that is an order, and so has an id and the epoch of its host.
 OrderMessage = EmergencyStop | Pause
@@ -39,8 +39,8 @@ OrderMessage = EmergencyStop | Pause
 class Request(Generic[T]):
     """A request: the message, the type of its answer, and the time-out in seconds.
 
-    What may come twice is asked `is_retried` until then, where a link (in a flood, say) ends without an
-    answer.
+    `is_retried`: an idempotent request, repeated until the time-out when a link ends without an answer (in a
+    flood of connections, for example).
     """
 
     message: Message
@@ -91,17 +91,17 @@ async def send_request(
     host: str | None = None,
     crl: PresentedCrl | None = None,
 ) -> T:
-    """The answer of the host at an address, where `host` is meant to be.
+    """The answer of the host at an address; `host` is its expected name.
 
-    Raises AddressError, HandshakeError, WireError, KeysError, and what a bug of ours has raised.
+    Raises AddressError, HandshakeError, WireError, KeysError, and any exception of a bug in lfield.
     """
     asking, link = _RequestLink(request, host, crl), None
     try:
         link = await transport.connect(address, asking)
         if link.who.kind == "stranger":
             raise KeysError(
-                f"the host at {address} takes commands from those alone who have keys: 'lfield keys person' "
-                "makes them, and --keys, $LFIELD_KEYS or ~/.config/lfield/keys/me says where they are"
+                f"the host at {address} accepts commands only with keys: 'lfield keys person' "
+                "creates them; put them into ~/.config/lfield/keys/me, or name their folder with --keys"
             )
         asking.greet(link)
         async with asyncio.timeout(request.timeout):
@@ -109,7 +109,7 @@ async def send_request(
     except TimeoutError:
         raise AddressError(address, f"no answer within {request.timeout:g} s") from None
     finally:
-        # Also of an answer that is an error: nobody is left to take it.
+        # Also when the answer is an error: the future has no other reader.
         asking.answer.cancel()
         if link is not None:
             link.close()
@@ -154,7 +154,7 @@ class _RequestLink(ObserverLink, Generic[T]):
         except LfieldError:
             raise
         except Exception as bug:
-            # A link makes nothing of it but its end, which would be taken for the host's, and asked again.
+            # The link would only end, which looks like an end by the host, and the request would be repeated.
             if not self.answer.done():
                 self.answer.set_exception(bug)
 

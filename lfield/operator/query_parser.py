@@ -1,8 +1,8 @@
 """Parses a capability query: `Lift where payload >= 2.0 order by battery desc limit 5`.
 
-First stands a primitive by its type in L, or an id of the taxonomy, which asks for everything that can be
-called there or below. Behind `where` stands what a find of L takes: a condition over attributes, what to
-order by, and how many are wanted (condition_compiler.py). All of that may be left out.
+The first part is a primitive by its type in L, or a taxonomy id, which means all primitives there or below.
+`where` is followed by the argument of a find in L: a condition over attributes, an order and a limit
+(condition_compiler.py). All of these are optional.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnost
     term = term_of(registry, what)
     if term is None:
         hint = did_you_mean(what[:80], [*registry.primitives, *registry.terms])
-        hint = hint or "'lfield capabilities tree' shows what there is"
+        hint = hint or "'lfield capabilities tree' lists all terms"
         found.append(messages.UNKNOWN_PRIMITIVE.at(place, hint=hint, name=what))
         return ()
     below = primitives_below(registry, term.id)

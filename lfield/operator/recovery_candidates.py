@@ -19,7 +19,7 @@ _Hosts = Mapping[HostRef, HostState]
 class RecoveryCandidate:
     """The host with the newest copy of a coordinator, and the request to it.
 
-    `lines` say what is believed, for a person who is asked.
+    `lines` are the evidence, for the confirmation by a person.
     """
 
     host_ref: HostRef
@@ -30,8 +30,7 @@ class RecoveryCandidate:
 def best_candidate(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> RecoveryCandidate:
     """The candidate to recover an agent, from the state of all hosts that answer.
 
-    Raises CoordinatorAlive when somebody has it, also for another mission, and UsageError when there is
-    nothing to go on with.
+    Raises CoordinatorAlive when a host runs it, also for another mission, and UsageError when no copy exists.
     """
     require_no_live_copy(agent, hosts, names)
     found = list(records(agent, hosts))
@@ -73,7 +72,7 @@ def _require_none_parked(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]
         if copy.state == "RUN":
             raise CoordinatorAlive(
                 f"{names[place]} keeps {agent} for another mission ({copy.program.hex()[:16]}), and "
-                f"goes on with it when that is started there; 'lfield forget {agent}' ends it"
+                f"continues it when that mission is started there; 'lfield forget {agent}' ends it"
             )
 
 
@@ -91,8 +90,8 @@ def _nothing_left(
         )
     if not found:
         return (
-            f"no host that answers knows of a coordinator {agent}: if there is one that never left its home, "
-            "that has the only copy, and goes on with it when it is started again"
+            f"no reachable host has a copy of coordinator {agent}: if it never left its home, the only copy "
+            "is there, and continues when that host is started again"
         )
     last = max((known for _, known in found), key=lambda known: known.generation)
     return f"{agent} has ended on {last.where} ({last.outcome}): it cannot be recovered"
@@ -127,6 +126,6 @@ def _unreachable(hosts: _Hosts, names: Mapping[HostRef, str]) -> dict[HostRef, s
         if any(place.host in host.links for host in linked):
             heard = "others are linked with it: it is up"
         else:
-            heard = "never heard" if away is None else f"last heard {away:.0f} s ago"
+            heard = "no contact yet" if away is None else f"last contact {away:.0f} s ago"
         lines[place] = f"{names[place]} does not answer; {heard}"
     return lines

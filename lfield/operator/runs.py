@@ -10,8 +10,7 @@ A run lives as long as a process holds the lock of its note. A process id can be
 process. It is a write lock of an open file (F_OFD_SETLK), so a group that may only read the note cannot take
 it. The next command of the user removes what a killed run has left.
 
-What a note of another user says is that user's word: it may claim any host of any mission, so it is kept
-apart.
+The note of another user is not trusted: it may claim any host of any mission, so it is kept separate.
 """
 
 from __future__ import annotations
@@ -59,17 +58,18 @@ from lfield.text.terminal_escape import printable_argument
 from lfield.text.user_dirs import shared_runtime_dir
 from lfield.wire.fields import MAX_LABEL, Name
 
-#: So long the path of a Unix socket may be, in bytes.
+#: Maximum length of the path of a Unix socket (bytes).
 _MAX_SOCKET = 107
-#: A larger note is none; those of another user count as one, and so many of that user's files are looked at.
+#: Maximum size of a note (bytes), also of all notes of another user together, and maximum number of that
+#: user's files.
 _MAX_MANIFEST, _MAX_FOREIGN = 4 << 20, 256
 #: The most hosts that a team has.
 _MAX_HOSTS = 4096
 _MANIFEST = "note.json"
 _ID = re.compile(r"[\w.+-]{1,24}-[0-9a-f]{8}", re.ASCII)
-#: A lock of all of a file, as the kernel is asked for it: its kind, where it begins and ends, and whose.
+#: struct flock for a lock of a whole file: kind, start, length, owner.
 _LOCK = struct.Struct("hhqqi")
-#: A run that is being made; nobody takes so many seconds for it.
+#: A run directory under construction, and the time (s) after which it is considered abandoned.
 _UNFINISHED, _UNFINISHED_FOR = re.compile(r"\.[0-9a-f]{16}"), 60.0
 
 
@@ -77,9 +77,9 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The manifest of a run, in JSON.
 
     `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
-    seconds since 1970; of its devices none has longer than `rest_within` seconds to come to rest. `addresses`
-    has the "address:port" of every host of the team, `doors` the name of the socket of those that run here.
-    Whose it is, its file says, and no socket is outside its folder.
+    seconds since 1970; every device must come to rest within `rest_within` seconds. `addresses` has the
+    "address:port" of every host of the team, `doors` the name of the socket of each that runs here. The owner
+    is that of the file, and every socket is inside its folder.
     """
 
     mission: Annotated[str, Meta(max_length=4096)]
@@ -101,7 +101,8 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Run:
     """A run in its directory, which belongs to the user `owner`.
 
-    It `is_foreign` where that is neither who looks, nor root, nor a service. Who looks may have `named` it.
+    `is_foreign`: the owner is neither the present user, nor root, nor a service. `named`: the user has named
+    it.
     """
 
     folder: Path
@@ -157,7 +158,7 @@ def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManife
 def publish_run(manifest: RunManifest, report: Callable[[str], None]) -> Iterator[ControlSockets]:
     """Publish a run to commands on this computer; `report` prints which users would not find it.
 
-    Raises OutputFileError where no command would: nobody could stop it, or others say what it is.
+    Raises OutputFileError if no command would find it, or other users could change it.
     """
     run, lock = _create(manifest, report)
     try:
@@ -206,7 +207,7 @@ def _create_in(spot: RunLocation, manifest: RunManifest) -> tuple[Run, int]:
         lock = os.open(unfinished / _MANIFEST, os.O_RDWR | os.O_NOFOLLOW)
         fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
         if spot.group >= 0:
-            # Not before it is locked: who may read it could lock it first.
+            # Not before it is locked: a user who may read it could lock it first.
             for path in (unfinished / _MANIFEST, unfinished, base):
                 grant_group_read(path, spot.group)
         os.rename(unfinished, run.folder)
@@ -282,7 +283,7 @@ def _is_locked(folder: Path, *, unsure: bool = False) -> bool:
     `unsure` where that cannot be seen.
     """
     try:
-        # What is there may be a fifo, and not be opened before somebody writes.
+        # It may be a FIFO, whose open would block until a writer opens it.
         note = os.open(folder / _MANIFEST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     except FileNotFoundError:
         return False

@@ -1,7 +1,7 @@
 """Tracks the devices after an emergency stop until they are at rest: answers in, lines and a verdict out.
 
-A device is well when its host has confirmed its safe state and it has been seen there, heard lately and at
-rest. Until then it is looked for: `over` says when that has come to an end, well or not.
+A device is done when its host has confirmed its safe state and recent telemetry shows it at rest. `is_over`
+says when all are done, or the time is up.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from lfield.text.value_text import telemetry_text
 from lfield.wire.fields import Telemetry
 from lfield.wire.observer_messages import EmergencyStopResult
 
-#: What a device does is told again after so many seconds at the soonest.
+#: Least seconds between two lines about the activity of one device.
 REPORT_INTERVAL = 1.0
-#: What was last heard of a device longer ago (seconds) says nothing of it now.
+#: Telemetry older than this (seconds) says nothing about the present state of a device.
 SILENCE_TIMEOUT = 3.0
 
-#: Telemetry is newer than what was seen of a device before when it is by more than this (seconds).
+#: Telemetry counts as newer than the last when it is newer by more than this (s).
 MIN_ADVANCE = 0.5
 
-#: A host that accepts no connection for so many seconds after the stop has confirmed it by another path, for
-#: example through another host. Its devices cannot be observed.
+#: A host that accepts no connection for this time (s) after the stop has confirmed it through another host.
+#: Its devices cannot be observed.
 UNREACHABLE_TIMEOUT = 10.0
 
 AT_REST = "at rest"
@@ -34,12 +34,12 @@ AT_REST = "at rest"
 
 @dataclass(slots=True)
 class DeviceProgress:
-    """A device that goes to rest: `problem` is why its safe state was not confirmed, `activity` what it does
-    now.
+    """A device after a stop: `problem` is why its safe state was not confirmed, `activity` its present
+    motion.
 
-    `last` is what it was last seen doing, or its telemetry where that is from before the stop, and
-    `last_contact` when that was measured. `last_report` is the text of the last line about it and when that
-    was printed. `has_host_answered`: its host has reported since the stop.
+    `last` is its last known activity, or its telemetry if that is from before the stop; `last_contact` is its
+    time. `last_report` is the text and time of the last line about it. `has_host_answered`: its host has
+    reported since the stop.
     """
 
     host_ref: HostRef
@@ -55,13 +55,15 @@ class DeviceProgress:
     last_report: tuple[str, float] | None = None
 
     def update(self, found: DeviceState, since: float, now: float) -> None:
-        """Its host has reported its state. Telemetry from before the stop, `since` s ago, proves nothing."""
+        """Its host has reported its state. Telemetry from before the stop, `since` s ago, is no proof of
+        rest.
+        """
         self.telemetry = found.telemetry
         if found.silent is not None and found.silent >= min(since, SILENCE_TIMEOUT):
             if now - found.silent > self.last_contact + MIN_ADVANCE:
                 self.last, self.last_contact = telemetry_text(found.telemetry), now - found.silent
             if found.silent >= SILENCE_TIMEOUT:
-                self.activity = "not heard any more"
+                self.activity = "no longer reporting"
             return
         self.is_at_rest = found.at_rest
         self.activity = self.last = _activity(found)
@@ -72,7 +74,7 @@ class DeviceProgress:
         self.has_host_answered = True
 
     def on_host_silent(self, error: LfieldError) -> None:
-        """Its host did not tell; when it has ended, that it will not."""
+        """Its host did not answer."""
         self.has_host_ended = isinstance(error, NoListener)
         if not self.is_at_rest:
             self.activity = (
@@ -87,7 +89,7 @@ class DeviceProgress:
     def verdict(self, seconds: float, now: float) -> str:
         """The problem `seconds` after the stop, '' for none."""
         if self.is_at_rest:
-            # However late: it has been seen.
+            # Also after the time is up.
             return ""
         if self.problem:
             wrong = f"NOT CONFIRMED: {self.problem}"
@@ -109,7 +111,7 @@ def _activity(found: DeviceState) -> str:
 
 
 class SafeStateProgress:
-    """The devices of the hosts that received a stop, which must come to rest within so many seconds."""
+    """The devices of the hosts that received a stop; they must come to rest `within` seconds."""
 
     def __init__(self, within: float, now: float) -> None:
         self._started_at, self._within, self._now = now, within, now
@@ -127,7 +129,7 @@ class SafeStateProgress:
 
     @property
     def is_over(self) -> bool:
-        """Whether all is settled, or the time is up."""
+        """Whether all devices are finished, or the time is up."""
         seconds = self._now - self._started_at
         return seconds >= self._within or all(device.is_finished(seconds) for device in self.devices)
 
@@ -149,7 +151,7 @@ class SafeStateProgress:
                 own[found.name].update(found, self._now - self._started_at, self._now)
 
     def set_time(self, now: float) -> None:
-        """What follows was asked at this time."""
+        """Sets the time of the answers that follow."""
         self._now = now
 
     def changes(self) -> list[DeviceProgress]:
@@ -169,8 +171,8 @@ class SafeStateProgress:
 def _has_changed(device: DeviceProgress, now: float) -> bool:
     if device.last_report is None:
         return bool(device.activity)
-    words, when = device.last_report
-    # What it came to is told at once.
-    return device.activity != words and (
+    text, when = device.last_report
+    # The final state is reported at once.
+    return device.activity != text and (
         now - when >= REPORT_INTERVAL or device.is_at_rest or device.has_host_ended
     )

@@ -1,10 +1,10 @@
 """Resolves the targets of a command: the hosts of local runs or of a mission, deduplicated, with addresses.
 
-A host is asked at the socket of the run that runs it here, else where that run knows it. `--map` comes before
-both. A mission that nobody runs here is asked at the addresses of its deployment.
+The address of a host is, in this order: that of `--map`; the socket of a run on this computer; the address in
+the note of such a run; the address in the deployment.
 
-What another user's run says of hosts takes none of these ways away: anybody can say it of any mission. Its
-hosts are asked beside, and what they answer counts for that run alone. Who names it by `--run` believes it.
+Runs of other users are not trusted: anyone can claim any mission. Their hosts are queried separately, and the
+answers count for that run only, unless the user names it with `--run`.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def targets_of_runs(runs: Sequence[Run], mapped: Mapping[str, str] | None = None
 def _foreign_targets(
     runs: Sequence[Run], mapped: Mapping[str, str], claimed: Collection[_MissionKey]
 ) -> list[TargetTeam]:
-    """The teams of other users; no network address is asked twice."""
+    """The teams of other users; no network address occurs twice."""
     users = dict.fromkeys(run.user for run in runs if run.user)
     own = {user: [run for run in runs if run.user == user] for user in users}
     return [party for found in own.values() for party in _trusted_targets(found, mapped, set(claimed))]
@@ -123,7 +123,7 @@ def _trusted_targets(
     runs: Sequence[Run], mapped: Mapping[str, str], claimed: set[_MissionKey]
 ) -> list[TargetTeam]:
     """The teams of runs of one user, without the `claimed` hosts; adds its own to `claimed`."""
-    # What a run runs itself is asked there, also for another run that reaches it at its address.
+    # A host with a local socket is queried there, also for another run that has its network address.
     claimed |= {
         (run.manifest.deployment, host, run.manifest.addresses.get(host, ""))
         for run in runs
@@ -163,7 +163,7 @@ def select_runs(runs: Sequence[Run], id: str) -> list[Run]:
         return [run for run in found if not run.is_foreign] or [replace(run, named=True) for run in found]
     if not runs:
         raise NoMissionRunning(f"no run {id}: no mission is running on this computer: {no_runs_hint()}")
-    raise UsageError(f"there is no run {id}: there is {listed([run.id for run in runs])}")
+    raise UsageError(f"there is no run {id}; running: {listed([run.id for run in runs])}")
 
 
 def trusted_targets(parties: Sequence[TargetTeam]) -> list[TargetTeam]:

@@ -1,4 +1,4 @@
-"""The team as a question from outside sees it: from its files alone, or from what its running hosts tell."""
+"""The team of a query: from the mission's files alone, or from the reports of its running hosts."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ from lfield.text.source_text import Diagnostics
 from lfield.vm.offer_objects import ways
 from lfield.wire.observer_messages import AttributeReading, DirectoryEntry
 
-#: For each host, what its directory says of the agents.
+#: For each host, the agents in its directory.
 DirectoryViews = Mapping[str, Mapping[str, DirectoryEntry]]
 
 
 class Roster:
     """Agents by resource type, in the order of the deployment. Implements `offer.Team`.
 
-    Where is asked: where the first agent is whose host is the one that asks, else at that host's `pose`.
+    The position of the query is that of the first agent on the querying host, else that host's `pose`.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class Roster:
         self._place = location_of((candidate for candidate in found if candidate.hops == 0), attributes, pose)
 
     def here(self) -> Position | None:
-        """Where the host is that asks."""
+        """The position of the querying host."""
         return self._place
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
@@ -63,11 +63,11 @@ class Roster:
 
 @dataclass(frozen=True, slots=True)
 class QueryContext:
-    """What is asked about: the registry as hosts have it, and what their bindings state of single agents.
+    """The inputs of a query: the registry as on the hosts, and the attributes that bindings state of agents.
 
-    The registry is as far as the program fulfils it. `ways` are those by which that can have each primitive
-    served; None where it could not be compiled.
-    `frames` say where hosts are; where agents are is in the registry.
+    The registry is restricted to what the program provides. `ways` are the possible providers of each
+    primitive; None if the program could not be compiled. `frames` are the places of hosts; those of agents
+    are in the registry.
     """
 
     registry: Registry
@@ -77,11 +77,11 @@ class QueryContext:
 
 
 def read_context(path: Path, team: Team, capabilities: Path | None = None) -> QueryContext:
-    """The same as the hosts of a mission have it, from the same files.
+    """Reads the context from the files of a mission.
 
-    Of a deployment that has mistakes elsewhere the registry and where agents are, alone: ours with
-    `capabilities`, else the file beside it. Raises ProgramError, BindingError, InputFileError and
-    BundleError, and UsageError for a bundle without one.
+    If other parts of the deployment have errors, only the registry and the places of agents are read: from
+    `capabilities`, else from the file in the deployment's folder. Raises ProgramError, BindingError,
+    InputFileError, BundleError, and UsageError for a bundle without a registry.
     """
     own = capabilities
     if path.suffix != bundle.SUFFIX:
@@ -142,10 +142,10 @@ def roster_from_files(
     stated: Mapping[str, Mapping[str, StatedValue]] = MappingProxyType({}),
     pose: Position | None = None,
 ) -> Roster:
-    """The agents as the files have them: what only devices could tell is not known.
+    """The agents from the files; attributes that only devices report are unknown.
 
-    `stated` is what their bindings say, `at` the host where the question is asked, for the count of hops, ''
-    for none of them, and `pose` where that host is.
+    `stated` are the attributes from their bindings, `at` the querying host ('' for none), for the number of
+    hops, and `pose` its place.
     """
     found = (
         known.candidate(
@@ -170,8 +170,8 @@ def roster_from_hosts(
 ) -> Roster:
     """The agents as the running hosts know them; the `unanswered` ones have not answered.
 
-    Of each agent counts what the host `at` says, as it does when a program asks there; without one what its
-    own host says, else what any other does. `pose` is where that host is by the devices file.
+    For each agent the directory of the host `at` counts, as for a program on that host; without `at` that of
+    its own host, else that of any other. `pose` is the place of that host in the devices file.
     """
     found = (
         _candidate(registry, known, at, _view(known.agent, views, unanswered, at))
@@ -201,14 +201,14 @@ def _view(
 
 
 def _candidate(registry: Registry, known: AgentProfile, at: str, reported: DirectoryEntry) -> Candidate:
-    """An agent with what a host has told of it, as far as it makes sense."""
+    """An agent with the valid part of a host's report."""
     facts = {name: _fact(fact) for name, fact in reported.facts.items()}
     known_as = registry.attributes
     facts = {
         name: fact for name, fact in facts.items() if name in known_as and known_as[name].accepts(fact.value)
     }
     return known.candidate(
-        _hops(known, at), reported.refusal, facts, reported.unknown, "{0} is not known: no host tells it"
+        _hops(known, at), reported.refusal, facts, reported.unknown, "{0} is unknown: no host reports it"
     )
 
 

@@ -1,6 +1,6 @@
 """Simulated hardware of any kind on virtual time, with driver and guard; records every command.
 
-Only who commands a device, and when, matters here. A device moves during a command, and after a setpoint
+Models only which process commands a device, and when. A device moves during a command, and after a setpoint
 until the next command or a watchdog time-out.
 """
 
@@ -46,7 +46,7 @@ class DeviceCommand(NamedTuple):
     owner: int
     what: str
     arguments: tuple[object, ...] = ()
-    #: Whether it leads to a safe state, and is no command of a program.
+    #: Whether it leads to a safe state and is not a command of a program.
     safe: bool = False
 
 
@@ -91,7 +91,6 @@ class Hardware:
 
     @property
     def is_moving(self) -> bool:
-        """Whether it moves now."""
         now = self._timeline.now
         return now < self._until and now < self._fed + self._watchdog
 
@@ -228,7 +227,6 @@ class SimulatedLock:
             self._owned[place] = self._loop
 
     def release(self) -> None:
-        """Release all."""
         for place in [place for place, owner in self._owned.items() if owner is self._loop]:
             del self._owned[place]
 

@@ -63,7 +63,6 @@ class HostLife:
 
     @property
     def core(self) -> HostCore:
-        """Its core."""
         return self.host.core
 
 

@@ -131,17 +131,14 @@ class GoldenWorld:
         return False
 
     def host_of(self, member: TeamMember) -> str:
-        """There is one host."""
         return "desk"
 
     def call_device(
         self, agent: Agent, thread: int, call: DeviceCallRecord, values: list[DeviceValue]
     ) -> DeviceValue | Pending:
-        """There are no devices."""
         raise DeviceError(call.field, "a golden program has no devices")
 
     def telemetry_reading(self, agent: Agent, call: DeviceCallRecord) -> Reading | None:
-        """There is no telemetry."""
         return None
 
     def offers(self, agent: Agent, capability: str, constraint: str | None) -> Sequence[FoundOffer]:

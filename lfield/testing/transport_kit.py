@@ -74,15 +74,12 @@ class Recorder:
             raise HandshakeError(self._refuse)
 
     def on_transfer(self, link: Link, header: Transfer, block: memoryview) -> None:
-        """Records header and block."""
         self.messages.append((header, bytes(block)))
 
     def on_oversize(self, link: Link, header: Transfer, size: int) -> None:
-        """Records header and size."""
         self.oversize.append((header, size))
 
     def on_excess(self, link: Link, error: CpuBudgetExceeded) -> None:
-        """Records the error."""
         self.excesses.append(error)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:

@@ -367,7 +367,7 @@ DEVICE_REOPENED_WRONG = _device_message(
     "device-reopened-wrong", "settings differ after a restart of the guard: {reason}", "warning"
 )
 WATCHDOG_WAIVED = _device_message(
-    "watchdog-waived", "own watchdog acts after {own}, required within {longest:g} s: accepted by waiver"
+    "watchdog-waived", "device watchdog: {own}, at most {longest:g} s required; accepted by waiver"
 )
 SETTING_MISMATCH = _device_message("setting-mismatch", "setting {setting}: {reason}", "error")
 SERIAL_LATENCY = _device_message(

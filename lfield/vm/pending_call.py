@@ -58,7 +58,6 @@ class PendingCall:
 
     @property
     def key(self) -> CallKey:
-        """The key of the call."""
         return self.agent, self.generation, self.number
 
     @property

@@ -228,7 +228,6 @@ class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
     @property
     def kind(self) -> OrderKind:
-        """The kind of this order."""
         return "lift" if self.lift else "stop"
 
 
@@ -290,7 +289,6 @@ class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
 
     @property
     def kind(self) -> OrderKind:
-        """The kind of this order."""
         return "resume" if self.lift else "pause"
 
 

@@ -53,7 +53,7 @@ def test_one_that_has_ended_may_finish_if_it_is_known_and_flies(
     found = verify_peer(who, at=2000.0, authority=OURS, known=known, is_mission_active=flies)
     assert found.extent == left
     assert found.why == (
-        f"the certificate of {who} ended 1970-01-01 00:33 UTC, and the clock here says 1970-01-01: "
+        f"the certificate of {who} expired 1970-01-01 00:33 UTC, and the clock here shows 1970-01-01: "
         f"set the clock if it is wrong, else renew it with 'lfield keys renew {who.kind} {who.name}'"
     )
 
@@ -91,7 +91,7 @@ def test_who_is_dialled_must_answer() -> None:
     found = verify_peer(BRAVO, at=1500.0, authority=OURS, expected="alpha")
     assert found == AdmissionDecision(
         "nothing",
-        "host bravo answers where host alpha should: correct the address, or the keys there",
+        "host bravo answers at the address of host alpha: correct the address, or the keys there",
     )
     assert extent(replace(ANNA, name="alpha"), expected="alpha") == "nothing"
 

@@ -253,9 +253,9 @@ def test_what_is_no_page_is_told(root: BrowserCa, page: IssuedCertificate, tmp_p
     for certificate, key, words in (
         (page.certificate, other.key, "is not the key of the first certificate"),
         (page.certificate, b"", "page.key is empty: it was cut short"),
-        (page.certificate, page.key[:30], "page.key is no private key"),
+        (page.certificate, page.key[:30], "page.key is not a private key"),
         (b"", page.key, "page.crt is empty: it was cut short"),
-        (page.certificate[:300], page.key, "page.crt is no certificate"),
+        (page.certificate[:300], page.key, "page.crt is not a certificate"),
         (root.certificate, root.key, "with names of servers"),
         (host.certificate, host.key, "browsers take keys of RSA"),
     ):

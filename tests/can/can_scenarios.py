@@ -23,7 +23,7 @@ async def vanish_and_return(fake, axis, wheel):
         await asyncio.sleep(0.3)
         start = device.now
         fake.fault(f"silence@{node}=true")
-        with pytest.raises(DeviceError, match="not heard for") as error:
+        with pytest.raises(DeviceError, match="no message for") as error:
             await travel
         assert error.value.kind == "DeviceTimeoutException"
         assert device.now - start < 10.0

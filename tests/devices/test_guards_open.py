@@ -93,7 +93,7 @@ class LateGuard:
 
     def __init__(self, seconds: float, *, lost: float | None = None) -> None:
         self.snapshots = SimpleNamespace(
-            silent_since=lambda name: lost, describe=lambda name: "last heard 9.0 s ago"
+            silent_since=lambda name: lost, describe=lambda name: "last contact 9.0 s ago"
         )
         self.latched_devices = LatchedDevices({}, ManualClock(), print, None)
         self._seconds = seconds
@@ -126,5 +126,5 @@ def test_who_was_safe_before_and_is_not_heard_any_more_is_not_called_safe(plugin
         return await guards.emergency_stop("first")
 
     assert run_jumping(story()) == {
-        "arm.wrist": "it was in its safe state before, but no longer responds; last heard 9.0 s ago"
+        "arm.wrist": "it was in its safe state before, but no longer responds; last contact 9.0 s ago"
     }

@@ -26,7 +26,7 @@ from lfield.vm.reference import ReferenceEngine
 
 
 class WrongOpcode(ReferenceEngine):
-    """Takes subtraction for addition."""
+    """Executes a subtraction as an addition."""
 
     def __init__(self, program: Program, now: Callable[[], float]) -> None:
         plus, minus = BY_NAME["addf"].code, BY_NAME["subf"].code
@@ -66,14 +66,14 @@ class WrongBudget(_Changed):
 
 
 class WrongDepth(_Changed):
-    """Lets calls be nested one deeper."""
+    """Permits one more nested call."""
 
     def limits(self, limits: AgentLimits) -> AgentLimits:
         return replace(limits, call_depth=limits.call_depth + 1)
 
 
 class WrongFrame(_Changed):
-    """Forgets to write where a caller goes on, when a slice ends in a call."""
+    """Does not store the return address when a slice ends in a call."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         frame = block.w[thread + THREAD_FRAME]
@@ -83,7 +83,7 @@ class WrongFrame(_Changed):
 
 
 class WrongNan(_Changed):
-    """Has another NaN than the reference engine."""
+    """Uses another NaN than the reference engine."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         for place in range(layout.HEADER_WORDS, block.top):
@@ -93,7 +93,7 @@ class WrongNan(_Changed):
 
 
 class WrongMonitor(_Changed):
-    """Counts a monitor that it did not get."""
+    """Counts a monitor that it did not enter."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         if isinstance(leave, MonitorBlocked):
@@ -102,7 +102,7 @@ class WrongMonitor(_Changed):
 
 
 class WrongTop(_Changed):
-    """Leaves a word on the heap when it asks the machine for something."""
+    """Leaves a word on the heap at a request to the machine."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         if isinstance(leave, HostCall) and len(leave.words) == 3:
@@ -111,7 +111,7 @@ class WrongTop(_Changed):
 
 
 class Crashing(_Changed):
-    """Fails where there is no room."""
+    """Crashes when the heap is full."""
 
     def changed(self, leave: EngineExit, block: Block, thread: int) -> EngineExit:
         if isinstance(leave, HeapExhausted):
@@ -120,7 +120,7 @@ class Crashing(_Changed):
 
 
 class _WrongHead(_Changed):
-    """Takes another last argument along when it asks the machine for something."""
+    """Passes a wrong last argument in one kind of request to the machine."""
 
     head: str
 
@@ -131,25 +131,25 @@ class _WrongHead(_Changed):
 
 
 class WrongCall(_WrongHead):
-    """In a call that is begun in a `together`."""
+    """Passes a wrong argument at the start of a call in a `together`."""
 
     head = "begin"
 
 
 class WrongStart(_WrongHead):
-    """When the calls of a `together` are begun before its end."""
+    """Passes a wrong argument when a `together` starts its calls."""
 
     head = "start"
 
 
 class WrongReservation(_WrongHead):
-    """When a resource is reserved."""
+    """Passes a wrong argument at a reservation."""
 
     head = "take"
 
 
 class WrongLimit(_WrongHead):
-    """When a `within` begins."""
+    """Passes a wrong argument at the start of a `within`."""
 
     head = "limit"
 

@@ -152,12 +152,12 @@ def tried(plugins, endpoint):
 @pytest.mark.parametrize(
     ("endpoint", "why"),
     [
-        ("stubborn", "its safe state was not confirmed; it was never heard"),
-        ("restless", "it is in its safe state and not at rest: turning for ever; it was never heard"),
+        ("stubborn", "its safe state was not confirmed; it has sent no message"),
+        ("restless", "it is in its safe state and not at rest: turning for ever; it has sent no message"),
         (
             "confused",
             "it is in its safe state and not at rest: unknown, the driver failed: "
-            "RuntimeError('stumbled'); it was never heard",
+            "RuntimeError('stumbled'); it has sent no message",
         ),
     ],
 )

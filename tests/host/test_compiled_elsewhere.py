@@ -120,7 +120,7 @@ def test_where_it_cannot_begin_the_reference_engine_serves(
     notes: list[str] = []
     assert isinstance(engine_of(notes), Reference)
     assert len(notes) == 1
-    assert "its process that compiles could not begin: " in notes[0]
+    assert "its process that compiles could not start: " in notes[0]
 
 
 def test_a_start_does_not_hang_on_it(ends: Ends) -> None:

@@ -167,14 +167,14 @@ def test_why_an_agent_is_not_offered(fleet):
     async def story(team):
         alpha, bravo, near, far = await two_hosts(team)
         near.troubles["near.fc"] = Unavailability("fc: in its safe state hold: the host was silent")
-        far.troubles["far.fc"] = Unavailability("fc: not heard", asyncio.get_running_loop().time() - 3.0)
+        far.troubles["far.fc"] = Unavailability("fc: no message", asyncio.get_running_loop().time() - 3.0)
         assert sorted(offered(alpha)) == ["far", "small"]
         assert "near: fc: in its safe state hold: the host was silent" in alpha.host.core.services.explain(
             ASKER, "Lift", None
         )
         await asyncio.sleep(1.5)
         assert offered(alpha) == offered(bravo) == ["small"]
-        assert "far: fc: not heard for 4.5 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
+        assert "far: fc: no message for 4.5 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(12.0)
         assert offered(alpha) == []

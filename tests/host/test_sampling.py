@@ -117,8 +117,8 @@ def test_an_agent_has_the_trouble_of_its_devices_and_its_own(sampler, guards):
     assert sampler.condition("arm", {}).trouble is None
     guards.troubles["other.hand"] = Unavailability("not ours")
     assert sampler.condition("arm", {}).trouble is None
-    guards.troubles["arm.hand"] = Unavailability("hand: not heard", 1.0)
-    assert sampler.condition("arm", {}).trouble == Unavailability("hand: not heard", 1.0)
+    guards.troubles["arm.hand"] = Unavailability("hand: no message", 1.0)
+    assert sampler.condition("arm", {}).trouble == Unavailability("hand: no message", 1.0)
     sampler._agents["arm"].ended, sampler._agents["arm"].report = "died", "Exception: no\n  at arm"
     assert sampler.condition("arm", {}).trouble == Unavailability("died of Exception: no")
     assert sampler.condition("gone", {}).trouble == Unavailability("its host does not run it")
@@ -187,6 +187,6 @@ def test_a_guard_tells_why_its_device_cannot_be_called(installed, bound):
         guard.snapshots.on_snapshot(TelemetrySnapshot("sky.fc", {}, clock.now))
         clock.advance(1000.0)
         trouble = guard.trouble("sky.fc")
-        assert trouble.sentence(clock.now) == "fc: not heard for 1000 s"
+        assert trouble.sentence(clock.now) == "fc: no message for 1000 s"
 
     asyncio.run(story())

@@ -110,7 +110,7 @@ def test_a_newer_version_is_refused_and_stays_as_it_is(
 
 def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "host.journal")
-    with pytest.raises(InputFileError, match="it is no file"):
+    with pytest.raises(InputFileError, match="not a file"):
         open_read_only(tmp_path / "host.journal")
 
 
@@ -118,7 +118,7 @@ def test_a_pipe_in_its_place_holds_nobody_up(tmp_path: Path) -> None:
     ("made", "says"),
     [
         (Path.mkdir, "it is a folder"),
-        (os.mkfifo, "it is no file"),
+        (os.mkfifo, "not a file"),
         (lambda path: path.symlink_to("elsewhere/host.journal"), "it is a link that leads nowhere"),
         (lambda path: path.symlink_to(path), "it is a link that leads nowhere"),
     ],
@@ -134,7 +134,7 @@ def test_what_is_no_journal_is_told_and_no_new_one_is_begun_in_its_place(
     assert (found.value.exit_status, path.lstat().st_ino) == (73, before)
     assert str(found.value) == (
         f"cannot use the journal {path}: {says}; "
-        "put the journal back, or remove it: then this host begins anew"
+        "put the journal back, or remove it: then this host starts anew"
     )
     with pytest.raises(InputFileError, match=says):
         open_read_only(path)
@@ -332,7 +332,7 @@ def failing_fallocate(descriptor: int, offset: int, size: int) -> None:
 def test_a_disk_that_fails_is_told_and_tried_again(bench: FileBench) -> None:
     journal = bench.open()
     journal._store.commit = failing(sqlite3.SQLITE_IOERR, 2, journal._store.commit)  # type: ignore
-    with pytest.raises(JournalError, match=r"its disk fails; the system's log \(dmesg\) says why") as found:
+    with pytest.raises(JournalError, match=r"its disk fails; see the kernel log \(dmesg\)") as found:
         bench.run(journal.persist([StartCounter(1)]))
     assert (found.value.exit_status, journal.trouble) == (73, "its disk fails")
     bench.run(journal.persist([StartCounter(2)]))

@@ -108,7 +108,7 @@ def test_a_sound_page_in_the_place_of_another_is_not_believed(monkeypatch: pytes
     monkeypatch.setattr("lfield.journal.records.key_of", lambda page: RecordKey("copy", "scout", 1))
     made = encode_record(StartCounter(1), 0.0)
     monkeypatch.undo()
-    with pytest.raises(RecordError, match="the place of another"):
+    with pytest.raises(RecordError, match="stored under another key"):
         decode_record(made)
 
 

@@ -1,4 +1,4 @@
-"""`python tests/matrix/page.py --write` makes lfield/docs/security-matrix.md of the table."""
+"""`python tests/matrix/page.py --write` generates lfield/docs/security-matrix.md from the table."""
 
 from __future__ import annotations
 

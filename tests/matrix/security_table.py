@@ -1,4 +1,4 @@
-"""Who may do what over which way (security.yaml), as cells, and as the page of the documentation."""
+"""The security matrix (security.yaml) as cells, and as the page of the documentation."""
 
 from __future__ import annotations
 
@@ -76,11 +76,12 @@ def page() -> str:
     lines = [
         "# The security matrix",
         "",
-        "Made of [the table](../../tests/matrix/security.yaml) by `python tests/matrix/page.py --write`.",
-        "A test tries every cell where a host decides of it: on its links, at its Unix socket,",
-        "as `lfield up` starts it, and in its machine.",
+        "The actions that each kind of peer may perform on a host, by access path. Generated from",
+        "[the table](../../tests/matrix/security.yaml) by `python tests/matrix/page.py --write`.",
+        "A test checks every cell on a real host: on its links, at its Unix socket, at its start,",
+        "and in its machine.",
         "",
-        f"{len(every)} cells, {sum(cell.kept for cell in every)} of them as they should be.",
+        f"{len(every)} cells, {sum(cell.kept for cell in every)} of them as intended.",
     ]
     for way in ways():
         lines += ["", f"## {way.title}", "", way.text.strip(), ""]

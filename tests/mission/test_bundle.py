@@ -281,7 +281,7 @@ def test_a_team_that_cannot_be(plain: Mission, rows: list[object], told: str) ->
 def test_a_file_is_named_with_what_is_wrong(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "mission.lfm"
     path.write_bytes(data[:-1])
-    with pytest.raises(BundleError, match=r"mission.lfm is not a sound bundle: it is truncated"):
+    with pytest.raises(BundleError, match=r"mission.lfm is not a valid bundle: it is truncated"):
         bundle.read(path)
     with pytest.raises(InputFileError, match="no such file"):
         bundle.read(tmp_path / "nobody.lfm")

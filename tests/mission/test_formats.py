@@ -125,7 +125,7 @@ def test_a_host_of_another_release_is_told_both_versions(path: Path) -> None:
     message = decode_message(kind, payload)
     assert isinstance(message, IncompatibleHello)
     with pytest.raises(
-        HandshakeError, match=f"bravo speaks protocol {PROTOCOL} and its peer protocol 3"
+        HandshakeError, match=f"bravo uses protocol {PROTOCOL} and its peer protocol 3"
     ) as told:
         Handshake(Hello("host", "bravo", 1), ALPHA, hosts=("alpha", "bravo")).receive(message)
     assert len(str(told.value)) < MAX_TEXT

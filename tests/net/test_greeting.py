@@ -181,7 +181,7 @@ def test_whoever_is_only_let_finish_may_look_and_stop():
     assert refused(looking(person(*ALL_RIGHTS), verdict), STOP) == ""
     assert refused(looking(person(*ALL_RIGHTS), verdict), Subscribe(once=True)) == ""
     why = refused(looking(person(*ALL_RIGHTS), verdict), LIFT)
-    assert why == f"{verdict.why}; until then anna may only look and stop"
+    assert why == f"{verdict.why}; until then anna may only observe and stop"
 
 
 BATCH = EventBatch(7, 1, 0.0, 0.0, 0, 0, [])
@@ -194,7 +194,7 @@ BATCH = EventBatch(7, 1, 0.0, 0.0, 0, 0, [])
     "who", [person(*ALL_RIGHTS), local(*ALL_RIGHTS), host("b")], ids=["person", "local", "host"]
 )
 def test_what_only_hosts_say_no_observer_says(message, who):
-    assert "which only hosts say to one another" in refused(looking(who), message)
+    assert "which only hosts may send" in refused(looking(who), message)
 
 
 def test_anybody_known_may_bring_a_revocation_list():
@@ -223,7 +223,7 @@ def test_the_same_life_may_have_a_second_link():
         ),
         (
             IncompatibleHello(3),
-            f"a speaks protocol {PROTOCOL} and its peer protocol 3; install the same version",
+            f"a uses protocol {PROTOCOL} and its peer protocol 3; install the same version",
         ),
         (hello(program=b"q" * 32), "a has program 707070707070 and b has program 717171717171"),
         (hello(deployment=b"q" * 32), "a has deployment 646464646464 and b has deployment 7171"),
@@ -333,7 +333,7 @@ def test_a_refusal_is_shown_without_knowing_who_sent_it():
 
 def test_who_renews_too_seldom_for_others_loses_what_it_has():
     machine = Handshake(hello("a", reservation=6.0), host("b"), hosts=HOSTS)
-    with pytest.raises(HandshakeError, match=r"a last 6 s unheard and those of b 20 s; give both the same"):
+    with pytest.raises(HandshakeError, match=r"a last 6 s without contact, those of b 20 s; "):
         machine.receive(hello(reservation=20.0))
     Handshake(hello("a", reservation=6.0), host("b"), hosts=HOSTS).receive(hello(reservation=6.0))
     Handshake(hello("a", reservation=6.0), host("b"), hosts=HOSTS).receive(hello("ps", role="observer"))

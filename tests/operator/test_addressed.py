@@ -121,7 +121,7 @@ def test_one_run_is_picked():
     assert select_runs(runs, "") == runs
     assert select_runs(runs, TWO.id) == select_runs(runs, "00000002") == [TWO]
     with pytest.raises(
-        UsageError, match="no run tour: there is tour-00000001, tour-00000002 and sow-00000003"
+        UsageError, match="no run tour; running: tour-00000001, tour-00000002 and sow-00000003"
     ):
         select_runs(runs, "tour")
     assert select_runs([], "") == []

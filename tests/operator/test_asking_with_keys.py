@@ -106,7 +106,7 @@ def test_without_keys_it_says_so_and_what_to_do(ring, monkeypatch, tmp_path):
     monkeypatch.delenv("LFIELD_KEYS", raising=False)
     over_tcp, _ = asked(ring)
     assert isinstance(over_tcp, KeysError)
-    assert "takes commands from those alone who have keys: 'lfield keys person' makes them" in str(over_tcp)
+    assert "accepts commands only with keys: 'lfield keys person' creates them" in str(over_tcp)
 
 
 def test_keys_that_are_not_there_keep_no_stop_from_this_computer(ring):

@@ -78,10 +78,10 @@ def test_a_device_that_was_not_confirmed_in_time_is_well_once_it_is_seen_at_rest
 def test_what_a_silent_device_was_heard_doing_is_not_what_it_does(moving):
     made = descent()
     look(made, 101.0, status("descends"))
-    assert look(made, 104.5, status(moving, silent=3.5)) == ["not heard any more"]
+    assert look(made, 104.5, status(moving, silent=3.5)) == ["no longer reporting"]
     assert not made.is_over
     look(made, 110.0, status(moving, silent=9.0))
-    assert wrong(made) == ["NOT AT REST after 10 s: not heard any more; last seen 9 s ago: descends"]
+    assert wrong(made) == ["NOT AT REST after 10 s: no longer reporting; last seen 9 s ago: descends"]
 
 
 def test_what_was_heard_before_the_stop_is_no_news_of_it():

@@ -29,10 +29,10 @@ def told(folder: Path, at: float) -> tuple[str, str]:
 
 def test_ends_are_told_before_they_come(ledger: Ledger) -> None:
     folder = ledger.make("host", "alpha", (), AT, AT + 90 * DAY).folder
-    assert told(folder, AT) == ("ok", "host alpha, until 2027-02-21 20:00 UTC")
-    assert told(folder, AT + 65.5 * DAY) == ("warning", "host alpha, end in 24 days, 2027-02-21 20:00 UTC")
-    assert told(folder, AT + 90 * DAY) == ("problem", "host alpha, ended 2027-02-21 20:00 UTC")
-    assert told(folder, 0.0) == ("warning", "host alpha, begin 2026-11-23 20:00 UTC")
+    assert told(folder, AT) == ("ok", "host alpha, valid until 2027-02-21 20:00 UTC")
+    assert told(folder, AT + 65.5 * DAY) == ("warning", "host alpha, expire in 24 days, 2027-02-21 20:00 UTC")
+    assert told(folder, AT + 90 * DAY) == ("problem", "host alpha, expired 2027-02-21 20:00 UTC")
+    assert told(folder, 0.0) == ("warning", "host alpha, not valid before 2026-11-23 20:00 UTC")
     (ended,) = health(folder, AT + 90 * DAY)
     assert "lfield keys renew host alpha" in ended.cure
 

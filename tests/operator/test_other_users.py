@@ -58,7 +58,7 @@ def test_events_follow_some_hosts_of_another_user(there, capsys):
     assert main(["events", "--no-follow"]) == 69
     said = capsys.readouterr().err
     assert "lfield: 8 hosts of user mallory are left out: name a run with --run" in said
-    assert "h31: not heard" in said
+    assert "h31: unreachable" in said
     assert "h32" not in said
 
 
@@ -92,7 +92,9 @@ def test_a_mission_that_is_named_is_asked_where_it_says_and_others_are_named(the
     )
     main(["query", "Hold", str(file)])
     said = capsys.readouterr().err
-    assert "lfield: runs of other users were not asked: name one with --run: mallory/tour-0a1b2c3d" in said
+    assert (
+        "lfield: runs of other users are not included; select one with --run: mallory/tour-0a1b2c3d" in said
+    )
     assert "/nowhere" not in said
 
 

@@ -104,7 +104,7 @@ def test_live_values_come_with_their_age(registry):
         "armed": Fact(True, 0.1, "measured"),
         "note": Fact("well", 1.0, "measured"),
     }
-    assert first.unknown == {"fix": "fix is not known: no host tells it"}
+    assert first.unknown == {"fix": "fix is unknown: no host reports it"}
 
 
 def test_why_a_value_is_not_known_is_what_the_host_says(registry):

@@ -129,7 +129,7 @@ MESSAGES = [
     Ping(1),
     Pong(1),
     DirectoryUpdate(
-        1, 0, 1, [AgentUpdate(3, "fc: not heard", 3.5, [AttributeUpdate(0, 0.75, 0.5, True)], [(1, "…")])]
+        1, 0, 1, [AgentUpdate(3, "fc: no message", 3.5, [AttributeUpdate(0, 0.75, 0.5, True)], [(1, "…")])]
     ),
     DirectoryUpdate(2**63 - 1, 6, 7, [AgentUpdate(0, "", None, [], [])]),
     DirectoryUpdate(1, 0, 1, [AgentUpdate(3, "", None, [], [], "pilot", 12.5)]),

@@ -44,7 +44,6 @@ class Bus:
         self._interface = await opened(self._place, self._listener)
 
     async def close(self) -> None:
-        """Closes the bus."""
         if self._reopening is not None:
             self._reopening.cancel()
         interface, self._interface = self._interface, None

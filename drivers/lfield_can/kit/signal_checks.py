@@ -41,7 +41,7 @@ async def reads(bench: Bench) -> str:
     if absent:
         told.append(f"and absent from its frames {' '.join(absent)}")
     if silent:
-        told.append(f"and never heard {' '.join(silent)}")
+        told.append(f"and never received {' '.join(silent)}")
     return ", ".join(told)
 
 

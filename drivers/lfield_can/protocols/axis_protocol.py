@@ -166,7 +166,7 @@ class AxisProtocol:
     async def expect(self, condition: Callable[[], bool], bound: float, what: str) -> None:
         """Waits until the state confirms it. Raises DeviceError `what`."""
         if not await self.wiring.changes.wait_for(condition, bound):
-            fault = f"; it says: {self.state.fault}" if self.state.fault else ""
+            fault = f"; fault: {self.state.fault}" if self.state.fault else ""
             raise self.wiring.error(
                 f"{what} within {bound:g} s (it is {self.state.state or 'silent'}{fault})"
             )

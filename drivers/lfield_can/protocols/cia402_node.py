@@ -77,7 +77,6 @@ class Cia402Node(AxisProtocol):
         self.objects.on_bus_request(frame.data)
 
     def on_frame(self, frame: Frame) -> Mapping[str, object] | None:
-        """A frame of the node."""
         code = frame.id - self.node
         if code == t.SDO_ANSWER:
             self.objects.on_answer(frame.data)
@@ -92,7 +91,7 @@ class Cia402Node(AxisProtocol):
 
     def _on_process_data(self, frame: Frame) -> dict[str, object] | None:
         if not self.pdo_configuration.data.is_tpdo(frame.id):
-            return {}  # not ours, or not yet: mapped by somebody else
+            return {}  # not mapped by this driver, or not yet
         values = self.pdo_configuration.data.read(frame.id, frame.data)
         if values is None:
             return None

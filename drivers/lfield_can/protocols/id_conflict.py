@@ -29,7 +29,7 @@ MIN_ROUNDS, MIN_SURPLUS = 6, 2
 SILENT = 2
 #: Seconds from an answer to the next round, for the second answer.
 GAP = 0.02
-#: Returns to a position within so many seconds that prove two axes.
+#: Number of returns to a position within a time (s) that prove two axes.
 RETURNS, WITHIN = 6, 1.0
 #: Positions that are nearer, in turns of the motor, may be one axis.
 APART = 0.05

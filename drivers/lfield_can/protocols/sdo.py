@@ -65,7 +65,7 @@ class Refused:
 
 @dataclass(frozen=True, slots=True)
 class Failed:
-    """Effect: there is no valid answer. `silent`: none came in time."""
+    """Effect: there is no valid answer. `silent`: none arrived in time."""
 
     why: str
     silent: bool = False

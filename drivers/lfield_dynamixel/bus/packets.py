@@ -90,7 +90,6 @@ class Protocol2:
 
     @staticmethod
     def reader() -> Reader:
-        """A new reader."""
         return Reader2()
 
 
@@ -161,7 +160,6 @@ class Protocol1:
 
     @staticmethod
     def reader() -> Reader:
-        """A new reader."""
         return Reader1()
 
 
@@ -215,7 +213,6 @@ class EchoFilter:
         self._held = b""
 
     def on_sent(self, packet: bytes) -> None:
-        """A packet is sent."""
         self._awaited.append(packet)
 
     def strip(self, data: bytes) -> bytes:

@@ -30,7 +30,7 @@ from lfield_dynamixel.bus.packets import PROTOCOLS, AnyProtocol, Status, split_f
 TRIES = 5
 #: Consecutive failures of fast reads while plain ones work: some servo does not support them.
 FAST_FAILURES = 3
-#: Plain reads until a fast one is tried again: the cause may have been a servo or port that was gone.
+#: Plain reads until a fast one is tried again: the cause may have been a lost servo or port.
 FAST_RETRY_READS = 200
 
 #: Rounds of an id check: with one answer each until there is one servo, with two answers that prove a second

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 from lfield_mavlink.geodesy import Place
 from lfield_mavlink.link.dialect import AUTOPILOT, COMPONENT, dialect
 
-#: Seconds to wait for an answer, and attempts. More attempts while the vehicle is heard: at a loss of 20 %
+#: Seconds to wait for an answer, and attempts. More attempts while there is contact: at a loss of 20 %
 #: each way every third exchange fails.
 PATIENCE, ATTEMPTS, PERSISTENT = 0.5, 4, 12
 #: Seconds to wait after each IN_PROGRESS; and in all.
@@ -35,9 +35,9 @@ async def _no_gate(_: int) -> None:
 class Exchange:
     """The pending commands of a station to one vehicle, both by their system ids.
 
-    `send` takes a message, `has_contact` returns whether the vehicle is heard. `gate` is awaited before each
-    command, with its number; it raises DeviceError if the command may not be sent. `px4` is set when the
-    autopilot is known: for unused parameters PX4 requires NaN, ArduPilot 0.
+    `send` takes a message, `has_contact` returns whether messages of the vehicle arrive. `gate` is awaited
+    before each command, with its number; it raises DeviceError if the command may not be sent. `px4` is set
+    when the autopilot is known: for unused parameters PX4 requires NaN, ArduPilot 0.
     """
 
     def __init__(
@@ -67,8 +67,8 @@ class Exchange:
         once: bool = False,
         patience: float = PATIENCE,
     ) -> CommandResult:
-        """Sends a command until it is answered, ATTEMPTS times, or PERSISTENT times while the vehicle is
-        heard.
+        """Sends a command until it is answered, ATTEMPTS times, or PERSISTENT times while there is
+        contact.
 
         `values` are its parameters from the first, None for an unused one. With a `place` it is sent as
         COMMAND_INT, which has sufficient precision, with the place as parameters 5 to 7. `once` is for a

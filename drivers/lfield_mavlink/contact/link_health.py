@@ -81,7 +81,6 @@ class TimeSync:
         self._kept: deque[Offset] = deque(maxlen=KEPT)
 
     def start_round_trip(self) -> None:
-        """Starts a round trip."""
         now = self._now()
         self._asked.append(now)
         self._send(dialect.MAVLink_timesync_message(0, now))

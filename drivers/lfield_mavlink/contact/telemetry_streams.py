@@ -84,7 +84,7 @@ ONLY_ROVERS = frozenset({dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT})
 class TelemetryStreams:
     """Requests telemetry messages, again when one has stopped.
 
-    A stream stops when the autopilot restarts, or when the vehicle is heard on another link: ArduPilot has
+    A stream stops when the autopilot restarts, or when the vehicle sends on another link: ArduPilot has
     separate rates for each link.
     """
 

@@ -164,7 +164,8 @@ def _name(group: str, number: int) -> str:
 class Route:
     """The links of one vehicle by number.
 
-    A link is used as long as the vehicle is heard on it: setpoints on alternating links could be reordered.
+    A link is used as long as messages of the vehicle arrive on it: setpoints on alternating links could be
+    reordered.
     """
 
     def __init__(self, links: int) -> None:
@@ -188,7 +189,7 @@ class Route:
         return first == link
 
     def links(self, now: float) -> Sequence[int]:
-        """Where to send: the link that it is heard on, or all when it is heard on none."""
+        """Where to send: the link on which its messages arrive, or all if none arrive."""
         if self._link is None or now - self._last_packet[self._link] > LINK_TIMEOUT:
             newest = max(self._last_packet, key=self._last_packet.__getitem__, default=None)
             self._link = (

@@ -87,7 +87,7 @@ class SenderSeparator:
         return True
 
     def is_doubled(self, now: float) -> bool:
-        """Whether another clock was received just now beside the first vehicle's."""
+        """Whether the clock of a second vehicle was received just now."""
         return max(now - self._clock_at, now - self._other_at) <= BESIDE
 
     def _behind(self, strand: bool, number: int) -> int:

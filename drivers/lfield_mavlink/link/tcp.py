@@ -153,7 +153,6 @@ class _Connection(asyncio.Protocol):
             transport.write(data)
 
     def close(self) -> None:
-        """Closes the connection."""
         if self._transport is not None:
             self._transport.close()
 

@@ -60,7 +60,6 @@ class _Sockets:
         opened.close()
 
     def close(self) -> None:
-        """Closes all."""
         for opened in tuple(self.open):
             self.remove(opened)
 

@@ -71,7 +71,7 @@ class FlightMonitor:
         self._vehicle, self._state, self._parameters = vehicle, vehicle.state, parameters
         self._descent, self._position = DescentMonitor(), PositionMonitor()
         self._target, self._course = TargetMonitor(level=vehicle.state.kind != "rover"), CourseMonitor()
-        #: Who has commanded it elsewhere, until it is released or on the ground; '' for nobody.
+        #: The foreign controller, until it is released or on the ground; '' for none.
         self.foreign = ""
         # The modes of the last command, in which its targets are compared.
         self._modes: frozenset[str] = frozenset()

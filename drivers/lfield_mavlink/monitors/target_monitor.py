@@ -14,9 +14,9 @@ from collections import deque
 
 from lfield_mavlink.geodesy import Vector
 
-#: Metres over ground and in height between two targets that are not the same. What was sent is told again to
-#: 0.011 m (ap-rover.c-speed: all of 174), the last digit of a latitude; the rest is for what was not
-#: recorded, places of PX4 in OFFBOARD and of ArduCopter. Degrees and metres differ by FAR of the distance.
+#: Metres over ground and in height between two different targets. Autopilots report a sent target to within
+#: 0.011 m (ap-rover.c-speed: all of 174), the last digit of a latitude; the rest is a margin for cases
+#: without recordings, PX4 in OFFBOARD and ArduCopter. Degrees and metres differ by FAR of the distance.
 NEAR, LEVEL, FAR = 0.5, 1.0, 1e-3
 #: The same for the stopping position when a vehicle enters the mode, which is only known approximately.
 RESTS, RESTS_LEVEL = 2.0, 3.0

@@ -251,7 +251,7 @@ class Missions:
             raise self._vehicle.error(f"{what} refused: a mission is running; call pauseMission() first")
 
     async def _check(self, what: str, items: Sequence[Item], *, starts: bool = False) -> None:
-        """Refuses a mission that leaves the limits of the binding, whatever its source. Raises
+        """Refuses a mission that leaves the limits of the binding, also of other stations. Raises
         DeviceError.
         """
         self._curved = self._limits.bound_places and has_command(items, *CURVES)

@@ -1,4 +1,4 @@
-"""Starts, maintains, monitors and ends motions, and tracks who controls the vehicle."""
+"""Starts, maintains, monitors and ends motions, and tracks the controller of the vehicle."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Motion:
         if self.failsafe.is_engaged or self.monitor.foreign or not self._state.armed:
             return not self._state.armed
         profile = self._vehicle.profile
-        # It enters modes by itself on the ground only; in the air, or instead of setpoints, somebody did.
+        # It changes modes by itself on the ground only; else another controller has changed the mode.
         by_itself = self._state.landed if profile.flies else self._commanded != {profile.guided}
         own = profile.own if by_itself else ()
         return self._state.mode in (profile.guided, *own, *self._commanded)
@@ -87,7 +87,7 @@ class Motion:
         self._commanded = frozenset(modes)
 
     def release(self) -> None:
-        """Takes control in the present mode, whoever selected it."""
+        """Takes control in the present mode, also if another station selected it."""
         self.failsafe.release()
         self.monitor.release()
         self.claim(self._state.mode)
@@ -117,7 +117,7 @@ class Motion:
     async def hold(self) -> None:
         """Stops and stays: in the hold mode, or a PX4 copter by setpoints. Raises DeviceError.
 
-        In its hold mode PX4 would stay as long as any ground station is heard.
+        In its hold mode PX4 would stay as long as it receives heartbeats of any ground station.
         """
         profile, place = self._vehicle.profile, self._resting_place
         if profile.by_trajectory and profile.flies and place is not None and self._state.landed is False:
@@ -380,7 +380,7 @@ class Motion:
                 await self.hold()
 
     async def _check_underway(self, what: str, order: Order, start: float) -> None:
-        """Raises DeviceError if somebody else has it, but not if a failsafe also lands or returns."""
+        """Raises DeviceError under foreign control, but not if a failsafe also lands or returns."""
         if self._stopped:
             raise self._vehicle.error(f"{what} was stopped: {self._stopped}")
         state = self._state

@@ -46,13 +46,11 @@ class Payload:
     # -- gripper --------------------------------------------------------------------------------------
 
     async def do_close_gripper(self) -> None:
-        """Closes the gripper."""
         await self._vehicle.command(
             "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB, absent="gripper"
         )
 
     async def do_open_gripper(self) -> None:
-        """Opens the gripper."""
         await self._vehicle.command(
             "openGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_RELEASE, absent="gripper"
         )

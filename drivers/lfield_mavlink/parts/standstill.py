@@ -44,19 +44,19 @@ class StandstillCheck:
         """As `Device.moving`: `4.2 m up, sinking at 0.7 m/s`; '' when it is at rest."""
         vehicle, state = self._vehicle, self._state
         if state.heartbeat_at is None:
-            return "not heard yet"
-        untold = vehicle.clock.monotonic() - state.armed_at
-        if vehicle.silence > LINK_LOST or untold > HEARTBEAT_MAX_AGE:
+            return "no message yet"
+        armed_age = vehicle.clock.monotonic() - state.armed_at
+        if vehicle.silence > LINK_LOST or armed_age > HEARTBEAT_MAX_AGE:
             last = ", ".join(self._way()) if state.armed else "with its motors off"
             if vehicle.silence > LINK_LOST:
-                return f"not heard for {vehicle.silence:.1f} s, last seen {last}"
-            return f"no heartbeat for {untold:.1f} s, so its motors are unknown; last told {last}"
-        if not state.armed or (self._rests() and not self._is_a_pilots):
+                return f"no message for {vehicle.silence:.1f} s, last seen {last}"
+            return f"no heartbeat for {armed_age:.1f} s, motor state unknown; last reported {last}"
+        if not state.armed or (self._rests() and not self._is_piloted):
             return ""
         return ", ".join(self._way())
 
     @property
-    def _is_a_pilots(self) -> bool:
+    def _is_piloted(self) -> bool:
         """Whether it is in a mode that neither this program nor a failsafe selects."""
         return not self._motion.ours and self._state.mode not in self._vehicle.profile.fallbacks
 
@@ -117,7 +117,7 @@ class StandstillCheck:
         """Its position and motion; its mode, if it is not the commanded one."""
         state, profile = self._state, self._vehicle.profile
         words = [self._place(), *self._motions()]
-        if self._is_a_pilots:
+        if self._is_piloted:
             return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *words]
         # PX4 leaves its landing mode when it switches its motors off, and reports the mode first.
         over = self._standing and state.mode in (profile.guided, *profile.own)

@@ -72,7 +72,6 @@ class Files:
         await self._files.write(path, data)
 
     async def do_remove_file(self, path: str) -> None:
-        """Removes a file."""
         await self._files.remove(path)
 
     async def do_make_folder(self, path: str) -> None:

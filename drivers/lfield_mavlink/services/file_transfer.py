@@ -303,5 +303,5 @@ class Pieces:
         return end - start
 
     def until_gap(self) -> bytes:
-        """The file up to the first gap, which is its end if the vehicle says so."""
+        """The file up to the first gap, which may be its end."""
         return bytes(self._data[: self._gaps[0][0] if self._gaps else len(self._data)])

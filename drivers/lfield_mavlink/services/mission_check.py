@@ -98,13 +98,13 @@ class MissionCheck:
                 f"{item.x / 1e7:g}, {item.y / 1e7:g} at {item.z:g} m is not a position on the Earth",
             )
 
-    # -- rules: `mission_rules` says of which commands each is -----------------------------------------
+    # -- rules: `mission_rules` maps commands to them --------------------------------------------------
 
     def allow(self, number: int, item: Item) -> None:
         """It moves nothing."""
 
     def refuse(self, number: int, item: Item) -> None:
-        """Its effect is unknown, or it hands control to somebody without limits."""
+        """Its effect is unknown, or it gives control to another controller without limits."""
         raise self._error_for(
             number, item, "its position, height, speed or home is not known to stay within the limits"
         )

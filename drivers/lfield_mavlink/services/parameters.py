@@ -159,8 +159,8 @@ class Parameters:
                 listed[message.param_index], count = parameter, message.param_count
             if count and len(listed) >= count:
                 return {parameter.name: parameter.value for parameter in listed.values()}
-        heard = f"{len(listed)} of {count} parameters" if count else "nothing"
-        raise self._peer.error(f"listing the parameters: received {heard}", timeout=True)
+        received = f"{len(listed)} of {count} parameters" if count else "nothing"
+        raise self._peer.error(f"listing the parameters: received {received}", timeout=True)
 
     def _request_gaps(self, listed: dict[int, Parameter], count: int) -> None:
         if not count:

@@ -1,9 +1,9 @@
 """Commands of each autopilot for a motion, as data. Pure: a state and a goal in, an order out.
 
 ArduPilot keeps the last position setpoint in GUIDED; its ground station failsafe ends a motion when this
-computer fails. PX4 needs a stream of setpoints in OFFBOARD and acts on its end whatever ground stations there
-are; a moving target sets the speed. Autonomous motions of PX4 (DO_REPOSITION, an orbit, a takeoff mode)
-continue while any ground station is heard, so they are used for fixed wings only, which have no known
+computer fails. PX4 needs a stream of setpoints in OFFBOARD and acts on its end, independent of ground
+stations; a moving target sets the speed. Autonomous motions of PX4 (DO_REPOSITION, an orbit, a takeoff mode)
+continue while any ground station sends heartbeats, so they are used for fixed wings only, which have no known
 alternative.
 
 ArduPilot's position controller starts with the autopilot's own speed regardless of earlier commands, and then

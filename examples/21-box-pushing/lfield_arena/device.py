@@ -65,7 +65,7 @@ class OmniDevice(Device):
 
     def _moving(self) -> str:
         if self._lost:
-            return "not heard"
+            return "no message"
         return "still moving" if self._moves else ""
 
     async def do_drive_to(self, north: float, east: float, seconds: float) -> bool:

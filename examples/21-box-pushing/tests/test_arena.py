@@ -281,7 +281,7 @@ def test_a_wire_that_is_cut_is_told_and_it_comes_back(bench, wire):
         with pytest.raises(DeviceError, match="no answer"):
             await robot.execute("driveTo", [1.0, 0.0, 1.0])
         await bench.until(lambda: any(note.startswith("lost: ") for note in bench.notes))
-        assert robot.moving() == "not heard"
+        assert robot.moving() == "no message"
         wire.cut = False
         await bench.until(lambda: bench.notes[-1] == "it responds again")
 

@@ -151,4 +151,4 @@ def _presented(signed: SignedOrder | SignedAnswer, authority: bytes) -> Verified
 
 def _require_signature(known: VerifiedCertificate, signature: bytes, text: bytes) -> None:
     if not is_signed_by(certificate_in_der(known.certificate), signature, text):
-        raise SignatureError(f"it is not what {known.who} has signed")
+        raise SignatureError(f"its content differs from that signed by {known.who}")

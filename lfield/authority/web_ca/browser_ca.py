@@ -1,4 +1,4 @@
-"""The root CA for browsers, beside the CA of a team: it issues the certificates of web pages only.
+"""The root CA for browsers, separate from the CA of a team: it issues the certificates of web pages only.
 
 Browsers reject Ed25519, so its keys use NIST's curve P-256. Name constraints limit it to servers in private
 networks (`web_names.py`). Its certificates name no host and no person, and no host trusts this root: they

@@ -75,10 +75,10 @@ def read_web_keys(folder: Path) -> WebKeys:
 
 def parse_web_keys(chain: bytes, key: bytes) -> WebKeys:
     """The keys in two PEM texts; the first certificate is that of the page. Raises KeysError."""
-    sentence = f"{CERTIFICATE} is no certificate (PEM) with names of servers: copy it again"
+    sentence = f"{CERTIFICATE} is not a certificate (PEM) with names of servers: copy it again"
     first = parse_or_error(sentence, lambda: x509.load_pem_x509_certificates(chain))[0]
     public, names = parse_or_error(sentence, lambda: (first.public_key(), _names_in(first)))
-    sentence = f"{KEY} is no private key (PEM, no password): copy it again"
+    sentence = f"{KEY} is not a private key (PEM, no password): copy it again"
     private = parse_or_error(sentence, lambda: serialization.load_pem_private_key(key, None))
     if not isinstance(public, EllipticCurvePublicKey | RSAPublicKey):
         raise KeysError("browsers take keys of RSA and of NIST's curves alone: 'lfield keys page' makes one")

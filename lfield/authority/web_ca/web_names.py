@@ -57,8 +57,7 @@ def normalised(text: str) -> str:
     ):
         return name
     raise KeysError(
-        f"'{text}' is no address or name that a browser could open a page by: give one such as 192.168.1.20 "
-        "or ground.local"
+        f"'{text}' is not an address or name for browsers: give one such as 192.168.1.20 or ground.local"
     )
 
 
@@ -71,7 +70,7 @@ def is_private_name(name: str) -> bool:
 
 
 def is_match(pattern: str, name: str) -> bool:
-    """Whether a pattern in a certificate matches a name: `*` stands for one label."""
+    """Whether a pattern in a certificate matches a name: `*` matches one label."""
     if pattern.startswith("*.") and address_in(name) is None:
         return pattern[2:] == name.partition(".")[2] != ""
     return pattern == name

@@ -37,15 +37,12 @@ class TypeTable:
         self._classes = core.classes
 
     def has(self, index: int) -> bool:
-        """Whether there is a type of that index."""
         return 0 <= index < len(self._records)
 
     def record(self, index: int) -> TypeRecord:
-        """The record of a type."""
         return self._records[index]
 
     def kind(self, index: int) -> int:
-        """The kind of a type."""
         return self._records[index].kind
 
     def fields(self, index: int) -> tuple[FieldRecord, ...]:

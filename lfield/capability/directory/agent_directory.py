@@ -1,12 +1,12 @@
 """The directory of all agents of a mission on one host: their attributes, and whether they can be called.
 
-The agents and their own values come from the deployment and the registry. How its own agents are, the host
-tells its directory (`own`); how the others are, their hosts tell in news (`take`). Nothing else happens here:
-a question is answered from what is known.
+The agents and their stated values come from the deployment and the registry, the live values of own agents
+from this host, and those of other agents from the deltas of their hosts. Queries are answered from these data
+alone.
 
-A live value of another host is as old as that host said, plus the time since the last
-message from it: while the link is up and no delta arrives, nothing has changed. A value that its host has
-stopped renewing, and all values of a host that was away until it has told everything again, just grow older.
+The age of a live value of another host is the reported age plus the time since the last message of that host:
+while the link is up and no delta arrives, the value has not changed. Values that a host no longer renews, and
+all values of an unreachable host until its next full report, grow older.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ from lfield.capability.model import LiveAttribute, Registry
 from lfield.capability.offer import Candidate, Fact, Position
 from lfield.clock import Clock
 
-#: Answers within so many seconds are the same objects, with the same ages: the matcher goes by that.
+#: Answers within this time (s) are the same objects, with the same ages; the matcher reuses results for them.
 ANSWER_REUSE_SECONDS = 0.1
 
 
@@ -98,8 +98,8 @@ class AgentDirectory:
     """The agents of a mission in the directory of the host `here`; `incarnation` identifies its run, not the
     next.
 
-    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. `pose` is where
-    the host stands by the devices file. A reserved agent can be called only by its holder:
+    Implements `offer.Team`. Only agents whose type is a provider of the registry are in it. `pose` is the
+    place of the host in the devices file. A reserved agent can be called only by its holder:
     `asker` is the querying coordinator, '' for none.
     """
 
@@ -175,7 +175,7 @@ class AgentDirectory:
             self._remotes[host] = _Remote(life)
 
     def on_link_down(self, host: str) -> None:
-        """The link to a host is gone."""
+        """The link to a host is lost."""
         remote = self._remotes.get(host)
         if remote is not None:
             self._is_out_of_sync(remote, self._links.last_contact(host))

@@ -19,7 +19,7 @@ from lfield.capability.offer import Provenance
 CHANGE_THRESHOLD = 0.005
 #: A value is kept up to date while it is younger than this part of its attribute's `max_age`.
 FRESH_SHARE = 0.5
-#: The begin of a trouble, and the time when a value was true, have changed beyond so many seconds.
+#: Smallest change (s) of the time of a value, or of the start of an unavailability, that is sent.
 TIME_TOLERANCE = 1.0
 
 
@@ -31,7 +31,7 @@ class Unavailability:
     since: float | None = None
 
     def sentence(self, now: float) -> str:
-        """`axis: not heard for 3.2 s`."""
+        """`axis: no message for 3.2 s`."""
         if self.since is None:
             return self.reason
         seconds = max(0.0, now - self.since)
@@ -77,7 +77,6 @@ class AgentCondition(Struct, frozen=True, gc=False):
     reserved: ReservedBy | None = None
 
     def updated(self, change: AgentCondition) -> AgentCondition:
-        """This with what has changed."""
         samples = {name: s for name, s in self.samples.items() if name not in change.unknown}
         unknown = {name: why for name, why in self.unknown.items() if name not in change.samples}
         return AgentCondition(

@@ -54,7 +54,6 @@ class Assembly:
         return self._needs.index(need), attribute
 
     def cost(self, parts: Iterable[float]) -> float:
-        """What the whole costs when its parts cost that."""
         return self._ranking.whole(parts, self.rule.loss)
 
     def least_cost(self, costs: Mapping[str, float]) -> float | None:
@@ -82,7 +81,7 @@ class Assembly:
                 yield f"{self._needs[one]} and {self._needs[other]} are both {listed(sorted(both))}"
 
     def _facts(self, parts: Sequence[Plan]) -> dict[str, Value]:
-        """What the rule's expressions look at: of the parts, and of the whole."""
+        """The facts that the rule's expressions use: of the parts, and of the composition."""
         facts: dict[str, Value] = {}
         for name, index, attribute in self._inputs:
             value = parts[index].values.get(attribute)

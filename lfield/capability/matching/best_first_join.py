@@ -1,9 +1,9 @@
-"""Parts put together, the cheapest combinations first, as they are asked for.
+"""Lazy best-first join: combinations of parts in the order of their cost.
 
-Parts are chosen one after the other. What was begun waits with the least that it can cost: what is chosen
-costs what it costs, what is not costs at least the cheapest that is left. A part that must have a value in
-common with one chosen before is looked up by it; of parts that are joined so, all that has no counterpart is
-left out at the beginning. So only inequalities, sums and distances are ever tried in vain.
+Parts are chosen one after the other. A partial combination waits in a heap with a lower bound of its cost:
+the cost of the chosen parts plus the cheapest remaining candidate of each other part. A part that must share
+a value with one chosen before is found by a hash join; candidates without a counterpart are removed at the
+start. So only inequalities, sums and distances cause unsuccessful attempts.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class PlanStream:
         return self._made[index]
 
     def all_of(self, first: int, count: int) -> list[Plan]:
-        """So many of those that were made, from one on."""
+        """A slice of the plans made so far."""
         return self._made[first : first + count]
 
     def all(self) -> list[Plan]:
@@ -68,8 +68,8 @@ class SearchBudgetExceeded(Exception):
     """There may be more than could be tried."""
 
 
-#: A combination that was begun: the least it can cost, the numbers of its parts (-1: not chosen yet), and who
-#: was first; its plans in the order of choice, where the last of them is from, and its number there.
+#: A partial combination: lower bound of its cost, numbers of its parts (-1: not chosen yet), insertion order;
+#: its plans in the order of choice, the source of the last one, and its number there.
 _PartialChoice = tuple[float, tuple[int, ...], int, tuple[Plan, ...], Sequence[int] | None, int]
 
 
@@ -197,7 +197,7 @@ class BestFirstJoin:
         return found
 
     def _due(self, checks: Sequence[PartCheck], level: int) -> list[tuple[Judge, list[tuple[str, int, str]]]]:
-        """The checks whose last part is chosen on this level, with the levels of what they look at."""
+        """The checks whose last part is chosen on this level, with the levels of their parts."""
         level_of = {part: number for number, part in enumerate(self._order)}
         return [
             (check.judge, [(name, level_of[part], attribute) for name, part, attribute in check.inputs])
@@ -254,7 +254,6 @@ def _without(numbers: tuple[int, ...], part: int) -> tuple[int, ...]:
 
 
 def _ties(join: Join, part: int, others: Sequence[int]) -> bool:
-    """Whether a join ties a part to one of others."""
     return (join.left == part and join.right in others) or (join.right == part and join.left in others)
 
 
@@ -276,9 +275,9 @@ def _members(value: Value | None) -> Iterable[Value]:
 def teams(
     members: PlanStream, size: int, cost: Callable[[Iterable[float]], float], effort: SearchBudget
 ) -> Iterator[tuple[Plan, ...]]:
-    """All teams of so many members that have no agent in common, the cheapest first; each once.
+    """All teams of `size` members without a common agent, cheapest first, each once.
 
-    Of equal cost goes that with the better first member first, then the second. Raises SearchBudgetExceeded.
+    Ties are ordered by the first member, then the second. Raises SearchBudgetExceeded.
     """
     waiting: list[tuple[float, tuple[int, ...], tuple[Plan, ...]]] = []
 

@@ -18,7 +18,7 @@ from lfield.capability.model import Attribute, Expression
 from lfield.text.source_text import Span
 from lfield.text.suggestions import did_you_mean, listed
 
-#: Text attributes that every offer has: who it is, and on which robot (a robot is a host).
+#: Text attributes that every offer has: the name of its agent, and its robot (host).
 IDENTITY = ("agent", "robot", "host")
 
 #: The attributes from which `distance` is computed: metres from the team's common origin.
@@ -111,7 +111,6 @@ def check_expression(expression: Expression, scope: NameScope, expected: Expecta
 
 
 def _sort_text(sort: str) -> str:
-    """A sort as text."""
     return {"boolean": "true or false", "text": "text", "nothing": "nothing"}.get(sort, f"a {sort}")
 
 
@@ -249,7 +248,9 @@ class _Checker:
         return _TEXT
 
     def _declared(self, tree: condition_tree.ConditionExpr) -> tuple[str, ...]:
-        """All that an attribute may be; () when it may be anything, or this is none."""
+        """The permitted values of an attribute; () if they are not restricted, or this is not an
+        attribute.
+        """
         match tree:
             case condition_tree.ConditionName(name=name) if name in self._scope.names:
                 return self._scope.names[name].values

@@ -1,9 +1,9 @@
-"""What expressions over attributes are worth, given facts; made once into closures, called for every offer.
+"""Evaluates expressions over attributes: compiled once into closures, called for every offer.
 
-Facts are flat: values by attribute (`payload`), or by part and attribute (`grip.payload`). What is not
-stated, not known or too old is not in them, and its value is None: unknown. Logic is Kleene's: an unknown
-side leaves `&&` and `||` unknown unless the other side decides. Arithmetic is in reals; a result that is
-none (a division by 0) is unknown too.
+Facts are flat: values by attribute (`payload`), or by part and attribute (`grip.payload`). A missing or
+outdated fact has the value None: unknown. Logic is Kleene's three-valued logic: an unknown side makes `&&`
+and `||` unknown unless the other side decides. Arithmetic is in reals; an undefined result (a division by 0)
+is unknown.
 """
 
 from __future__ import annotations
@@ -70,12 +70,12 @@ def _conjoined(tree: condition_tree.ConditionExpr) -> Iterator[condition_tree.Co
 
 @lru_cache(maxsize=4096)
 def fact_names(expression: Expression) -> tuple[str, ...]:
-    """The facts that it looks at, each once, in the order of the text."""
+    """The facts in an expression, each once, in the order of the text."""
     return tuple(dict.fromkeys(facts_of(expression.tree)))
 
 
 def facts_of(tree: condition_tree.ConditionExpr) -> Iterator[str]:
-    """The facts that a part of an expression looks at."""
+    """The facts in a part of an expression."""
     match tree:
         case condition_tree.ConditionName() | condition_tree.ConditionMember():
             yield fact_name(tree)

@@ -22,7 +22,7 @@ from lfield.capability.matching.rule_index import Chain
 from lfield.capability.model import Equivalence, Expression
 from lfield.capability.offer import Rejection
 
-#: Combinations of parts that an explanation looks at, and those of them that it shows.
+#: Maximum number of combinations of parts that an explanation examines, and that it shows.
 MAX_COMBINATIONS_TRIED, MAX_COMBINATIONS_SHOWN = 64, 16
 
 #: The note for a rule whose search was cut off.
@@ -93,9 +93,9 @@ class Explanation:
         self._reported: dict[tuple[str, frozenset[Expression]], bool] = {}
 
     def refusals(self) -> list[Rejection]:
-        """Everyone who could do what is searched for and is not offered.
+        """The possible providers that are not offered, with the reasons.
 
-        A reason is reported once, and a long explanation is cut.
+        Each reason is reported once, and a long explanation is cut.
         """
         search = self._search
         conditions = () if search.constraint is None else (search.constraint,)

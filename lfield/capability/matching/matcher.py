@@ -1,4 +1,4 @@
-"""Who can do it now, best first, and why the others cannot."""
+"""The query engine: offers of a primitive, best first, and the reasons why other agents are not offered."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class MatchResult:
         return found + self._caveats()
 
     def summary(self, agents: int) -> list[str]:
-        """How many offers there are, of so many agents, and what was left out."""
+        """The number of offers and agents, and what was left out."""
         if self.count == 0 or self.count > len(self.offers):
             return self.notes
         offers = "there is 1 offer" if self.count == 1 else f"there are {self.count} offers"
@@ -60,10 +60,10 @@ class MatchResult:
 
 @dataclass(frozen=True, slots=True)
 class TeamResult:
-    """Teams of offers, best first, the members of each best first; how many agents there are for one.
+    """Teams of offers, best first, members best first; and the number of candidate agents.
 
-    There are `others` that are not given. Of `cut` rules not all combinations of parts could be tried, nor of
-    the members if there are `more`. Of `full` rules only the best so many combinations could be members.
+    `others`: there are further teams. For the `cut` rules not all combinations of parts were tried; `more`:
+    nor all combinations of members. For the `full` rules only the best combinations were candidates.
     """
 
     teams: Sequence[Sequence[Offer]]
@@ -86,7 +86,7 @@ class Matcher:
     """Evaluates queries on the directory of one host, without communication.
 
     `ways` restricts the answers to the fields that a program was compiled with, by primitive (ways.py).
-    Candidates that are the same objects as in the last query are not looked at again.
+    Candidates that are the same objects as in the last query are not evaluated again.
     """
 
     def __init__(
@@ -103,10 +103,10 @@ class Matcher:
         self._rules = RuleIndex(registry, team.candidates, ways, self._limits.depth)
 
     def find(self, primitive: str, wish: OfferQuery = ANY_OFFER) -> MatchResult:
-        """The best who serve the primitive as is asked, at most as many as is asked or `max_offers`.
+        """The best offers for a query, at most its limit or `max_offers`.
 
-        Ties go to the way with fewer rules, then by the names of rules, then to the better first part, and at
-        last by the order of the deployment. Of each composition there are the best `limits.per_rule`.
+        Ties are ordered by the number of rules, the names of the rules, the first part, and the order of the
+        deployment. Each composition rule gives at most `limits.per_rule` offers.
         """
         search = self._search(primitive, wish)
         most = wish.limit or self.max_offers
@@ -121,19 +121,19 @@ class Matcher:
         return MatchResult(offers, count, cut, unordered, full, self._limits.per_rule)
 
     def offers(self, primitive: str, constraint: Expression | None = None) -> Sequence[Offer]:
-        """The best who serve the primitive and fulfil a condition."""
+        """The best offers of a primitive that satisfy a condition."""
         return self.find(primitive, OfferQuery(constraint)).offers
 
     def count(self, primitive: str, constraint: Expression | None = None) -> int:
-        """How many there are of whom `offers` gives the best."""
+        """The number of all offers of which `offers` returns the best."""
         return self.find(primitive, OfferQuery(constraint)).count
 
     def teams(self, primitive: str, size: int, wish: OfferQuery = ANY_OFFER) -> TeamResult:
-        """The best teams of so many offers that have no agent in common.
+        """The best teams of `size` offers without a common agent.
 
-        Of offers by the same agents only the best can be a member. A team costs the sum of what its members
-        cost, and `part` for each after the first; of equal cost goes that with the better first member first,
-        then the second. Where the question orders, teams are compared by their members alone.
+        Of several offers by the same agents only the best can be a member. The cost of a team is the sum of
+        the costs of its members plus `part` for each after the first; ties are ordered by the first member,
+        then the second. If the query has an order, teams are compared by their members.
         """
         search = self._search(primitive, wish)
         cost: Callable[[Iterable[float]], float]
@@ -158,7 +158,7 @@ class Matcher:
         return len(_agents(self._search(primitive, wish).plans()))
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Rejection]:
-        """Everyone who could serve the primitive and is not offered: each agent of each way, each rule."""
+        """The possible providers that are not offered: agents of each way, and rules."""
         return Explanation(self._search(primitive, OfferQuery(constraint))).refusals()
 
     def _search(self, primitive: str, wish: OfferQuery) -> Search:

@@ -20,12 +20,12 @@ Rank = tuple[float, int, tuple[str, ...], tuple[Any, ...]]
 
 
 class Plan(Struct, eq=False):
-    """An offer, its rank, and its attributes as flat facts with `agent`, `robot` and `host`.
+    """A candidate offer: its rank, and its attributes as flat facts with `agent`, `robot` and `host`.
 
-    Plans are offered in the order of their ranks. Where a plan takes several agents, the three are sets.
-    `unknown` has the reasons why attributes have no value. `composition` is the rule that puts several parts
-    together, '' when it is one agent. The offer itself is made by `make`, of the plan and what it is `given`,
-    when it is asked for: most plans of a search are not offered in the end.
+    Plans are offered in the order of their ranks. For a plan with several agents the three are sets.
+    `unknown` has the reasons why attributes have no value. `composition` is the rule that combines several
+    parts, '' for a single agent. `make` creates the offer from the plan and `given` on demand, because most
+    plans are not offered.
     """
 
     make: Callable[[Plan], Offer]
@@ -43,7 +43,6 @@ class Plan(Struct, eq=False):
 
     @property
     def agents(self) -> frozenset[str]:
-        """Who takes part."""
         found = self.values["agent"]
         return found if isinstance(found, frozenset) else frozenset((str(found),))
 
@@ -76,7 +75,7 @@ def satisfying(plans: Iterable[Plan], judges: Sequence[Judge]) -> Iterator[Plan]
             yield plan
 
 
-#: The same few names are asked for with every offer.
+#: Cached, because every offer uses the same few names.
 _way = cache(ways.equivalent)
 
 

@@ -1,10 +1,10 @@
-"""The cheapest plans first, made one by one as they are asked for.
+"""Lazy best-first search over an AND/OR graph of plans.
 
-Plans form an AND/OR graph: a primitive is served by this or that way, a composition by all of its parts.
-Every node is a lazy stream of plans in the order of their costs. A primitive merges those of its ways by a
-heap in which a way waits with the least it can cost, so that hopeless ones are never begun; a composition
-tries combinations of its parts by their sum, beginning with the cheapest of each. Nodes are shared: each
-is computed once for a primitive and the number of rules that may still be chained.
+A primitive is served by one of its ways (OR), a composition by all of its parts (AND). Every node is a lazy
+stream of plans in the order of their cost. A primitive merges its ways by a heap with a lower bound of the
+cost of each, so that expensive ways are never started; a composition joins its parts by the sum of their
+costs. Nodes are shared: each is computed once for a primitive and the number of rules that may still be
+chained.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class Search:
         self._least = least_costs(rules, primitive, self._cheapest)
 
     def candidates(self, resource: str) -> Sequence[Candidate]:
-        """The agents of a resource type, asked for once."""
+        """The agents of a resource type, read once."""
         if resource not in self._candidates:
             self._candidates[resource] = self._team.candidates(resource)
         return self._candidates[resource]
@@ -194,7 +194,7 @@ class Search:
         return self._streams[node]
 
     def composed(self, assembly: Assembly, depth: int, used: Used, wishes: Conditions = ()) -> PlanStream:
-        """The combinations of parts that fit, with so many rules below the composition's own."""
+        """The valid combinations of parts, with at most `depth` rules below the composition's own."""
         used &= self.rules.inside(assembly.rule.serves)
         node = (assembly.rule.name, depth, used, wishes)
         if node not in self._composed:
@@ -286,7 +286,7 @@ def judges(conditions: Iterable[Expression]) -> list[Judge]:
 
 
 def attributes_of(condition: Expression | None) -> frozenset[str]:
-    """The attributes that a condition looks at."""
+    """The attributes in a condition."""
     return frozenset() if condition is None else frozenset(fact_names(condition))
 
 
@@ -296,7 +296,6 @@ def _asked(chain: Chain) -> Conditions:
 
 
 def _end(chain: Chain, primitive: str) -> str:
-    """The primitive at the end of a chain."""
     return chain[-1].by if chain else primitive
 
 
@@ -310,7 +309,7 @@ def _number(plan: Plan) -> int:
 
 
 def _each(stream: PlanStream) -> Iterator[Plan]:
-    """The plans of a stream, as they are asked for."""
+    """The plans of a stream, on demand."""
     number = 0
     while (plan := stream.at(number)) is not None:
         yield plan
@@ -318,9 +317,9 @@ def _each(stream: PlanStream) -> Iterator[Plan]:
 
 
 def _merged(streams: Iterable[tuple[float, Iterator[Plan]]]) -> Iterator[Plan]:
-    """The plans of ordered streams in the order of their ranks; of equal ones the earlier stream's first.
+    """Merges ordered streams of plans by rank; ties by the order of the streams.
 
-    A stream that is not begun waits with the least that its plans can cost.
+    A stream that was not read yet has a lower bound of its cost as key.
     """
     started = list(streams)
     if len(started) == 1:

@@ -17,7 +17,7 @@ from lfield.capability.offer import Candidate, Fact, Offer, Position
 
 @dataclass(frozen=True, slots=True)
 class CostContext:
-    """What of a question counts for the cost of an agent: the attributes it names, and where it is asked."""
+    """The parts of a query that affect the cost of an agent: its attributes and its position."""
 
     named: frozenset[str] = frozenset()
     here: Position | None = None
@@ -48,7 +48,7 @@ class ProviderPlans:
         self._make = self._offer
         self._context: CostContext | None = None
         self._counted: Mapping[str, float] = {}
-        #: What an agent costs for the question that was asked last.
+        #: The costs of agents for the last query.
         self._costing: Costing
 
     def plans(self, candidates: Iterable[Candidate], context: CostContext) -> list[Plan]:
@@ -78,7 +78,7 @@ class ProviderPlans:
         return kept
 
     def _set_context(self, context: CostContext) -> None:
-        """From now on the ages of what is named count too, and distances from where is asked."""
+        """Sets the query: its attributes, whose ages count, and its position, for distances."""
         counted = self._ranking.counted(self.primitive, context.named)
         if self._context is None or (counted, context.here) != (self._counted, self._context.here):
             self._cached.clear()
@@ -148,6 +148,6 @@ class ProviderPlans:
 
 
 def _seconds(age: float, limit: float) -> str:
-    """An age in few digits, yet not so few that it looks within its limit."""
+    """An age in few digits, but enough to show that it exceeds its limit."""
     rounded = round(age)
     return f"{rounded} s" if rounded > limit else f"{age:g} s"

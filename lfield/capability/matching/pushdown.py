@@ -1,14 +1,14 @@
-"""What is asked of a whole, as far as it can be asked of its parts before they are combined.
+"""Predicate pushdown: moves the condition of a composition to its parts before they are combined.
 
-    fork.agent == "f39"                 is asked of the fork alone
-    payload >= 400                      of each part, where payload is min(fork.payload, cart.payload)
-    agent == "f39"                      of the whole: the fork is f39, or else the cart is
-    fork.slot == cart.slot              a join: each fork is put to the carts of its slot only
-    fork.slot == cart.slot || far < 9   a choice: two searches, by the join, and without it
-    fork.payload + cart.payload >= 3    a check: tried, the cheapest first
+    fork.agent == "f39"                 a condition on the fork
+    payload >= 400                      on each part, where payload is min(fork.payload, cart.payload)
+    agent == "f39"                      on the composition: the fork is f39, or else the cart is
+    fork.slot == cart.slot              a join: each fork is combined with the carts of its slot only
+    fork.slot == cart.slot || far < 9   a choice: two searches, with and without the join
+    fork.payload + cart.payload >= 3    a check of combinations, cheapest first
 
-A condition is rewritten with the rule's attributes of the whole, split, and each part is assigned to
-the parts that it names. Nothing changes in what is true: unknown stays unknown, and only what is true counts.
+The rule's attributes are substituted into the condition, which is split into conjuncts, each assigned to the
+parts that it names. The result is equivalent in three-valued logic; only what is true counts.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _OPPOSITE: Mapping[str, str] = {"==": "!=", "!=": "==", "<": ">=", ">=": "<", "<
 
 @dataclass(frozen=True, slots=True)
 class Join:
-    """Two parts, by their numbers, that must have a value in common; each judge looks at its own part."""
+    """A join of two parts, by number, on a common value; each key function applies to its own part."""
 
     left: int
     left_value: Judge
@@ -57,7 +57,7 @@ class PartCheck:
 
 @dataclass(frozen=True, slots=True)
 class PushedDown:
-    """All that is asked of a whole: of the `parts` by their numbers, between them, and of itself."""
+    """The split condition: on single `parts` by number, between parts, and on the composition."""
 
     parts: tuple[tuple[Expression, ...], ...]
     joins: tuple[Join, ...] = ()
@@ -83,12 +83,12 @@ class _Collected:
 
 
 def push_down(rule: Composition, asked: Sequence[Expression]) -> list[PushedDown]:
-    """The `where` of a rule and what is asked of the whole; no two of the answers have a whole in common."""
+    """Splits the `where` of a rule and the condition of a query into alternatives with disjoint results."""
     return _PushDown(rule).run(asked)
 
 
 class _PushDown:
-    """Takes apart what is asked of the wholes of one rule."""
+    """Splits the conditions on the compositions of one rule."""
 
     def __init__(self, rule: Composition) -> None:
         self._rule = rule
@@ -98,7 +98,7 @@ class _PushDown:
         self._searches = 1
 
     def run(self, asked: Sequence[Expression]) -> list[PushedDown]:
-        """One for each alternative of the part that is meant; none if no whole can satisfy the condition."""
+        """One result for each alternative of the part; none if the condition cannot be satisfied."""
         for conjunct in (c for where in self._rule.where for c in conjuncts(where)):
             self._of_whole(conjunct)
         for conjunct in asked:
@@ -116,7 +116,7 @@ class _PushDown:
         return branches
 
     def _grown(self, branch: PushedDown, found: _Collected) -> list[PushedDown]:
-        """A branch in which what was found is asked, too: one for each way to choose."""
+        """The branches with one more condition: one for each alternative."""
         parts = tuple((*had, *new) for had, new in zip(branch.parts, found.parts, strict=True))
         joins, checks = (*branch.joins, *found.joins), (*branch.checks, *found.checks)
         branches = [PushedDown(parts, joins, checks, (*branch.whole, *found.whole))]
@@ -136,7 +136,7 @@ class _PushDown:
         return found
 
     def _has_budget_for(self, times: int) -> bool:
-        """Whether there may be so many times the searches; then there are."""
+        """Multiplies the number of searches if the limit permits; returns whether it does."""
         if self._searches * times > MAX_BRANCHES:
             return False
         self._searches *= times
@@ -346,7 +346,7 @@ def _negated(tree: condition_tree.ConditionExpr) -> condition_tree.ConditionExpr
 
 
 def _expression(tree: condition_tree.ConditionExpr) -> Expression:
-    """A condition on one part, by a text of its own: parts of which the same is asked are found once."""
+    """A condition on one part, with a canonical text: parts with the same condition are searched once."""
     return TextCondition(_written(tree), tree)
 
 

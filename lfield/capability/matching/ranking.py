@@ -1,22 +1,24 @@
-"""The cost of an offer, by which offers are ranked: the less, the better. It is never below 0.
+"""The cost of an offer, at least 0; offers are ranked by ascending cost.
 
-`formula` is the whole of it, made of the tables that the code computes with: the guide prints it, and
-`lfield query --explain` shows its terms. Each term is a weight of the mission times an amount:
+`formula` is generated from the tables that the code uses; the capability page prints it, and `lfield query
+--explain` shows its terms. Each term is a weight of the mission times an amount:
 
 - F, the fitness, is the mean penalty of the rated attributes, weighed by `attributes` of the weights (1 by
   default). Rated for a primitive is every number with a `better` of more or less that an agent of the team
   which serves it itself states or measures, now or at another time: types without an agent do not count,
   and a lost link changes no score of the others. A value x of an attribute with the typical value t has the
   penalty t / (t + x) when more is better and x / (t + x) when less is, x being at least 0: from 0 over 0.5
-  for the typical value up to 1. What is not stated or not known counts as typical, so silence is no merit.
+  for the typical value up to 1. An unknown value counts as typical, so not reporting is no advantage.
 - H is the number of hops: 0 on this host, else 1.
-- N is d / (nearby + d) for an agent d metres from where the question is asked, 0.5 where its place is not
-  known; it is 0 for all when the place of the query is unknown.
-- A is the largest age / max_age of the live attributes that are rated or named in the question, at most 1;
-  one that is too old counts 1.
+- N is d / (nearby + d) for an agent at d metres from the position of the query, 0.5 if its position is
+unknown; it is
+  0 for all if the position of the query is unknown.
+- A is the largest age / max_age of the live attributes that are rated or named in the query, at most 1; an
+outdated
+  one counts 1.
 
-All grow with the costs of what they are made of, so the cheapest parts make the cheapest whole, and a search
-may stop early. Costs are rounded to nine decimals: equal ones are equal however they were added up.
+Costs are monotonic in the costs of the parts, so the cheapest parts make the cheapest composition, and a
+search may stop early. Costs are rounded to nine decimals: equal ones are equal however they were added up.
 """
 
 from __future__ import annotations
@@ -34,7 +36,7 @@ from lfield.capability.matching.condition_evaluator import (
 from lfield.capability.model import Attribute, Provider, Registry, Value
 from lfield.capability.offer import Candidate, CostTerm, Penalty, Position
 
-#: The penalty of a typical value, and of one that is not known.
+#: The penalty of a typical or unknown value.
 TYPICAL_PENALTY = 0.5
 #: A cost of 1 in the steps that are counted: nine decimals.
 STEPS = 1e9
@@ -138,7 +140,7 @@ class Ranking:
     # --- an agent -------------------------------------------------------------------------------------
 
     def agents(self, primitive: str, here: Position | None) -> Costing:
-        """What an agent costs that serves the primitive itself, when the question is asked `here`."""
+        """The cost of an agent that provides the primitive directly, for a query `here`."""
         rated = [(r.name, r.share, r.typical, r.more) for r in self.rated(primitive)]
         nearby = self._weights.nearby
         of_fitness, of_hop, of_near, of_age = self._of_agent

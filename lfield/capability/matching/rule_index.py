@@ -18,10 +18,10 @@ from lfield.capability.matching.ranking import Ranking
 from lfield.capability.model import Equivalence, Registry
 from lfield.capability.offer import Candidate
 
-#: One-to-one rules from the primitive that is wanted down to the one that is asked.
+#: One-to-one rules from the requested primitive down to the one of the provider.
 Chain = tuple[Equivalence, ...]
 
-#: So many chains to a primitive are followed, the shortest; a registry that describes robots has fewer.
+#: Maximum number of chains to a primitive, shortest first; real registries have fewer.
 MAX_CHAINS = 256
 
 
@@ -113,7 +113,7 @@ class RuleIndex:
         return self._compositions_by_need.get(primitive, [])
 
     def reached(self, primitive: str) -> tuple[str, ...]:
-        """A primitive, and all that may occur anywhere in a plan for it."""
+        """A primitive, and all others that may occur in a plan for it."""
         if primitive not in self._reached:
             found = dict.fromkeys([primitive])
             waiting = [primitive]
@@ -148,12 +148,12 @@ def is_subsumption(rule: Equivalence) -> bool:
 
 
 def least_costs(rules: RuleIndex, goal: str, agents: Callable[[str], float | None]) -> Mapping[str, float]:
-    """The least cost of every primitive that may be part of a plan for the `goal` one.
+    """Lower bounds of the costs of all primitives that may be part of a plan for `goal`.
 
-    `agents` gives that of the agents which serve a primitive themselves. Who cannot be served is left out;
-    what conditions leave of it does not count. This is Knuth's generalisation of Dijkstra's algorithm to
-    AND/OR graphs (Information Processing Letters 6, 1977): primitives are settled in the order of their least
-    costs; a rule counts when all it needs are settled.
+    `agents` returns the least cost of direct providers. Primitives without a provider are left out;
+    conditions are ignored. This is Knuth's generalisation of Dijkstra's algorithm to AND/OR graphs
+    (Information Processing Letters 6, 1977): primitives are settled in the order of their least costs; a rule
+    counts when all its needs are settled.
     """
     settled: dict[str, float] = {}
     own = ((name, agents(name)) for name in rules.reached(goal))

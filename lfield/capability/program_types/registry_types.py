@@ -20,7 +20,7 @@ from lfield.text.source_text import Diagnostic, Diagnostics, Source
 
 
 class RegistryTypes:
-    """The capabilities of a registry that is read when the first of them is asked for.
+    """The capabilities of a registry that is read at the first look-up.
 
     Reading raises what `read` raises, ProgramError for one. `own` is the file with what a mission adds.
     """
@@ -30,7 +30,6 @@ class RegistryTypes:
 
     @cached_property
     def registry(self) -> Registry:
-        """The registry."""
         return self._read()
 
     def names(self) -> Collection[str]:

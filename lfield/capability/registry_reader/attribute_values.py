@@ -90,7 +90,7 @@ def _value(draft: RegistryBuilder, attribute: Attribute, entry: YamlEntry) -> Va
 
 
 def _wrong_node(attribute: Attribute, node: YamlNode) -> YamlNode:
-    """What is of the wrong kind: of a list where one is wanted, its first item that is no text."""
+    """The value of the wrong type: in a list of texts the first item that is not text."""
     if not isinstance(node, YamlList) or attribute.type != "set":
         return node
     return next(item for item in node.items if not _is_text(item))

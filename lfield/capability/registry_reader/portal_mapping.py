@@ -6,9 +6,9 @@ portals:
   stop: halt                         # the same with the same parameters, under another name
 ```
 An argument is the name of a canonical parameter, a number, true or false, `{parameter: height, unit: mm}`
-with the unit that the target needs, or `{constant: "text"}`. `emit` says in which unit the target emits,
-`{unit: mm}`, or what the caller gets instead: `{parameter: height}` or `{constant: 1.0}`. A portal that is
-left out is served by one of the same name, with the same parameters in their order.
+with the unit that the target needs, or `{constant: "text"}`. `emit` is the unit in which the target emits,
+`{unit: mm}`, or a replacement of the result: `{parameter: height}` or `{constant: 1.0}`. A portal without a
+mapping is served by the one of the same name with the same parameters.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ def _converted(draft: RegistryBuilder, emit: YamlFields, portal: Portal) -> Argu
 
 
 def _is_number(draft: RegistryBuilder, type: str, what: str, span: Span) -> bool:
-    """Whether a value can be converted; reports it when it is no single number."""
+    """Whether a value can be converted; reports one that is not a single number."""
     if type not in ("real", "int"):
         draft.report(messages.NO_UNIT_HERE, span, what=what, type=type)
     return type in ("real", "int")

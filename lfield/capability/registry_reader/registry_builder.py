@@ -147,7 +147,7 @@ class RegistryBuilder:
         return did_you_mean(name[:MAX_NAME], known)
 
     def term(self, id: str, span: Span) -> str:
-        """The id that counts for a term that is mentioned, '' when there is none."""
+        """The canonical id of a mentioned term, '' for an unknown one."""
         if id in self.terms and not self.terms[id].deprecated:
             return id
         if id in self.aliases:
@@ -160,7 +160,7 @@ class RegistryBuilder:
         return ""
 
     def attribute(self, name: str, span: Span) -> Attribute | None:
-        """An attribute that is mentioned, None when there is none."""
+        """A mentioned attribute, None if unknown."""
         attribute = self.attributes.get(name)
         if attribute is None:
             self.report(
@@ -169,7 +169,7 @@ class RegistryBuilder:
         return attribute
 
     def primitive(self, name: str, span: Span) -> Primitive | None:
-        """A primitive that is mentioned, None when there is none."""
+        """A mentioned primitive, None if unknown."""
         primitive = self.primitives.get(name)
         if primitive is None and name:
             self.report(

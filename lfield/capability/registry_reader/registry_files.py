@@ -4,13 +4,13 @@ A file of a registry is YAML with any of these sections, each described where it
 
     registry: 1         the version of the format; every file has it
     taxonomy            taxonomy.py             terms as a tree, and its version
-    attributes, ranking attributes.py           what offers differ in, and how much each counts
-    primitives          primitives.py           what can be called
-    providers, agents   providers.py            resource types and what they serve; values of single agents
+    attributes, ranking attributes.py           the attributes of offers, and their weights
+    primitives          primitives.py           the primitives and their portals
+    providers, agents   providers.py            resource types and their primitives; values of single agents
     equivalences        rules.py                which primitives substitute for others
 
-Sections refer to those above them, in whatever file. All files are equal, and nothing is defined twice; only
-a mission's own file, `NAME.capabilities.yaml` beside `NAME.dL`, may override the others.
+Sections refer to those above them, in any file. All files are equal, and a name is defined once; only a
+mission's own file, `NAME.capabilities.yaml` in the folder of `NAME.dL`, may override others.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ from lfield.text.source_text import Diagnostic, Diagnostics
 from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlScalar, read
 
-#: The registry file of a driver's package, beside its folder `L`, for the resource types in that folder.
+#: The registry file of a driver's package, in the parent of its folder `L`, for the resource types in that
+#: folder.
 DRIVER_FILE = "capabilities.yaml"
 
 #: The version of the format.
@@ -45,7 +46,8 @@ VERSION = 1
 
 #: What makes no difference to any answer.
 _IGNORED = frozenset({"span", "meaning", "digest", "constraints"})
-#: Of a term the name is for people; where the source of a class lies differs between hosts.
+#: Not part of the digest: names and meanings of terms, and the paths of class sources, which differ between
+#: hosts.
 _IGNORED_OF = {TaxonomyTerm: _IGNORED | {"name"}, Composition: _IGNORED | {"source"}}
 
 

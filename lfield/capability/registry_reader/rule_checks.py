@@ -144,11 +144,11 @@ Graph = Mapping[str, Sequence[tuple[str, str]]]
 
 
 def check_cycles(draft: RegistryBuilder) -> None:
-    """Report every need that leads back to what it is a part of, with the way there.
+    """Report every cycle through a need, with its path.
 
-    Rules are edges from the served primitive to the serving one. One-to-one rules may be cyclic, since no
-    search is asked twice. What is needed may be just what is served: two haul more than one. No other circle
-    may go through a need, for nobody could see any more what a whole is made of.
+    Rules are edges from the served primitive to the serving one. One-to-one rules may be cyclic, since each
+    search runs once. A need may be the served primitive itself: two haul more than one. No other cycle may
+    contain a need, because compositions would be unbounded.
     """
     graph = _graph(draft)
     for rule in draft.compositions.values():
@@ -179,7 +179,7 @@ def _graph(draft: RegistryBuilder) -> Graph:
 
 
 def _path(graph: Graph, start: str, goal: str) -> list[tuple[str, str]] | None:
-    """A shortest way from one primitive to another: each step, and its rule; None when there is none."""
+    """A shortest path between two primitives, as steps with their rules; None if there is none."""
     came_from: dict[str, tuple[str, str]] = {start: ("", "")}
     waiting = deque([start])
     while waiting and goal not in came_from:

@@ -13,13 +13,13 @@ equivalences:
     needs: {grip: {capability: Grip, when: "payload >= 0.1"}, climb: {capability: Climb}}
     where: ["grip.robot != climb.robot"]
     distinct: [grip, climb]          # or true: no agent is two of them
-    through: GripAndClimb            # the class in L, in the file `source` beside this one
+    through: GripAndClimb            # the class in L, in the file `source`, relative to this one
     source: L/grip_and_climb.L
     attributes: {payload: "min(grip.payload, climb.payload)"}
     loss: 0.5
 ```
-A mission may replace a rule of ours by one of the same name. The specific serves the general by rules that
-follow from the tree of terms by themselves.
+A mission may replace a built-in rule by one of the same name. Rules from a specific term to a more general
+one are derived from the taxonomy.
 """
 
 from __future__ import annotations
@@ -192,10 +192,10 @@ def _whole_attributes(draft: RegistryBuilder, section: YamlFields, scope: NameSc
 
 
 def subsumptions(primitives: Mapping[str, Primitive]) -> dict[str, Equivalence]:
-    """All rules that follow from the places of some primitives in the tree, by name.
+    """The rules derived from the taxonomy, by name.
 
-    Where the term of P lies below that of Q and P has all portals of Q, with the same signatures, every offer
-    of P is one of Q, without any loss: the rule `P-is-Q`. A P that lacks one of them is just below Q.
+    If the term of P is below that of Q, and P has all portals of Q with the same signatures, every offer of P
+    is also one of Q without loss: the rule `P-is-Q`.
     """
     by_term: dict[str, list[Primitive]] = {}
     for primitive in primitives.values():

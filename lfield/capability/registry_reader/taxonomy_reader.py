@@ -1,4 +1,4 @@
-"""The section `taxonomy`: terms with dotted ids, their other names, and those that are out of use.
+"""The section `taxonomy`: terms with dotted ids, aliases, and deprecated terms.
 
 ```yaml
 taxonomy_version: 1
@@ -7,9 +7,9 @@ taxonomy:
   skill.lifting: {meaning: raises a load, aliases: [skill.raising]}
   skill.hoisting: {meaning: an older name, deprecated: skill.lifting}
 ```
-A mission may add terms, and may give ours other ids or take them out of use. The version grows whenever the
-taxonomy that we ship changes; an id is never taken away, it becomes an alias or goes out of use. So a file
-that was written for some version can be read with every later one, and says with which it cannot.
+A mission may add terms, add aliases to built-in ones, or deprecate them. The version grows with every change
+of the built-in taxonomy; an id is never removed, it becomes an alias or deprecated. So a file for some
+version can be read with every later one; `taxonomy_version` is the least version that it needs.
 """
 
 from __future__ import annotations

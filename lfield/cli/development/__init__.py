@@ -1,1 +1,1 @@
-"""Commands for whoever writes a mission."""
+"""Commands for mission developers."""

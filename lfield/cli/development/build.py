@@ -108,15 +108,15 @@ def _mission(args: argparse.Namespace) -> Mission:
     return mission.on_fakes() if args.sim else mission
 
 
-def _print_summary(output: Path, data: bytes, mission: Mission, beside: list[str]) -> None:
+def _print_summary(output: Path, data: bytes, mission: Mission, extra_files: list[str]) -> None:
     from lfield.mission import bundle
     from lfield.wire.fields import short_digest
 
     digest = short_digest(bundle.contents(data).digest)
     hosts = ", ".join(mission.team.hosts)
     print(f"{output}: {len(data)} bytes, bundle {digest}, for {hosts}", file=sys.stderr)
-    if beside:
-        print(f"copy with it, as they lie beside it: {', '.join(beside)}", file=sys.stderr)
+    if extra_files:
+        print(f"copy to the same folder: {', '.join(extra_files)}", file=sys.stderr)
 
 
 def _input_recorder() -> InputRecorder:

@@ -1,4 +1,4 @@
-"""`lfield capabilities`: the registry for those who read and write it."""
+"""`lfield capabilities`: shows and checks the registry of capabilities."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[ReportableFinding]:
-    """Each finding once: a deployment leads to its program, which may be named beside it, and otherwise."""
+    """Each finding once: a program may be named itself and by its deployment."""
     found: dict[str, ReportableFinding] = {}
     for finding in findings:
         data = finding.as_data()

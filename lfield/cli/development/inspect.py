@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print what the file says."""
+    """Print the contents of the file."""
     from lfield.journal.journal import FILE_NAME
     from lfield.mission import bundle
 
@@ -76,7 +76,7 @@ def _print_state(shown: BlockView, limit: int) -> None:
 
 
 def _show_folder(folder: Path) -> int:
-    """The journal of a host, by its folder. Raises InputFileError when there is none."""
+    """Print the journal in a folder. Raises InputFileError if there is none."""
     from lfield.errors import InputFileError
     from lfield.journal.journal import FILE_NAME
     from lfield.text.input_files import error_reason
@@ -85,14 +85,14 @@ def _show_folder(folder: Path) -> int:
     try:
         file.lstat()
     except FileNotFoundError:
-        raise InputFileError(str(folder), f"it is a folder without a {FILE_NAME}") from None
+        raise InputFileError(str(folder), f"the folder has no {FILE_NAME}") from None
     except OSError as error:
         raise InputFileError(str(folder), error_reason(error)) from None
     return _show_journal(file)
 
 
 def _show_journal(file: Path) -> int:
-    """All that can be read; only then what cannot."""
+    """Print the readable records, then raise for the damaged ones."""
     from lfield.cli.views.journal_view import journal_lines
     from lfield.errors import DamagedFileError
     from lfield.journal.readonly_view import open_read_only
@@ -102,10 +102,10 @@ def _show_journal(file: Path) -> int:
     for line in journal_lines(seen):
         print(escape(line))
     if seen.fault:
-        raise DamagedFileError(str(file), f"it is damaged, this is what is left of it: {seen.fault}")
+        raise DamagedFileError(str(file), f"damaged; the readable records are above: {seen.fault}")
     if seen.damaged:
         count = len(seen.damaged)
-        raise DamagedFileError(str(file), f"{count} page{'s' * (count > 1)} of it cannot be believed")
+        raise DamagedFileError(str(file), f"{count} damaged page{'s' * (count > 1)}")
     return 0
 
 
@@ -140,27 +140,27 @@ def _show_mission(file: Path) -> int:
     if mission.access.file:
         whom = [person.name for person in mission.access.people]
         whom += [caller.name for caller in mission.access.callers]
-        print(f"\n{mission.access.file} says what they may do: {listed(dict.fromkeys(whom))}")
+        print(f"\n{mission.access.file} restricts the rights of: {listed(dict.fromkeys(whom))}")
     for name, driver in mission.drivers.by_driver.items():
         print(f"\ndriver {name} of {driver.to_install}")
     return 0
 
 
 def _signed(found: BundleContents) -> str:
-    """Who has signed a bundle, as far as keys of this computer can tell."""
+    """The signer of a bundle, verified with the keys on this computer."""
     from lfield.authority.keystore import local_folders, read_trusted
     from lfield.authority.peer_verification import format_time
 
     if not found.signature:
-        return "by nobody"
+        return "no"
     here = local_folders(os.environ)
     if not here:
-        return "by somebody: there are no keys here to see by whom"
-    # cryptography takes a moment, and nothing that is not signed needs it.
+        return "yes, signer unknown: no keys on this computer"
+    # Importing cryptography is slow; unsigned bundles do not need it.
     from lfield.authority.bundle_signature import verify_bundle
 
     try:
         who, at = verify_bundle(found.digest, found.signature, read_trusted(here[0]))
     except KeysError as error:
-        return f"by nobody of ours: {error}"
+        return f"not verified: {error}"
     return f"by {who}, {format_time(at)}"

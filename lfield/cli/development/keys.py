@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from lfield.authority.ledger import LedgerKeys
     from lfield.authority.web_ca.web_certificates import IssuedWebKeys
 
-#: How many days keys last: an authority longer than all that it makes.
+#: Validity in days: the authority longer than the keys that it issues.
 _AUTHORITY_DAYS, _DAYS, _MAX_DAYS = 3650, 365, 36500
 #: Browsers take nothing of a page that lasts longer.
 _MAX_PAGE_DAYS = 398
@@ -112,8 +112,8 @@ def _authority(named: Path | None) -> Path:
 
     if named is not None:
         return named
-    said = os.environ.get(_VARIABLE, "")
-    return Path(said) if said else config_dir() / "authority"
+    value = os.environ.get(_VARIABLE, "")
+    return Path(value) if value else config_dir() / "authority"
 
 
 def _ends(args: argparse.Namespace, at: float, default: int = _DAYS) -> float:
@@ -190,7 +190,7 @@ def _make_page(args: argparse.Namespace) -> int:
 
 
 def _print_page(made: IssuedWebKeys) -> None:
-    """What was made, how it is used, and what browsers must be told."""
+    """Print the keys, their use, and the steps in a browser."""
     from lfield.authority.peer_verification import format_time
 
     words = shlex.quote(str(made.folder))
@@ -206,7 +206,7 @@ def _renew(args: argparse.Namespace) -> int:
     from lfield.authority.peer_verification import format_time
 
     if bool(args.names) == (args.what == "authority"):
-        raise UsageError("say whom to renew: host NAME ..., person NAME ..., or authority without a name")
+        raise UsageError("name the keys to renew: host NAME ..., person NAME ..., or authority")
     at = time.time()
     with open_ledger(_authority(args.authority)) as ledger:
         if args.what == "authority":
@@ -215,7 +215,7 @@ def _renew(args: argparse.Namespace) -> int:
                 f"the authority {ledger.authority.fingerprint[:12]}: until "
                 f"{format_time(ledger.authority.valid_until)}"
             )
-            print("  nothing has to be copied: what it has made, and all that trust it, stay as they are")
+            print("  nothing has to be copied: issued keys stay valid, and hosts trust the new certificate")
             return 0
         for name in args.names:
             _print_made(ledger.renew(args.what, name, at, _ends(args, at), new_key=args.new_key))
@@ -236,7 +236,7 @@ def _revoke(args: argparse.Namespace) -> int:
             print(f"{who}: certificate {who.serial[:12]} is revoked")
         path = shlex.quote(str(ledger.folder / REVOKED))
         print(f"list {ledger.revoked.number} is {path}: copy it into your own keys, or those of a host,")
-        print("and it goes from link to link; a host that is cut off cannot know of it")
+        print("and hosts forward it to each other; an unreachable host does not receive it")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""`lfield sign`: says by a signature, in the file itself, that this bundle may fly."""
+"""`lfield sign`: signs a bundle; the signature is stored in its file."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ def run(args: argparse.Namespace) -> int:
     from lfield.wire.fields import short_digest
 
     if args.file.suffix != bundle.SUFFIX:
-        raise UsageError(f"{args.file} is no bundle: 'lfield build' makes one of a deployment")
+        raise UsageError(f"{args.file} is not a bundle: 'lfield build' makes one from a deployment")
     data = bundle.read_file(args.file)
     try:
-        # Nobody signs what no host would read.
+        # A bundle that hosts would refuse is not signed.
         bundle.decode(data)
     except BundleError as error:
         raise error.of(args.file) from None

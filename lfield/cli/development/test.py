@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
         import pytest
     except ImportError:
         raise PluginError("'lfield test' needs pytest: pip install 'lfield[desk]'") from None
-    # Named twice it is loaded once; a project whose configuration names it need not be told of that.
+    # A plugin that the project's configuration names too is loaded once.
     words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
     words += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]
     words += ["-k", args.k] if args.k else []

@@ -1,1 +1,1 @@
-"""Commands for whoever sets up a robot."""
+"""Commands to set up a robot."""

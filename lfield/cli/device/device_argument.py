@@ -53,7 +53,7 @@ def named_devices(
             raise UsageError("--set and --type are for one device without --devices")
         return devices_in_file(args.devices, installed, plugins, args.endpoint)
     if not args.endpoint:
-        raise UsageError("where is the device? give --endpoint, or --devices with a file that says it")
+        raise UsageError("no endpoint: give --endpoint, or --devices with a devices file")
     return one_device(installed, plugins, args.endpoint, args.type, args.settings)
 
 

@@ -1,4 +1,4 @@
-"""`lfield doctor`: what stands between this computer and its devices, each with its cure."""
+"""`lfield doctor`: problems between this computer and its devices, each with a remedy."""
 
 from __future__ import annotations
 

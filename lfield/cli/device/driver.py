@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; the exit status tells nothing more."""
+    """List or create drivers; returns 0."""
     if args.action == "list":
         return _list()
     folder = args.into or Path(f"lfield_{args.name}")
@@ -54,5 +54,5 @@ def _new(name: str, folder: Path, *, sensor: bool, serial: bool) -> int:
         raise UsageError(f"{folder} exists already; nothing was written")
     for path in write(name, folder, sensor=sensor, serial=serial):
         print(path)
-    print(f"\nnext: pip install -e {folder}, then what {folder}/README.md says")
+    print(f"\nnext: pip install -e {folder}, then follow {folder}/README.md")
     return 0

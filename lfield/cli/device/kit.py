@@ -1,4 +1,4 @@
-"""`lfield kit DRIVER --endpoint E`: the conformance kit against whatever is at an endpoint, fake or real."""
+"""`lfield kit DRIVER --endpoint E`: runs the conformance tests on a real or simulated device."""
 
 from __future__ import annotations
 
@@ -67,7 +67,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _confirmed(checks: Iterable[Check], devices: Iterable[DeviceBinding]) -> bool:
-    """Ask once, before anything is opened; whoever cannot be asked has not agreed. Sensors do not move."""
+    """Ask for confirmation before anything is opened, except for sensors; without a terminal the answer is
+    no.
+    """
     names = ", ".join(device.name for device in devices if not device.is_sensor)
     if not (names and sys.stdin.isatty()):
         return not names

@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all is as it must be, 1 when nobody agreed to it."""
+    """0 when the parameters are as required, 1 without confirmation."""
     from lfield import event_loop
     from lfield.devices.parameter_backup import backup_folder, newest_backup, read_backup
     from lfield.driver.plugins import discover
@@ -65,7 +65,7 @@ def run(args: argparse.Namespace) -> int:
     if file is not None:
         return event_loop.run(_restore(args, plugins, read_backup(file)))
     if not args.driver and args.deploy is None:
-        raise UsageError("whose devices? give --deploy MISSION, or DRIVER --endpoint E")
+        raise UsageError("no devices given: give --deploy MISSION, or DRIVER --endpoint E")
     drivers, devices = _selected(args, plugins)
     return event_loop.run(_set_up(args, drivers, devices, backup_folder(args.state)))
 
@@ -178,7 +178,7 @@ def _show(found: Sequence[FoundDevice]) -> None:
 
 
 def _confirmed() -> bool:
-    """Ask; whoever cannot be asked has not agreed. Raises UsageError then."""
+    """Ask for confirmation. Raises UsageError without a terminal."""
     if not sys.stdin.isatty():
         raise UsageError("nothing was written: no terminal to confirm on; confirm with --yes")
     return confirm("Type 'yes' to write that: ")

@@ -35,7 +35,7 @@ def run(args: argparse.Namespace) -> int:
 
     sims = discover_sims()
     if args.kind_of_sim is None:
-        raise UsageError(f"which fake? installed: {', '.join(sorted(sims)) or 'none'}")
+        raise UsageError(f"no simulated device given; installed: {', '.join(sorted(sims)) or 'none'}")
     if args.kind_of_sim == "fault":
         return _fault(args.target, args.settings)
     sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # stdout is a text stream here
@@ -77,7 +77,7 @@ def _running() -> dict[Path, dict[str, Any]]:
 
 
 def _select_fake(target: str, running: Mapping[Path, Mapping[str, Any]]) -> tuple[Path, str]:
-    """The one fake that is meant, and the device on it, '' for all. Raises UsageError."""
+    """The fake with that name, and the device on it, '' for all. Raises UsageError."""
     found = []
     for door, fake in running.items():
         device = target if target in fake["devices"].values() else ""

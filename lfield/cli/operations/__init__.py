@@ -1,1 +1,1 @@
-"""Commands for whoever looks after a running team."""
+"""Commands for operators of a running team."""

@@ -104,7 +104,7 @@ _END_EVENTS = {"left": "hopped", "began": "ended", "asked": "answered"}
 
 
 def _print_skipped(host: str, what: EventsDropped, kinds: frozenset[str]) -> None:
-    """Print where requested events are missing, when the event that says so is not requested."""
+    """Print gaps of the requested events, which are events of another kind."""
     from lfield.operator.team_model.log_buffer import lost_events_text
 
     if kinds & {what.skipped, _END_EVENTS.get(what.skipped, "")}:
@@ -118,7 +118,7 @@ def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:
         if word not in known:
             hint = did_you_mean(word, known)
             raise UsageError(
-                f"there are no events of kind '{word}' here, but {listed(known)}{f'; {hint}' if hint else ''}"
+                f"unknown kind of events '{word}'; the kinds are {listed(known)}{f'; {hint}' if hint else ''}"
             )
     return frozenset(named or known)
 
@@ -172,13 +172,13 @@ def _select_hosts(names: dict[HostRef, str], only: Sequence[str]) -> dict[HostRe
         if name not in hosts:
             hint = did_you_mean(name, sorted(hosts))
             raise UsageError(
-                f"there is no host '{name}': there is {listed(sorted(hosts))}{f'; {hint}' if hint else ''}"
+                f"no host '{name}'; the hosts are {listed(sorted(hosts))}{f'; {hint}' if hint else ''}"
             )
     return {place: name for place, name in names.items() if not only or {place.host, name} & set(only)}
 
 
 def _limit_foreign(names: dict[HostRef, str]) -> dict[HostRef, str]:
-    """At most so many hosts of each other user; prints to stderr how many are left out."""
+    """Limits the hosts of each other user; prints to stderr how many are left out."""
     found: dict[str, list[HostRef]] = defaultdict(list)
     for place in names:
         found[place.user].append(place)

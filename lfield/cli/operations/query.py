@@ -108,7 +108,7 @@ def _known(args: argparse.Namespace, team: Team, asked: QueryContext, at: str) -
     party = None if args.files else selected_team(args)
     answers = by_host(ask_teams([party], PATIENT_SNAPSHOT, args.keys), party) if party else {}
     views, errors = directory_views(host_states(answers)), unanswered(answers)
-    # No listener anywhere means that the mission is not running, which is no error.
+    # No listener anywhere means that the mission is not running, which is not an error.
     nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
     told = {} if nobody else errors
     registry, pose = asked.registry, asked.frames.place(at)

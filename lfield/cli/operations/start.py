@@ -84,4 +84,4 @@ def _waiting(start: StartStatus) -> str:
         return f"{who}: {start.held}"
     if not start.hosts:
         return f"{who} yet: waiting for the landed state of vehicles on other hosts"
-    return f"{who}: waiting for {listed(start.hosts)}; 'lfield ps' says why"
+    return f"{who}: waiting for {listed(start.hosts)}; 'lfield ps' prints the reason"

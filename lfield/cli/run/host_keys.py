@@ -1,4 +1,4 @@
-"""The keys of a host: from a directory, or made by `up --all` for its run."""
+"""The keys of a host: from a directory, or ephemeral ones of `up --all`."""
 
 from __future__ import annotations
 
@@ -34,17 +34,16 @@ def load_credentials(host: str, args: argparse.Namespace) -> HostCredentials | N
         return None
     folders = [found]
     with suppress(NoHomeFolder):
-        # A service may read its keys, and writes its state elsewhere.
+        # A service may only read its keys folder, so it stores its state elsewhere.
         folders.append(state_dir() / "keys" / keystore.entry_name(host))
     return HostCredentials(keystore.read_keys(found, "host"), folders, args.lasts)
 
 
 def built_here(mission: Mission, path: Path, args: argparse.Namespace) -> Mission:
-    """A mission that was built just now, of a bundle or of files, as what a host takes it for.
+    """The mission with the signature that a host verifies.
 
-    A bundle that gets this computer's own devices is the one that was signed. What is of files, whoever may
-    sign bundles has signed by having it run; without such keys a host says what is missing. No other computer
-    has to have made the same of its own files.
+    A signed bundle stays valid with other device bindings. A mission from files is signed now with the keys
+    of a person who may sign; without them the host reports the missing signature.
 
     Raises KeysError for keys that cannot be used.
     """
@@ -80,10 +79,7 @@ def _signed(mission: Mission, args: argparse.Namespace) -> Mission:
 
 
 def observer_keys(host: str, args: argparse.Namespace) -> Keys | None:
-    """What somebody asks the others with who starts a host: this user's keys, else the host's.
-
-    Raises KeysError.
-    """
+    """The keys for queries to other hosts: this user's, else the host's. Raises KeysError."""
     from lfield.authority import keystore
     from lfield.errors import KeysError
 
@@ -103,10 +99,10 @@ class _InheritedKeys(NamedTuple):
 
 
 def ephemeral_keys(hosts: Iterable[str], bundle: BundleId) -> Mapping[str, int]:
-    """New keys for each of these hosts, known to nobody else: descriptors that a process can inherit.
+    """New keys for each of these hosts, as file descriptors that a process can inherit.
 
-    They are in memory only, and gone with the processes of the run. Whoever has such keys was started by this
-    user to run this bundle: that is in the descriptor too, and says as much as a signature.
+    They are in memory only and end with the run. A process that has inherited such keys was started by this
+    user to run this bundle; the descriptor contains its digest, which replaces a signature.
     """
     import time
 
@@ -117,7 +113,7 @@ def ephemeral_keys(hosts: Iterable[str], bundle: BundleId) -> Mapping[str, int]:
 
     now = time.time()
     made = EphemeralCa.for_hosts(hosts, now)
-    bundle = BundleId(bundle.digest, by="whoever started it", at=now)
+    bundle = BundleId(bundle.digest, by="the user who started it", at=now)
     return {
         host: pipe_with(msgspec.msgpack.encode(_InheritedKeys(keys, bundle)))
         for host, keys in made.hosts.items()

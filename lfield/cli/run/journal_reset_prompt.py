@@ -30,8 +30,8 @@ def reset_journal(
 ) -> bool:
     """Whether the journal was made ready for a new run; False without confirmation.
 
-    `others` are the addresses of the other hosts by name, who are asked with `keys`; `report` takes lines for
-    people. Raises JournalError, CoordinatorAlive, UsageError.
+    `others` are the addresses of the other hosts by name, queried with `keys`; `report` prints lines. Raises
+    JournalError, CoordinatorAlive, UsageError.
     """
     import asyncio
 

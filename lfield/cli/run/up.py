@@ -18,11 +18,11 @@ from lfield.cli.mission_argument import add_bindings, add_mission, add_program, 
 from lfield.errors import DevicesError, OutputFileError, UsageError
 from lfield.text.number_arguments import real_above_0, whole_between
 
-#: Seconds that a mission may take that nobody says more of.
+#: Default of --lasts (s).
 DAY = 86400.0
-#: The most that anybody may say: no keys last longer.
+#: Maximum of --lasts (s): no keys last longer.
 MAX_SECONDS = 36500 * DAY
-#: A time to wait for somebody.
+#: The type of a time-out option.
 _SECONDS = real_above_0(1e6, "seconds")
 _DESCRIPTOR = whole_between(0, 1 << 20)
 
@@ -171,7 +171,7 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
         )
     if args.all:
         if args.first_start:
-            raise UsageError("--first-start is for a host on its own: with --all every host is heard first")
+            raise UsageError("--first-start is for a single host: with --all the hosts query each other")
         if args.fresh:
             raise UsageError("--fresh is for a host on its own: with --all name a new folder with --state")
         from lfield.cli.run.up_all import run_all
@@ -304,7 +304,6 @@ def _keeps_journal(mission: Mission, args: argparse.Namespace) -> bool:
 
 
 def _journal_place(mission: Mission, host: str, args: argparse.Namespace) -> tuple[Path, JournalOwner]:
-    """The path of the journal of a host, and its owner."""
     from lfield.journal.journal import journal_file
     from lfield.journal.journal_loader import JournalOwner
     from lfield.journal.journal_lock import machine_id

@@ -66,7 +66,7 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace, report: Call
 
 
 def summary(statuses: Mapping[str, int], status: int, seconds: float, hops: int) -> str:
-    """The last line of a run of so many `seconds`: mission completed, or which hosts failed and how.
+    """The last line of a run after `seconds`: mission completed, or which hosts failed and how.
 
     `hops` are those of all coordinators.
     """

@@ -1,4 +1,4 @@
-"""Events as a person, a program or a spreadsheet reads them, each as soon as it is known: a line each."""
+"""Events as text, JSON or CSV, one line each."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from lfield.wire.events import (
 )
 from lfield.wire.fields import Telemetry
 
-#: What a table can have of them: telemetry and figures of links, a row for each number, and hops.
+#: The kinds in CSV: telemetry and link measurements (a row for each number), and hops.
 CSV_KINDS = ("measured", "path", "left", "came", "hopped", "stayed")
 COLUMNS = (
     *("time", "within", "host", "number", "kind", "of", "quantity", "value"),
@@ -40,19 +40,19 @@ COLUMNS = (
 
 def event_line(dated: DatedEvent) -> str:
     """`12:34:56.789  alpha  #9  left  agent=boss ...`, in the local time of this computer."""
-    told = as_fields(dated.event)
-    words = [f"{name}={_value_text(value)}" for name, value in told.items() if name not in _HEAD]
+    fields = as_fields(dated.event)
+    texts = [f"{name}={_value_text(value)}" for name, value in fields.items() if name not in _HEAD]
     if isinstance(dated.event.what, LinkTelemetry):
-        words = list(_measured(dated.event.what))
+        texts = list(_measured(dated.event.what))
     caused = f"by={dated.cause.host}:{dated.cause.number}" if dated.cause is not None else ""
-    number = f"#{told['number']}"
+    number = f"#{fields['number']}"
     return "  ".join(
-        filter(None, (clock_time(dated), escape_line(dated.host), number, told["kind"], *words, caused))
+        filter(None, (clock_time(dated), escape_line(dated.host), number, fields["kind"], *texts, caused))
     )
 
 
 def _measured(path: LinkTelemetry) -> Iterator[str]:
-    """The figures of a link with their units; those that are not known are left out."""
+    """The known measurements of a link with their units."""
     yield f"peer={escape_line(path.peer)}"
     if path.round_trip is not None:
         yield f"round_trip={duration_text(path.round_trip)}"
@@ -96,9 +96,9 @@ def clock_time(dated: DatedEvent) -> str:
 
 
 def event_json(item: DatedEvent | FeedNotice) -> str:
-    """One object: what `events.md` says, with the host and the time on the one time line.
+    """One JSON object as in `events.md`, with the host and the merged time.
 
-    What is no number in JSON (NaN) is null. Of a notice only what was lost is told, as of a kind 'lost'.
+    NaN and infinities are null. A notice becomes an object of the kind 'lost'.
     """
     if isinstance(item, FeedNotice):
         return _json({"host": item.host, "kind": "lost", "lost": item.lost})
@@ -116,7 +116,7 @@ def event_json(item: DatedEvent | FeedNotice) -> str:
 
 
 def _json(whole: dict[str, Any]) -> str:
-    """In ASCII: a terminal may take other characters for orders."""
+    """In ASCII: other characters may be control sequences for a terminal."""
     text = msgspec.json.encode(whole).decode()
     return text if text.isascii() else json.dumps(msgspec.json.decode(text), separators=(",", ":"))
 
@@ -133,7 +133,7 @@ class EventCsv:
         return self._line(COLUMNS)
 
     def rows(self, dated: DatedEvent) -> Iterator[str]:
-        """The rows of an event, none for what is no matter for a table."""
+        """The rows of an event, none for a kind that is not in CSV."""
         within = "" if dated.within is None else f"{dated.within:.6f}"
         head = (f"{dated.time:.6f}", within, dated.host, dated.event.number, dated.event.kind)
         for row in _rows(dated):
@@ -174,7 +174,7 @@ def _rows(dated: DatedEvent) -> Iterator[tuple[object, ...]]:
 
 
 def _numbers(name: str, value: Telemetry) -> Iterator[tuple[str, object]]:
-    """A quantity as columns can have it: of an array each element by itself, `position[0]`."""
+    """The numbers of a quantity: each element of an array separately, `position[0]`."""
     if isinstance(value, list):
         yield from ((f"{name}[{place}]", each) for place, each in enumerate(value))
     else:
@@ -186,13 +186,13 @@ def _cell(value: object) -> object:
 
 
 class LogLineView:
-    """Lines of logs with the time of this computer, the host, and who said it."""
+    """Log lines with the time of this computer, the host and the agent."""
 
     def __init__(self) -> None:
         self._assembler = LineAssembler()
 
     def lines(self, dated: DatedEvent) -> Iterator[str]:
-        """The lines that an event ends."""
+        """The lines that are complete with an event."""
         head = f"{clock_time(dated)} {escape_line(dated.host)} |"
         match dated.event.what:
             case Printed(agent) as what:

@@ -1,4 +1,4 @@
-"""A journal in words: who is in it, in which state and since when, and the L stack of each block."""
+"""A journal as text: its coordinators with state and time, and the L stack of each block."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ if TYPE_CHECKING:
     from lfield.journal.readonly_view import ReadOnlyView
     from lfield.vm.inspection.block_view import FrameView, ThreadView
 
-#: For people, by what is kept.
+#: Texts of the states of a coordinator record.
 _STATES = {
-    "ABSENT": "was refused here",
-    "RUN": "is here",
-    "PREPARED": "may have left",
-    "MOVED": "has left, this is its shadow",
-    "EXITED": "has ended",
+    "ABSENT": "rejected",
+    "RUN": "here",
+    "PREPARED": "migrating, unconfirmed",
+    "MOVED": "migrated; this is its shadow",
+    "EXITED": "ended",
 }
 
 _OUTCOMES = {
-    "": "not known: it was under way",
-    "done": "has come to its end, and waits to be fetched",
-    "thrown": "has thrown an exception, which waits to be fetched",
+    "": "unknown: the call was running",
+    "done": "completed; the result is waiting for its caller",
+    "thrown": "exception; it is waiting for its caller",
 }
 
 
 def journal_lines(view: ReadOnlyView) -> Iterator[str]:
     """What `lfield inspect` prints of a journal."""
     if view.header is None:
-        yield "journal   whose it is cannot be read"
+        yield "journal   header damaged: host and deployment unknown"
     else:
         yield f"journal   of {view.header.host} in {view.header.deployment}"
         yield f"identity  {view.header.identity:016x}"
@@ -53,7 +53,7 @@ def journal_lines(view: ReadOnlyView) -> Iterator[str]:
             case StartCounter():
                 yield f"starts    {page.count}"
             case RunMarker():
-                yield f"run       {'goes on' if page.open else 'has ended'}"
+                yield f"run       {'not ended' if page.open else 'ended'}"
             case BundleRecord() if page.digest:
                 yield f"bundle    {short_digest(page.digest)}, signed"
             case PauseFlag() if page.on:
@@ -63,7 +63,7 @@ def journal_lines(view: ReadOnlyView) -> Iterator[str]:
             case FenceRecord():
                 yield f"fence     {page.agent}: no start before {page.generation}"
             case ReservationRecord():
-                holder = f"{page.agent}, start {page.generation}" if page.agent else "nobody"
+                holder = f"{page.agent}, start {page.generation}" if page.agent else "free"
                 yield f"reserved  {page.resource}, number {page.number}: {holder}"
             case ProgramRecord():
                 yield f"program   {page.digest.hex()[:16]}, {len(page.code)} bytes"
@@ -97,7 +97,8 @@ def _coordinator_lines(
 
 
 def _pending_call_lines(page: PendingCallRecord, kept: float) -> Iterator[str]:
-    yield f"\n{page.agent}, start {page.generation}: call {page.number} begun: {page.resource}.{page.portal}"
+    start = f"{page.agent}, start {page.generation}"
+    yield f"\n{start}: call {page.number} started: {page.resource}.{page.portal}"
     yield f"  as of     {format_time(kept)}"
     size = f", {len(page.result)} bytes" if page.result else ""
     yield f"  outcome   {_OUTCOMES[page.outcome]}{size}"
@@ -110,7 +111,7 @@ def _stack(page: CoordinatorRecord, programs: Mapping[bytes, ProgramRecord]) -> 
 
     explains = programs.get(page.program)
     if explains is None:
-        yield "its program is not in this journal, so there is no stack to show"
+        yield "stack not shown: the program is not in this journal"
         return
     try:
         program, block = dump_file.decode_program_and_block(explains.code, explains.types, page.block)
@@ -125,12 +126,12 @@ def _stack(page: CoordinatorRecord, programs: Mapping[bytes, ProgramRecord]) -> 
 
 
 def interval_line(seconds: float) -> str:
-    """What a coordinator's heartbeat interval means."""
-    return f"heartbeat recovered {seconds:g} s after the last sign of it"
+    """The heartbeat interval of a coordinator as text."""
+    return f"heartbeat failover {seconds:g} s after its last heartbeat"
 
 
 def thread_lines(thread: ThreadView) -> Iterator[str]:
-    """A thread and its stack, innermost first, with what its variables hold."""
+    """A thread and its stack, innermost first, with its variables."""
     from lfield.vm.inspection.traceback import split_ends
 
     serves = f", serves portal call {thread.call}" if thread.call else ""

@@ -19,7 +19,7 @@ from lfield.operator.team_model.inventory import build_inventory
 from lfield.text.terminal_escape import unescaped_stream
 
 INTERVAL = 0.5
-#: A host that has not answered after so many seconds is shown as missing, with the reason.
+#: A host that has not answered within this time (s) is shown as missing, with the reason.
 OVERDUE = 20.0
 
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-#: So many attributes of an offer are shown, the most telling ones first; `--json` has all.
+#: Maximum number of attributes shown of an offer, the most relevant first; `--json` has all.
 SHOWN = 6
 
 
@@ -37,23 +37,23 @@ class KnownTeam:
 
     @property
     def is_running(self) -> bool:
-        """Whether any of it was heard."""
+        """Whether any host answered."""
         return bool(self.answered)
 
     def __str__(self) -> str:
         if not self.is_running:
-            why = "no host tells more" if self.unanswered else "nothing is running"
-            return f"from the files: {why}, live attributes are not known"
+            why = "no host answered" if self.unanswered else "nothing is running"
+            return f"from the files: {why}, live attributes are unknown"
         hosts = len(self.answered) + len(self.unanswered)
         return f"from the running team: {len(self.answered)} of {hosts} hosts answered"
 
 
 @dataclass(frozen=True, slots=True)
 class PrimitiveAnswer:
-    """Who serves a primitive: the best of them, best first, and how many there are; and who does not.
+    """The providers of a primitive, best first, their number, and the refusals of other agents.
 
-    `teams` are of these offers, where teams were asked for, and `agents` could be in one.
-    `notes` say what was left out.
+    `teams` are the best teams of these offers if requested, from `agents` candidates. `notes` are the
+    omissions.
     """
 
     primitive: Primitive
@@ -66,7 +66,7 @@ class PrimitiveAnswer:
     is_truncated: bool = False
 
 
-# --- for people ---------------------------------------------------------------------------------------
+# --- as text ------------------------------------------------------------------------------------------
 
 
 def show(
@@ -98,15 +98,14 @@ def show(
 
 
 def _no_offers_text(answer: PrimitiveAnswer, explain: bool) -> str:
-    """What is said instead of offers."""
     if not answer.refusals and not answer.is_truncated:
         return no_provider_note(answer.primitive.name)
-    said = "no agent was found, and not all could be tried" if answer.is_truncated else "no agent can"
-    return said if explain else f"{said}; --explain says why"
+    text = "no agent found; not all combinations were tried" if answer.is_truncated else "no agent can"
+    return text if explain else f"{text}; --explain prints the reasons"
 
 
 class _Attributes:
-    """The facts of offers in words: first what the condition names, then what is ranked, then the rest."""
+    """The facts of offers as text: first those in the condition, then the ranked ones, then the rest."""
 
     def __init__(self, registry: Registry, question: CapabilityQuery) -> None:
         self._registry = registry
@@ -140,7 +139,7 @@ def _show_offers(offers: Sequence[Offer], attributes: _Attributes) -> None:
 
 
 def _show_teams(answer: PrimitiveAnswer) -> None:
-    """The teams by their members; who they are stands in the table above."""
+    """The teams by their members, whose data are in the table above."""
     agents = f"{answer.agents} agent{'' if answer.agents == 1 else 's'}"
     print("\nteams:" if answer.teams else f"\nno team can: {agents} could be in one")
     for rank, team in enumerate(answer.teams or (), 1):
@@ -174,7 +173,7 @@ def _is_composed(offer: Offer) -> bool:
 
 
 def _tree(text: str, offer: Offer, attributes: _Attributes) -> TreeBranch:
-    """The parts of an offer below it; one that stands in for another is passed over."""
+    """The parts of an offer below it; an equivalent one is replaced by its part."""
     while offer.kind == "equivalent":
         (offer,) = offer.parts.values()
     children = []
@@ -233,7 +232,7 @@ def _offer(offer: Offer, registry: Registry) -> dict[str, Any]:
 
 
 def parts_of(offer: Offer) -> dict[str, Offer]:
-    """The parts by the names of their needs; of an equivalent offer the one that stands in, as `by`."""
+    """The parts by the names of their needs; `by` for the provider of an equivalent offer."""
     if offer.kind == "equivalent":
         (inner,) = offer.parts.values()
         return {"by": inner}

@@ -21,7 +21,7 @@ from lfield.operator.team_model.host_model import host_states
 from lfield.text.terminal_escape import escape_line
 from lfield.text.value_text import telemetry_text
 
-#: Seconds between two looks.
+#: Seconds between two polls.
 INTERVAL = 0.5
 
 
@@ -31,7 +31,7 @@ def watch_progress(
     addresses: Mapping[HostRef, str],
     names: Mapping[HostRef, str],
 ) -> None:
-    """Look until the descent is over, and show it. Ctrl-C raises KeyboardInterrupt, as everywhere."""
+    """Poll and print until the devices are at rest. Ctrl-C raises KeyboardInterrupt."""
     live = Live(console=plain_console(), auto_refresh=False) if sys.stdout.isatty() else None
     shown: AbstractContextManager[object] = live or nullcontext()
     with shown:

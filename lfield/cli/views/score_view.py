@@ -34,7 +34,7 @@ def _cost_lines(offer: Offer, indent: str, who: str) -> Iterator[str]:
 
 
 def terms_json(offer: Offer) -> dict[str, Any]:
-    """The cost of an offer with its terms and penalties; those of its parts are told with the parts."""
+    """The cost of an offer with its terms and penalties; those of its parts follow with the parts."""
     return {
         "cost": offer.cost,
         "terms": {term.name: {"weight": term.weight, "amount": term.amount} for term in offer.terms},

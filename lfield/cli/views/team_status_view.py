@@ -30,7 +30,7 @@ from lfield.wire.observer_messages import (
     StartStatus,
 )
 
-#: So many missing hosts are named in the command that leaves them out.
+#: Maximum number of missing hosts in the suggested command.
 MAX_NAMED = 8
 
 
@@ -40,11 +40,8 @@ def show(hosts: Mapping[str, HostState]) -> None:
 
 
 def team_tables(hosts: Mapping[str, HostState]) -> Group:
-    """The agents of all hosts with the coordinators that have ended or are in doubt, what can be done about
-    those that nobody has, then the devices.
-
-    Last are the hosts: how late each was, how long it may be silent, what it keeps, and which bundle it runs;
-    and their links.
+    """The tables of agents (with coordinators that have ended or are in doubt), devices, hosts, links and
+    bundles, and hints after the first.
     """
     linked = {name: host for name, host in hosts.items() if host.linked}
     devices = device_table(device for host in linked.values() for device in host.devices.values())
@@ -56,7 +53,7 @@ def team_tables(hosts: Mapping[str, HostState]) -> Group:
 
 
 def _bundles(linked: Mapping[str, HostState]) -> list[str]:
-    """Which bundles run, and where: one, unless somebody has forgotten a host."""
+    """The running bundles with their hosts: one, unless the hosts differ."""
     found: dict[str, list[str]] = {}
     for name, host in linked.items():
         if (run := host.report.bundle) is not None:
@@ -70,14 +67,14 @@ def _paused(linked: Mapping[str, HostState]) -> list[str]:
 
 
 def _starts(linked: Mapping[str, HostState]) -> list[str]:
-    """What the coordinators wait for that are not started yet, and what can be done about it."""
+    """The coordinators that are not started yet, with the reason and the remedy."""
     lines = []
-    for host, told in linked.items():
-        if (start := told.report.start) is None:
+    for host, state in linked.items():
+        if (start := state.report.start) is None:
             continue
         who = f"{host}: {listed(start.agents)} {'is' if len(start.agents) == 1 else 'are'} not started"
         if start.held:
-            lines.append(f"{who}: {start.held}; 'lfield start' starts what waits")
+            lines.append(f"{who}: {start.held}; 'lfield start' starts them")
         elif start.hosts:
             options = " ".join(f"--without {missing}" for missing in start.hosts[:MAX_NAMED])
             lines.append(
@@ -88,7 +85,7 @@ def _starts(linked: Mapping[str, HostState]) -> list[str]:
 
 
 def _refused(linked: Mapping[str, HostState]) -> list[str]:
-    """The hosts that no link can be made with. Both sides say so; one line for each reason is enough."""
+    """The refused links. Both sides report them; one line for each reason is printed."""
     found: dict[tuple[str, str], str] = {}
     for name, host in linked.items():
         for peer, reason in host.refused.items():
@@ -113,7 +110,7 @@ def _hosts(linked: Mapping[str, HostState]) -> Table:
 
 
 def _links(linked: Mapping[str, HostState]) -> Table:
-    """A row for each end of each link: what is lost on the way there may arrive on the way back."""
+    """A row for each end of each link, because loss differs by direction."""
     right = "ROUND TRIP", "LOSS", "SENT", "RECEIVED"
     shown = new_table("HOST", "LINK WITH", *right, right=right)
     for name, host in linked.items():
@@ -134,11 +131,11 @@ def _journal(journal: JournalStatus | None) -> str:
     return f"{commits}; failing: {journal.trouble}" if journal.trouble else commits
 
 
-#: What becomes of a call that was begun.
+#: Texts of the states of a pending call.
 _PENDING_CALL = {
-    "running": "has begun {0}",
-    "done": "{0} has ended, to be fetched",
-    "thrown": "{0} has thrown, to be fetched",
+    "running": "{0} running",
+    "done": "{0} completed, result not delivered yet",
+    "thrown": "{0} threw an exception, not delivered yet",
     "lost": "{0} was lost in a restart",
 }
 
@@ -147,11 +144,11 @@ def _agents(hosts: Mapping[str, HostState]) -> Table:
     right = "HOPS", "SERVED", "HEAP"
     shown = new_table("HOST", "AGENT", "TYPE", "STATE", *right, right=right)
     newest = _newest_starts(hosts)
-    for host, told in hosts.items():
-        if not told.linked:
+    for host, known_host in hosts.items():
+        if not known_host.linked:
             add_row(shown, host, "-", "", "no answer", "", "", "")
             continue
-        before, report = shown.row_count, told.report
+        before, report = shown.row_count, known_host.report
         for agent in report.agents:
             hops = str(agent.hops) if agent.kind == "coordinator" else ""
             served = str(agent.served) if agent.kind == "resource" else ""
@@ -168,9 +165,7 @@ def _agents(hosts: Mapping[str, HostState]) -> Table:
             state = _PENDING_CALL[begun.state].format(f"{begun.resource}.{begun.portal}")
             add_row(shown, host, begun.agent, "", state, "", "", "")
         for reserved in report.reserved:
-            state = (
-                f"has reserved {reserved.resource} for {reserved.held:.0f} s, and {reserved.left:.0f} s yet"
-            )
+            state = f"{reserved.resource} reserved for {reserved.held:.0f} s, {reserved.left:.0f} s left"
             add_row(shown, host, reserved.agent, "", state, "", "", "")
         for parked in report.journal.parked if report.journal is not None else ():
             if parked.state != "MOVED":
@@ -182,12 +177,12 @@ def _agents(hosts: Mapping[str, HostState]) -> Table:
 
 def _waiting(start: StartStatus | None) -> str:
     if start is None or not (start.hosts or start.held):
-        return "is being started"
+        return "starting"
     return "not started: held" if start.held else f"waits for {listed(start.hosts)} to start"
 
 
 def _newest_starts(hosts: Mapping[str, HostState]) -> Mapping[str, int]:
-    """The newest start of each coordinator that gave way to no earlier one: how others ended is past."""
+    """The newest start of each coordinator that was not superseded."""
     newest: dict[str, int] = defaultdict(int)
     for host in hosts.values():
         for known in host.report.coordinators if host.linked else ():
@@ -197,9 +192,9 @@ def _newest_starts(hosts: Mapping[str, HostState]) -> Mapping[str, int]:
 
 
 def _parked(parked: ParkedStatus) -> str:
-    left = f" and may have left for {parked.where}" if parked.state == "PREPARED" else ""
+    left = f", and may have migrated to {parked.where}" if parked.state == "PREPARED" else ""
     return (
-        f"parked: it is of another mission ({parked.program.hex()[:16]}){left}, and goes on when that is "
+        f"parked: belongs to another mission ({parked.program.hex()[:16]}){left}; continues when that is "
         "started here"
     )
 
@@ -280,16 +275,16 @@ def _journal_data(journal: JournalStatus | None) -> dict[str, Any] | None:
 
 
 def _coordinator(known: CoordinatorState) -> dict[str, Any]:
-    said = asdict(known)
-    return {"id": said.pop("agent"), **said}
+    data = asdict(known)
+    return {"id": data.pop("agent"), **data}
 
 
 def _directory(agents: Sequence[DirectoryEntry]) -> dict[str, Any]:
     return {
-        told.agent: {
-            "refusal": told.refusal,
-            "facts": {name: [fact.value, fact.age] for name, fact in told.facts.items()},
-            "unknown": told.unknown,
+        entry.agent: {
+            "refusal": entry.refusal,
+            "facts": {name: [fact.value, fact.age] for name, fact in entry.facts.items()},
+            "unknown": entry.unknown,
         }
-        for told in agents
+        for entry in agents
     }

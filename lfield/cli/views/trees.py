@@ -1,4 +1,4 @@
-"""Trees on standard output: drawn with lines in a terminal, indented where somebody reads on."""
+"""Trees on standard output: drawn with lines in a terminal, indented in a file or pipe."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ UNFOLDED = 10_000
 
 
 def plain_console() -> Console:
-    """Standard output; what looks like markup is text, and control characters are shown, not sent.
+    """Standard output without markup, with control characters escaped.
 
-    Lines are folded and cut to the width of a terminal only: in a file or a pipe each row is one line.
+    Lines are folded to the width of a terminal; in a file or pipe each row is one line.
     """
     from lfield.cli.views.console import PlainConsole
 

@@ -77,7 +77,6 @@ class SerialPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether it is open."""
         return self._port is not None
 
     def open(self) -> None:
@@ -115,7 +114,7 @@ class SerialPort:
         self._events.received(data)
 
     def unplugged(self) -> None:
-        """The port is gone."""
+        """The port is lost."""
         self._lose("it was unplugged")
 
     def failed(self, error: OSError) -> None:
@@ -136,7 +135,6 @@ class SerialPort:
         return True
 
     def close(self) -> None:
-        """Closes the port."""
         if self._task is not None:
             self._task.cancel()
         self._detach()
@@ -214,7 +212,6 @@ class _Tty:
             raise BlockingIOError
 
     def close(self) -> None:
-        """Closes the tty."""
         self._loop.remove_reader(self._port.fileno())
         with suppress(OSError):
             self._port.close()

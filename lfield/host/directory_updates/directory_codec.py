@@ -75,7 +75,7 @@ class DirectoryCodec:
         for fact in update.facts:
             attribute = self._attribute(agent, fact.attribute)
             if fact.of != "stated" and attribute.name not in live:
-                raise WireError(f"a report has {attribute.name} {fact.of}, which nothing of {agent} tells")
+                raise WireError(f"a report has {attribute.name} {fact.of}, which {agent} does not report")
             value = _value(agent, attribute, fact.value)
             samples[attribute.name] = AttributeSample(value, now - fact.age, now, fact.kept, fact.of)
         unknown = {self._attribute(agent, place).name: why for place, why in update.unknown}
@@ -107,4 +107,4 @@ def _value(agent: str, attribute: Attribute, value: FactValue) -> Value:
             return value
         case "set" if isinstance(value, list):
             return frozenset(value)
-    raise WireError(f"a report says {value!r} for {attribute.name} of {agent}, which is no {attribute.type}")
+    raise WireError(f"a report says {value!r} for {attribute.name} of {agent}, which is not {attribute.type}")

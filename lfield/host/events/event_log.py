@@ -56,8 +56,7 @@ def stamped_event(
 
 
 class EventRing:
-    """The newest events of one class: bounded in number and bytes; the last one is stored whatever its
-    size."""
+    """The newest events of one class: bounded in number and bytes; the last one is always stored."""
 
     def __init__(self, max_events: int, max_bytes: int) -> None:
         self._max_events, self._free_bytes = max_events, max_bytes

@@ -23,7 +23,7 @@ class RateLimit(NamedTuple):
 
 #: Lines and pieces of text; one that is longer than PIECE characters counts as several.
 PRINTS, PIECE = RateLimit(8192.0, 2000.0), 128
-#: Hops with subscribers, and without: fast hops are then recorded for nobody.
+#: Maximum rate of recorded hops with and without subscribers.
 MIGRATIONS, MIGRATIONS_UNOBSERVED = RateLimit(4000.0, 2000.0), RateLimit(50.0, 200.0)
 PORTALS = RateLimit(4000.0, 2000.0)
 INSTRUCTIONS = RateLimit(400.0, 200.0)

@@ -318,7 +318,6 @@ class EventRecorder:
             self.emit(what, cause or self._last_device_event(agent))
 
     def _last_device_event(self, agent: str) -> int:
-        """The last event of any device of an agent."""
         return max((n for d, n in self._last_of_device.items() if d.startswith(f"{agent}.")), default=0)
 
     def on_link_refused(self, host: str, reason: str) -> None:
@@ -346,6 +345,5 @@ class EventRecorder:
         self.set_cause(reason, self.emit(events.HostStopping(truncate(why))))
 
     def on_log_line(self, line: LogLine) -> None:
-        """A line of the log."""
         # msgspec encodes no subclass of str.
         self.emit(events.LineLogged(truncate(str(line)), line.code, line.level))

@@ -35,14 +35,12 @@ class PortalEvents:
             self._previous_observer = None
 
     def on_call_started(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:
-        """A portal call has started."""
         if self._previous_observer is not None:
             self._previous_observer.on_call_started(resource, thread, number, method, caller)
         portal = self._machine.program.core.methods[method].name
         self._recorder.on_call_started(number, caller, resource.id, portal)
 
     def on_call_returned(self, resource: Agent, number: int, result: int) -> None:
-        """A portal call has returned."""
         if self._previous_observer is not None:
             self._previous_observer.on_call_returned(resource, number, result)
         self._recorder.on_call_ended(number, "done")

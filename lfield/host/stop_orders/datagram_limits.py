@@ -55,7 +55,6 @@ class _Buckets:
         self._levels: OrderedDict[Hashable, tuple[float, float]] = OrderedDict()
 
     def level(self, key: Hashable, now: float) -> float:
-        """The present level of a bucket."""
         level, since = self._levels.get(key, (self._rate.burst, now))
         return min(self._rate.burst, level + max(0.0, now - since) * self._rate.each_second)
 

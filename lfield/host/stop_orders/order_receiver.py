@@ -307,7 +307,6 @@ def _is_from(origin: Origin, host: str) -> bool:
 
 
 def _link_message(order: Order, epoch: bytes) -> EmergencyStop | Pause:
-    """The order as a message for links."""
     lift = order.kind not in wire.HOLDS
     if order.kind in ("stop", "lift"):
         return EmergencyStop(order.id, escape_line(order.reason), lift, epoch)

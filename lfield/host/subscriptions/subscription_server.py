@@ -169,7 +169,6 @@ class SubscriptionServer:
             self._subscriptions.pop(link, None)
 
     def _end(self, link: Link, reason: str) -> None:
-        """End a subscription, with the reason."""
         self._subscriptions.pop(link, None)
         try:
             link.send(HandshakeRefused(reason))

@@ -171,7 +171,6 @@ class Coordinators(Part):
             self.on_transfer(host, header, block, self._clock.monotonic() - left)
 
     def resume_from_journal(self) -> None:
-        """Resume the coordinators in the journal."""
         if self.paused:
             self.log(log_messages.MISSION_STILL_PAUSED.line())
         now = self._clock.monotonic()

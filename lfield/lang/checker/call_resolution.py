@@ -111,7 +111,7 @@ def check_new(body: BodyContext, raw: syntax.New, given: list[tree.Expr]) -> tre
 def _chosen(
     body: BodyContext, place: Span, methods: Sequence[tree.Method], given: list[tree.Expr]
 ) -> tuple[tree.Method, list[tree.Expr]] | None:
-    """The overload that is meant, if it may be called from here."""
+    """The selected overload, if it may be called from here."""
     chosen = choose_overload(body.symbols, place, of_methods(methods), given)
     if chosen is not None and not chosen[0].public and chosen[0].unit is not body.unit:
         method = chosen[0]
@@ -186,7 +186,7 @@ def _functions_of(kind: Type, name: str) -> list[LibraryFunction]:
 def _device(
     body: BodyContext, raw: syntax.Call, function: syntax.Member, owner: tree.Expr, given: list[tree.Expr]
 ) -> tree.Expr:
-    """`fc.instruction(arguments)`: of the resource's own device, or of one that an object was given."""
+    """`fc.instruction(arguments)`: of a device of the resource, or of one passed to an object."""
     manifest = body.symbols.devices[owner.type.name]
     instruction = manifest.instruction(function.name)
     if instruction is None:
@@ -214,7 +214,7 @@ def _manifest_type(name: str) -> Type:
 
 
 def _unknown_function(body: BodyContext, name: syntax.Name) -> None:
-    """Report a bare call of something that is no own method and no function."""
+    """Report a bare call of a name that is neither an own method nor a function."""
     called = name.name
     unit = body.symbols.units.get(called)
     if body.unit.overloads(called, "portal"):

@@ -116,6 +116,6 @@ def _report_operands(body: BodyContext, raw: syntax.Binary, left: tree.Expr, rig
 
 
 def _string_hint(left: Type, right: Type) -> str | None:
-    """How to make text of the side that is none."""
+    """The hint for converting the side that is not a string."""
     function = _TO_STRING.get(left) or _TO_STRING.get(right)
     return f"make text of the other side: {function}(...)" if function else None

@@ -27,7 +27,7 @@ def check_program(
     capabilities: CapabilityTypes | None = None,
     generated: frozenset[str] = frozenset(),
 ) -> CheckedProgram:
-    """The checked program of some parsed files; it is meant for the compiler only when nothing was found.
+    """The checked program of some parsed files; the compiler may use it only if there are no findings.
 
     `complete` is False when a file is missing. `generated` are the classes made from `capabilities`.
     """

@@ -16,10 +16,10 @@ from lfield.text.source_text import Span
 
 @dataclass(slots=True)
 class Scope:
-    """The locals of one block and of those around it.
+    """The locals of one block and of the enclosing ones.
 
-    `uncertain` after a statement that could not be read: it may have declared anything, so unknown names
-    are not reported any more.
+    `uncertain` after a statement with a syntax error: it may have declared any name, so unknown names are no
+    longer reported.
     """
 
     outer: Scope | None = None
@@ -69,7 +69,7 @@ class BodyContext:
         self.symbols.report(message, span, hint=hint, **values)
 
     def this(self, span: Span) -> This:
-        """The object the body runs in. A resource or coordinator has a plain type: it is no value."""
+        """The type of `this`. That of a resource or coordinator is not a value."""
         name = self.unit.name
         return This(span, ClassType(name) if self.unit.kind == "class" else Type(name))
 

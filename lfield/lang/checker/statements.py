@@ -157,7 +157,9 @@ def _in_hidden_local(before: list[tree.Stmt], expr: tree.Expr) -> tree.Expr:
 
 
 def _each(body: BodyContext, raw: syntax.Each) -> tree.Stmt:
-    """`for (T x : array)`: the array and its length are asked once, then a loop counts through it."""
+    """`for (T x : array)`: the array and its length are evaluated once, then an index loop iterates over
+    it.
+    """
     span = raw.array.span
     array = value(body, raw.array)
     kind = visible_type(body.symbols, body.unit, raw.type)

@@ -47,8 +47,8 @@ class Symbols:
     """The units of a program and the device types it may use.
 
     `capabilities` is the registry, when there is one; `generated` are the names of the classes made from it.
-    `incomplete` says that declarations may be missing (a syntax error, a missing include): then unknown
-    types are taken as they are. `broken_units` miss members in the same way.
+    `incomplete`: declarations may be missing (a syntax error, a missing include), so unknown types are not
+    reported. `broken_units` may lack members for the same reason.
     """
 
     devices: Mapping[str, DeviceManifest]
@@ -72,7 +72,6 @@ class Symbols:
         return self.units.get(kind.name) if isinstance(kind, ClassType | ResourceType) else None
 
     def resource(self, name: str) -> tree.Unit | None:
-        """The resource of that name."""
         unit = self.units.get(name)
         return unit if unit is not None and unit.kind == "resource" else None
 
@@ -82,7 +81,6 @@ class Symbols:
         return unit if unit is not None and unit.capability else None
 
     def resource_names(self) -> list[str]:
-        """The names of all resources."""
         return [name for name, unit in self.units.items() if unit.kind == "resource"]
 
     def capability_names(self) -> Collection[str]:
@@ -90,7 +88,7 @@ class Symbols:
         return self.capabilities.names() if self.capabilities is not None else ()
 
     def resolve(self, written: TypeName) -> Type:
-        """The type of that name, or UNKNOWN (reported) when there is none. Who may name it is not asked."""
+        """The type of that name, or UNKNOWN (reported) if there is none. Access is not checked."""
         element = self._element(written)
         for _ in range(written.dimensions if element is not UNKNOWN else 0):
             element = array_of(element)
@@ -133,7 +131,7 @@ def device_in(symbols: Symbols, kind: Type) -> str:
 
 
 def describe(unit: tree.Unit) -> str:
-    """A unit as the scope rules speak of it: `the resource specific class 'CacheTree'`."""
+    """A unit in messages about scope rules: `the resource specific class 'CacheTree'`."""
     if unit.kind != "class":
         return f"the {unit.kind} '{unit.name}'"
     clause = "" if unit.usage == "global" else f"{unit.usage} specific "

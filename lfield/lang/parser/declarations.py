@@ -114,7 +114,7 @@ class _Modifiers:
 def _modifiers(s: TokenStream) -> _Modifiers:
     found = _Modifiers()
     while not found.portal:
-        # After public or private the word may be any type: `private Report observe()` is no portal.
+        # After public or private the word may be any type: `private Report observe()` is not a portal.
         word = (_respelt(s) if found.access is None else None) or s.current.text
         if s.at("public", "private", "protected") and s.ahead(1).text == ":":
             instead = f"write {word} before each method, and before each field of a class"
@@ -141,7 +141,7 @@ def _respelt(s: TokenStream) -> str | None:
         s.at_name() and s.ahead(1).text.isidentifier() and (following.isidentifier() or following == "(")
     ):
         return None
-    # A capital begins the name of a type: `Report observe()` is no misspelt portal.
+    # A capital letter begins the name of a type: `Report observe()` is not a misspelt portal.
     close = closest(s.current.text, (*_MODIFIERS, "portal")) if s.current.text[0].islower() else None
     if close is not None:
         s.report(messages.MISSPELT_KEYWORD, s.current.span, word=s.current.text, close=close)

@@ -1,6 +1,6 @@
 """Words of Python, C++, Java and ROS, with their equivalents in L.
 
-All of them are ordinary names in L. They are looked up only after an error.
+All of them are valid names in L, so they are checked only after an error.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ _NO_WAIT = "leave it out: a call returns when it is complete"
 _NO_MODIFIER = "units have no modifier; leave it out"
 _EACH = "write for (T x : array) { ... }"
 
-#: Type names of other languages and the L type that is meant.
+#: Type names of other languages and the corresponding L type.
 FOREIGN_TYPES = {
     "String": "string",
     "str": "string",

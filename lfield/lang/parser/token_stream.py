@@ -70,7 +70,7 @@ class TokenStream:
         return self._tokens[max(self._at - 1, 0)]
 
     def ahead(self, count: int) -> Token:
-        """The token so many places after the current one, or END."""
+        """The token at an offset from the current one, or END."""
         return self._tokens[min(self._at + count, len(self._tokens) - 1)]
 
     def at(self, *texts: str) -> bool:
@@ -78,7 +78,6 @@ class TokenStream:
         return self.current.text in texts
 
     def at_name(self) -> bool:
-        """Whether the current token is a name."""
         return self.current.kind is TokenKind.NAME
 
     def at_end(self) -> bool:
@@ -208,7 +207,7 @@ class TokenStream:
         self.depth -= 1
 
     def bounded(self, expression: Expr) -> Expr:
-        """The expression, if its tree is not too high for those who walk it."""
+        """The expression. Raises a finding if its tree is too high for recursive visitors."""
         self._limit(self.depth + expression.height, expression.span)
         return expression
 
@@ -269,6 +268,6 @@ class TokenStream:
                 return
 
     def skip_parentheses(self, depth: int) -> None:
-        """Behind the `)` that closes so many open `(`, or before a brace, a `;` or the end."""
+        """Skip past the `)` that closes `depth` open `(`, or to a brace, a `;` or the end."""
         while depth > 0 and not self.at_end() and not self.at("{", "}", ";"):
             depth += {"(": 1, ")": -1}.get(self.advance().text, 0)

@@ -34,7 +34,7 @@ def element_name(s: TokenStream, what: str = "a type") -> TypeName:
 
 
 def type_name(s: TokenStream, use: str) -> TypeName:
-    """A type for a variable, a field, ... (`use`, for the message); void is none."""
+    """A type for a variable, a field, ... (`use`, for the message); void is not allowed."""
     found = result_type(s)
     if found.name == "void":
         s.report(messages.VOID_VALUE_TYPE, found.span, what=use)

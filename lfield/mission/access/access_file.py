@@ -89,7 +89,6 @@ class _Reader:
                 self._portals[owner].append(method.name)
 
     def access(self, file: str, node: YamlNode) -> Access:
-        """The whole file."""
         top = YamlFields(node, self._found, "an access file")
         people = tuple(map(self._read_person, top.section("people").named()))
         callers = tuple(map(self._caller, top.section("coordinators").named()))

@@ -22,7 +22,7 @@ from lfield.authority.identity import Identity, Right, sorted_rights, with_impli
 from lfield.capability.model import Registry
 from lfield.text.suggestions import listed
 
-#: Stands for every person, coordinator or resource without a line of its own.
+#: The name for every person, coordinator or resource without a line of its own.
 OTHERS: Final = "others"
 
 #: Kind of the name at the start of a line.

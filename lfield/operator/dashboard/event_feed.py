@@ -1,7 +1,7 @@
-"""What happens on the hosts of teams, in one order and as it comes: what `lfield events` and `logs` print.
+"""The events of several teams as one ordered stream, for `lfield events` and `logs`.
 
-An event waits for a moment, since events of other hosts with earlier timestamps may arrive meanwhile. Lost
-events and unreachable hosts are reported in between as a `FeedNotice`.
+An event is held back for `HOLD_TIME`, because events of other hosts with earlier timestamps may still arrive.
+Lost events and unreachable hosts are reported in between as a `FeedNotice`.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from lfield.wire.subscription_messages import EventBatch
 
 #: The kinds of events that make a log.
 LOG_KINDS = frozenset({"printed", "logged", "skipped"})
-#: Seconds in which hosts have said what they said before.
+#: Time-out (s) for the stored events of all hosts.
 BACKLOG_TIMEOUT = 8.0
 
-#: What telemetry of all kinds is called that is lost uncounted.
+#: The kind of lost telemetry of unknown kinds and number.
 TELEMETRY = "telemetry"
 
 #: Seconds for which an event waits for earlier ones of other hosts, and between two checks.
@@ -39,10 +39,7 @@ HOLD_TIME, POLL_INTERVAL = 0.5, 0.1
 
 @dataclass(frozen=True, slots=True)
 class FeedNotice:
-    """Something about a host that is no event: what was lost, by kind, or why it is not heard.
-
-    None is for what nobody has counted.
-    """
+    """A notice about a host: events lost, by kind (None: unknown number), or why it is unreachable."""
 
     host: str
     text: str
@@ -50,10 +47,9 @@ class FeedNotice:
 
 
 class TeamFeed:
-    """The hosts of one party; `names` is what each is called here. Implements `StreamHandler`.
+    """The hosts of one team; `names` are their display names. Implements `StreamHandler`.
 
-    `telemetry`: it is wanted, so it is said when some was lost. `kinds` are the events that are wanted, None
-    for all.
+    `telemetry`: subscribed, so its loss is reported. `kinds` are the kinds to keep, None for all.
     """
 
     def __init__(
@@ -69,31 +65,31 @@ class TeamFeed:
         self._notices: list[FeedNotice] = []
         self._why: dict[str, str] = {}
         self._incarnations: dict[str, int] = {}
-        #: The hosts that were heard, and then were not.
+        #: The hosts whose link was lost.
         self._cut: set[str] = set()
-        #: For each host the number of its last state when it was first heard, and of the last that came.
+        #: For each host the number of its newest event at first contact, and of the newest received.
         self._initial_latest: dict[str, int] = {}
         self._received: dict[str, int] = {}
 
     def on_linked(self, host: str) -> None:
         """See `StreamHandler.on_linked`."""
         if self._why.pop(host, None) is not None:
-            self._notices.append(FeedNotice(self._names[host], "it is heard again"))
+            self._notices.append(FeedNotice(self._names[host], "reachable again"))
 
     def on_unlinked(self, host: str, why: str) -> None:
-        """See `StreamHandler.on_unlinked`: said once for each reason."""
+        """See `StreamHandler.on_unlinked`: one notice for each reason."""
         if host in self._incarnations:
             self._cut.add(host)
         if self._why.get(host) != why:
             self._why[host] = why
-            self._notices.append(FeedNotice(self._names[host], f"not heard: {why}"))
+            self._notices.append(FeedNotice(self._names[host], f"unreachable: {why}"))
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
         """See `StreamHandler.on_batch`."""
         name, now = self._names[host], self._clock.monotonic()
         if self._incarnations.setdefault(host, batch.incarnation) != batch.incarnation:
             self._incarnations[host] = batch.incarnation
-            self._notices.append(FeedNotice(name, "it was started again"))
+            self._notices.append(FeedNotice(name, "restarted"))
         elif host in self._cut and self._telemetry:
             text = "telemetry was lost while it was unreachable, unknown how much"
             self._notices.append(FeedNotice(name, text, {TELEMETRY: None}))
@@ -102,15 +98,15 @@ class TeamFeed:
             if self._kinds is None or event.kind in self._kinds:
                 self._timeline.add(host, batch.incarnation, event, now)
         if batch.lost:
-            words = ", ".join(f"{count} of kind '{kind}'" for kind, count in batch.lost.items())
-            self._notices.append(FeedNotice(name, f"events were lost: {words}", batch.lost))
+            kinds = ", ".join(f"{count} of kind '{kind}'" for kind, count in batch.lost.items())
+            self._notices.append(FeedNotice(name, f"events were lost: {kinds}", batch.lost))
         self._initial_latest.setdefault(host, batch.latest)
         last = max((event.number for event in batch.events), default=0)
         self._received[host] = max(self._received.get(host, 0), batch.after, last)
 
     @property
     def is_complete(self) -> bool:
-        """Whether all that had happened when a host was first heard has come, of each that is heard now."""
+        """Whether every reachable host has sent all events that it had at first contact."""
         return all(self._is_caught_up(host) or host in self._why for host in self._names)
 
     def _is_caught_up(self, host: str) -> bool:
@@ -118,42 +114,44 @@ class TeamFeed:
 
     @property
     def unreached(self) -> Sequence[str]:
-        """The hosts that were never heard, or not to the end of that."""
+        """The hosts whose stored events were not received completely."""
         return [name for host, name in self._names.items() if not self._is_caught_up(host)]
 
     def drain_items(self, *, everything: bool = False) -> list[DatedEvent | FeedNotice]:
-        """What can be told now; with `everything` without waiting for anything more."""
+        """The items that are due now; with `everything` all."""
         notices, self._notices = self._notices, []
-        told = self._timeline.drain_events(None if everything else self._clock.monotonic() - HOLD_TIME)
-        return [*notices, *(dated._replace(host=self._names[dated.host]) for dated in told)]
+        dated_events = self._timeline.drain_events(
+            None if everything else self._clock.monotonic() - HOLD_TIME
+        )
+        return [*notices, *(dated._replace(host=self._names[dated.host]) for dated in dated_events)]
 
 
 class EventFeed:
-    """The hosts of several parties at once."""
+    """The hosts of several teams."""
 
     def __init__(self, parts: Sequence[TeamFeed]) -> None:
         self._feeds = parts
 
     async def events(self, *, follow: bool) -> AsyncIterator[DatedEvent | FeedNotice]:
-        """All that happens, until this is closed; without `follow` until all is told that had happened."""
+        """The events until this is closed; without `follow` only the stored ones."""
         while True:
             is_last = not follow and all(part.is_complete for part in self._feeds)
-            for told in self.remaining() if is_last else self._drain_items():
-                yield told
+            for item in self.remaining() if is_last else self._drain_items():
+                yield item
             if is_last:
                 return
             await asyncio.sleep(POLL_INTERVAL)
 
     def _drain_items(self) -> list[DatedEvent | FeedNotice]:
-        return [told for part in self._feeds for told in part.drain_items()]
+        return [item for part in self._feeds for item in part.drain_items()]
 
     def remaining(self) -> list[DatedEvent | FeedNotice]:
-        """What still waits for what may have led to it."""
-        return [told for part in self._feeds for told in part.drain_items(everything=True)]
+        """The items that are still held back."""
+        return [item for part in self._feeds for item in part.drain_items(everything=True)]
 
     @property
     def unreached(self) -> Sequence[str]:
-        """The hosts that were never heard, or not to the end."""
+        """The hosts whose stored events were not received completely."""
         return [host for part in self._feeds for host in part.unreached]
 
 
@@ -164,7 +162,7 @@ async def log_backlog(
     clock: Clock,
     brings: PresentedCrl | None = None,
 ) -> list[DatedEvent]:
-    """The last that hosts have said until now, of those that can be heard within a few seconds."""
+    """The newest stored log events of all hosts that are reachable within `BACKLOG_TIMEOUT`."""
     part = TeamFeed({host: host for host in hosts}, clock, kinds=LOG_KINDS)
     last: deque[DatedEvent] = deque(maxlen=MAX_LINES)
     with suppress(TimeoutError):
@@ -174,9 +172,9 @@ async def log_backlog(
                 EventFollower(transport, hosts, reach, part, clock, FollowOptions(since=0, crl=brings)).run()
             ),
         ):
-            async for told in EventFeed([part]).events(follow=False):
-                last += [told] if isinstance(told, DatedEvent) else []
-    return [*last, *(told for told in part.drain_items(everything=True) if isinstance(told, DatedEvent))]
+            async for item in EventFeed([part]).events(follow=False):
+                last += [item] if isinstance(item, DatedEvent) else []
+    return [*last, *(item for item in part.drain_items(everything=True) if isinstance(item, DatedEvent))]
 
 
 @asynccontextmanager
@@ -189,9 +187,9 @@ async def open_feed(
     since: int | None = None,
     telemetry: float = 0.0,
 ) -> AsyncIterator[EventFeed]:
-    """Listen to those hosts of some parties that have names. `find` finds the parties anew.
+    """Follow the hosts that have a display name. `find` locates the teams again.
 
-    `since` and `telemetry` (Hz) as a `StreamCursor` has them. Raises KeysError for keys that cannot be used.
+    `since` and `telemetry` (Hz): see `StreamCursor`. Raises KeysError for keys that cannot be used.
     """
     clock, parts, followers = SystemClock(), [], []
     own = own_keys([address for party in teams for address in party.addresses.values()], keys)

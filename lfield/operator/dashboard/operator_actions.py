@@ -90,4 +90,4 @@ class OrderObserver(Protocol):
         """An order is sent to those hosts; returns its number."""
 
     def on_answer(self, number: int, host: str, answer: EmergencyStopResult | LfieldError) -> None:
-        """The answer of a host to that order, or why there is none."""
+        """The answer of a host to that order, or the error."""

@@ -41,7 +41,7 @@ from lfield.operator.team_query import QueryContext, directory_views, roster_fro
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, Pause
 from lfield.wire.order_messages import ID_SIZE, OrderKind
 
-#: Each order as a message, to look up the right that it needs. None of these is sent.
+#: Each order as a message, only to look up the right that it needs.
 _NO_ID = bytes(ID_SIZE)
 _MESSAGES: Mapping[OrderKind, EmergencyStop | Pause] = {
     "stop": EmergencyStop(_NO_ID, ""),
@@ -50,7 +50,7 @@ _MESSAGES: Mapping[OrderKind, EmergencyStop | Pause] = {
     "resume": Pause(_NO_ID, lift=True),
 }
 
-RunBeside = Callable[
+RunInThread = Callable[
     [Callable[[str, Mapping[str, HostState]], QueryAnswer], str, Mapping[str, HostState]],
     Awaitable[QueryAnswer],
 ]
@@ -58,7 +58,7 @@ RunBeside = Callable[
 
 @dataclass(frozen=True, slots=True)
 class OperatorContext:
-    """Who gives the orders, and how they are sent.
+    """The operator and the transports of the orders.
 
     `keys`: those of this person, None for none. `crl`: a revocation list for hosts with an older one.
     `access`: the mission's restrictions of this person's rights, as far as this computer has them. `sender`:
@@ -79,7 +79,7 @@ class OrderService:
     """Implements `OperatorActions` for the hosts of a team; `observer` gets each answer when it arrives.
 
     `read_context` reads what queries need, at the first query; its error is the answer when that fails.
-    `beside` runs a long computation outside the event loop.
+    `run_in_thread` runs a long computation outside the event loop.
     """
 
     def __init__(
@@ -90,16 +90,16 @@ class OrderService:
         team: Team,
         read_context: Callable[[], QueryContext],
         operator: OperatorContext = NO_OPERATOR,
-        beside: RunBeside = asyncio.to_thread,
+        run_in_thread: RunInThread = asyncio.to_thread,
     ) -> None:
-        self._beside = beside
+        self._run_in_thread = run_in_thread
         self._transport, self._locate, self._observer = transport, locate, observer
         self._team, self._read_context = team, read_context
         self._keys, self._crl, self._access = operator.keys, operator.crl, operator.access
         self._sender, self._standing = operator.sender, operator.standing
         self._context: QueryContext | None = None
 
-    # --- who may --------------------------------------------------------------------------------------
+    # --- permissions ----------------------------------------------------------------------------------
 
     @property
     def denied_orders(self) -> Mapping[OrderKind, str]:
@@ -118,7 +118,7 @@ class OrderService:
         )
 
     def _identity_at(self, address: str) -> Identity | None:
-        """The identity of this person at a host; None where only the host can tell."""
+        """The identity of this person at a host; None if only the host can determine it."""
         if not address.startswith(UNIX):
             return self._own_identity
         try:
@@ -139,8 +139,8 @@ class OrderService:
 
     async def stop(self, reason: str = "") -> OrderOutcome:
         """See `OperatorActions.stop`."""
-        said = f"the emergency stop was pressed{': ' if reason else ''}{reason}"
-        return await self._order("stop", emergency_stop(said))
+        text = f"the emergency stop was pressed{': ' if reason else ''}{reason}"
+        return await self._order("stop", emergency_stop(text))
 
     async def lift(self) -> OrderOutcome:
         """See `OperatorActions.lift`."""
@@ -183,11 +183,9 @@ class OrderService:
     # --- questions ------------------------------------------------------------------------------------
 
     async def query(self, text: str) -> QueryAnswer:
-        """See `OperatorActions.query`: as `lfield query --explain` does it, by what the running hosts say
-        now.
-        """
+        """See `OperatorActions.query`: as `lfield query --explain`, from the running hosts."""
         answers = await ask_all(self._transport, self._locate.addresses, PATIENT_SNAPSHOT, self._crl)
-        return await self._beside(self._match, text, host_states(answers))
+        return await self._run_in_thread(self._match, text, host_states(answers))
 
     def _match(self, text: str, hosts: Mapping[str, HostState]) -> QueryAnswer:
         try:
@@ -197,8 +195,10 @@ class OrderService:
             return QueryAnswer(text, mistakes="\n".join(found.render() for found in error.diagnostics))
         except LfieldError as error:
             return QueryAnswer(text, mistakes=str(error))
-        unheard = {name: host.trouble for name, host in hosts.items() if not host.linked}
-        team = roster_from_hosts(asked.registry, self._team.deployed, directory_views(hosts), unheard.keys())
+        unreachable = {name: host.trouble for name, host in hosts.items() if not host.linked}
+        team = roster_from_hosts(
+            asked.registry, self._team.deployed, directory_views(hosts), unreachable.keys()
+        )
         matcher = Matcher(asked.registry, team, asked.ways)
         units = {name: attribute.unit for name, attribute in asked.registry.attributes.items()}
         found = []
@@ -206,4 +206,4 @@ class OrderService:
             best = matcher.find(primitive.name, question.offer_query)
             refusals = matcher.explain(primitive.name, question.constraint)
             found.append(PrimitiveMatches(primitive, best.offers, best.count, refusals, best.notes, units))
-        return QueryAnswer(text, tuple(found), unheard)
+        return QueryAnswer(text, tuple(found), unreachable)

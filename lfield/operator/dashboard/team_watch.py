@@ -1,7 +1,7 @@
-"""A team while somebody looks at it: its picture, kept up to date by a follower, and what can be ordered.
+"""A watched team: its state, kept up to date by an `EventFollower`, and the actions of an operator.
 
-async with watched(path, team, party, look, keys) as team:
-    team.seen(); await team.actions.stop()
+async with watch_team(path, team, targets, find, keys) as watch:
+    watch.snapshot(); await watch.actions.stop()
 """
 
 from __future__ import annotations
@@ -43,9 +43,7 @@ TICK = 1.0
 
 
 class TeamWatch:
-    """Implements `TeamStateSource`, `StreamHandler` for a follower, `Witness` for orders; `actions` gives
-    these.
-    """
+    """Implements `TeamStateSource`, `StreamHandler` and `OrderObserver`; `actions` sends orders."""
 
     actions: OperatorActions
 
@@ -54,7 +52,6 @@ class TeamWatch:
         self._clock = clock
 
     def snapshot(self) -> TeamState:
-        """The present state of the team."""
         return self.view.snapshot(self._clock.monotonic())
 
     def curves(self) -> tuple[Curve, ...]:
@@ -81,12 +78,12 @@ class TeamWatch:
         """See `OrderObserver.on_answer`."""
         self.view.on_answer(number, host, answer)
 
-    async def start_log(self, said: Awaitable[Sequence[DatedEvent]]) -> None:
+    async def start_log(self, backlog: Awaitable[Sequence[DatedEvent]]) -> None:
         """Start the log with the backlog of the hosts."""
         self.view.hold_log()
-        told = await said
+        stored = await backlog
         now, wall = self._clock.monotonic(), self._clock.time()
-        self.view.start_log(((d.host, d.incarnation, d.event) for d in told), now, wall)
+        self.view.start_log(((d.host, d.incarnation, d.event) for d in stored), now, wall)
 
     async def tick(self) -> None:
         """Extend the curves until this is cancelled."""
@@ -120,8 +117,7 @@ async def watch_team(
     find: Callable[[], Sequence[TargetTeam]],
     keys: Path | None = None,
 ) -> AsyncIterator[TeamWatch]:
-    """The team of a mission while it is looked at; `find` finds its hosts anew, `keys` says where those of
-    this user should be.
+    """Watch the team of a mission; `find` locates its hosts again, `keys` is the folder of this user's keys.
 
     Raises KeysError for keys that cannot be used.
     """

@@ -3,7 +3,7 @@
 The order is signed for each host, and sent twice at first: the second copy does not wait for the round trip.
 A host that answers with a challenge gets the same order, signed again with its present epoch. Retransmission
 follows the measured round trip, at a rate that a slow radio can carry; after some datagrams without an
-answer, hosts that do answer are asked to relay it.
+answer, hosts that do answer relay it.
 """
 
 from __future__ import annotations
@@ -42,22 +42,22 @@ from lfield.wire.order_messages import (
     short_reason,
 )
 
-#: After so many unanswered datagrams a host is also addressed through other hosts, in turns.
+#: Number of unanswered datagrams after which a host is also addressed through other hosts, in turns.
 RELAY_AFTER = 3
-#: A new link, whose handshake takes 4-5 kB, is opened after so many of them. If any host has answered
-#: datagrams, it is opened after more, and after so many seconds.
+#: Number of them after which a new link is opened (its handshake takes 4-5 kB); and, if any host has answered
+#: datagrams, the larger number and the time (s).
 LINK_AFTER, LINK_AFTER_MORE, LINK_AFTER_SECONDS = 2, 5, 0.4
 #: The most signatures of the order for one host.
 MAX_SIGNATURES = 8
 #: The shortest interval in seconds, before any round trip is measured.
 FIRST_INTERVAL = 0.06
 #: The data rate in bytes/s to all hosts together: half of a radio of 57.6 kbit/s; the answers need the other
-#: half. Once orders and answers of so many bytes each have passed within the longest round trip, it is at
-#: least that.
+#: half. Once orders and answers of this size (bytes) have passed within the longest round trip, the rate is
+#: at least that.
 SEND_RATE, EXCHANGE = 3600.0, 400.0
 #: Bytes of a datagram besides order and certificate, with IPv6 and UDP headers; and of a certificate in an
 #: answer.
-BESIDE, SHOWN = 148, 500
+OVERHEAD, SHOWN = 148, 500
 #: The shortest and the longest interval, in seconds; the number of equal intervals, since radio losses are
 #: random; the factor of each further one.
 MIN_INTERVAL, MAX_INTERVAL, EQUAL_INTERVALS, BACKOFF = 0.04, 1.0, 6, 1.5
@@ -67,10 +67,10 @@ EQUAL_UNANSWERED = 4
 FIRST_VARIATION = 0.25
 #: The minimum variation of the round trip, in seconds.
 MIN_VARIATION = 0.01
-#: An answer is missing after the round trip and so many variations of it.
+#: An answer is missing after the round trip plus this multiple of its variation.
 VARIATIONS = 2.0
-#: A received but unconfirmed order is queried after so many seconds at least, and after so many intervals at
-#: most if the host has repeated that it is executing it.
+#: Least time (s) after which a received but unconfirmed order is queried, and the most intervals if the host
+#: has repeated that it is executing it.
 LEAST_EXECUTING, MAX_EXECUTION_WAIT = 0.1, 4
 
 
@@ -136,10 +136,10 @@ class _Host:
     #: Whether it has answered this order itself, and how often it has reported that it is executing it.
     has_answered: bool = False
     receipts: int = 0
-    #: The number of datagrams sent, of those since the latest answer, and the time of each.
+    #: The number of datagrams sent, the number since the latest answer, and the time of each.
     attempts: int = 0
     unanswered: int = 0
-    #: When the first of those was sent, and how long before the last of them.
+    #: When the first since then was sent, and how long before the last one.
     silent_since: float = 0.0
     silent_for: float = 0.0
     sent: dict[int, float] = field(default_factory=dict)
@@ -240,7 +240,7 @@ class OrderProtocol:
             self._hosts[host].due = None
 
     def on_datagram(self, data: bytes, now: float) -> None:
-        """A datagram arrived, from any address. Anything that is no answer to this order is ignored."""
+        """A datagram arrived, from any address. It is ignored unless it answers this order."""
         try:
             datagram = decode_datagram(data)
             if isinstance(datagram, CertificateRequest):
@@ -256,16 +256,16 @@ class OrderProtocol:
             return
 
     def _on_certificate_request(self, request: CertificateRequest, now: float) -> None:
-        """A host does not know the certificate. That is not signed, so it is heard once, and what it says of
-        epochs is a hint: a false one costs a challenge."""
+        """A host does not know the certificate. The message is not signed, so it is accepted once, and its
+        epochs are a hint: a false one costs a challenge."""
         host = self._hosts.get(request.host)
         if host is None or host.due is None or host.certificate or request.signer != self._signer.digest:
             return
         self._measure(host, request.attempt, now)
         host.certificate, host.unanswered = self._signer.certificate, 0
-        told = request.epochs.of(self.kind)
+        claimed = request.epochs.of(self.kind)
         # A restarted host knows neither its earlier epochs nor any certificate.
-        if host.named == UNKNOWN_EPOCH or (self.kind in HOLDS and told != host.named):
+        if host.named == UNKNOWN_EPOCH or (self.kind in HOLDS and claimed != host.named):
             self._sign_again(request.host, host, request.epochs)
         self._send(request.host, now)
 
@@ -356,7 +356,7 @@ class OrderProtocol:
         try:
             self._out.append(OutgoingDatagram(to, encode_datagram(signed)))
         except WireError:
-            # The certificate does not fit beside a long name: the link must be used.
+            # The certificate does not fit together with a long name: the link must be used.
             host.due = None
 
     def _plan(self, host: _Host, now: float) -> None:
@@ -384,7 +384,7 @@ class OrderProtocol:
     def _pace(self) -> float:
         """Seconds that a slow radio takes for a datagram to each host that has no result, and the answers."""
         waiting = [one for one in self._hosts.values() if one.result is None]
-        size = sum(len(one.signed.order) + len(one.certificate) + BESIDE for one in waiting)
+        size = sum(len(one.signed.order) + len(one.certificate) + OVERHEAD for one in waiting)
         size += sum(SHOWN for one in waiting if one.certificate and one.known is None)
         trips = [one.trip.mean for one in self._hosts.values() if one.trip.mean is not None]
         return size / max(SEND_RATE, EXCHANGE * len(trips) / max(trips, default=1.0))

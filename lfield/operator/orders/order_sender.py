@@ -31,8 +31,8 @@ class OrderSender:
     def send(self, message: OrderMessage, addresses: Mapping[str, str]) -> OrderDatagrams:
         """Begin to give an order to the hosts at these addresses; the caller closes it with `finish`.
 
-        An order to end a stop or a pause names no state that was known before: a host tells its own first, as
-        in the greeting of a connection.
+        An order that ends a stop or a pause names no epoch from before: each host reports its own first, as
+        in a handshake.
         """
         found = {host: self.known.host(host) for host in addresses}
         is_hold = message.kind in HOLDS

@@ -86,7 +86,7 @@ class _LinkNeeded:
         self._has_open_link = standing is not None
 
     async def over_open_link(self, standing: OpenLinkAnswer) -> EmergencyStopResult:
-        """Over the connection that stands; a new one is needed at once where it fails."""
+        """Send over the open connection; if that fails, a new one is opened at once."""
         try:
             return await standing()
         except LfieldError:
@@ -94,7 +94,6 @@ class _LinkNeeded:
             raise
 
     async def over_new_link(self, new_link: NewLink) -> EmergencyStopResult:
-        """Over a new one."""
         if self._has_open_link:
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._open_link_lost.wait(), OPEN_LINK_TIME)

@@ -1,1 +1,1 @@
-"""The registry of capabilities, told to people."""
+"""Text output of the capability registry."""

@@ -1,7 +1,7 @@
-"""What a registry says of one name, on a sheet: for a terminal, or in Markdown (reference.py).
+"""The entry of one name of a registry as text: for a terminal, or in Markdown (reference.py).
 
-Code stands between backticks; a terminal shows it without them. A line that begins with four spaces belongs
-to the one above it.
+Code is in backticks, which a terminal does not show. A line that begins with four spaces belongs to the one
+above.
 """
 
 from __future__ import annotations
@@ -97,7 +97,7 @@ def term_sheet(registry: Registry, term: TaxonomyTerm) -> Sheet:
 
 
 def attribute_sheet(registry: Registry, attribute: Attribute) -> Sheet:
-    """What offers differ in, and who states it."""
+    """An attribute: its values, and the providers that state it."""
     rated = attribute.better != "none"
     rows = {
         "meaning": attribute.meaning,
@@ -117,7 +117,7 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
         if name in provider.attributes:
             yield f"{type}: {value_text(provider.attributes[name], unit)}{_usual(name, provider.nominal)}"
         if name in provider.live:
-            yield f"{type}: {'live' if attribute.live else 'told'}, {_source(provider.live[name])}"
+            yield f"{type}: {'live' if attribute.live else 'reported'}, {_source(provider.live[name])}"
         for served in provider.serves.values():
             if name in served.attributes:
                 said = f"{value_text(served.attributes[name], unit)}{_usual(name, served.nominal)}"
@@ -131,7 +131,7 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
 
 
 def primitive_sheet(registry: Registry, primitive: Primitive) -> Sheet:
-    """What can be called, who serves it, and what it serves itself."""
+    """A primitive: its portals, its providers, and the primitives that it serves."""
     nobody = ["Nothing that we ship serves it: a mission's own resource types may."]
     rows = {
         "id": code(primitive.id),
@@ -164,7 +164,7 @@ def _served_by(registry: Registry, primitive: str) -> Iterator[str]:
             yield f"{type}{_when(provider.serves[primitive].when)}"
     for name, rule in sorted(registry.equivalences.items()):
         if rule.serves == primitive:
-            yield f"{code(name)}: whoever serves {rule.by}{_when(rule.when)}, loss {rule.loss:g}"
+            yield f"{code(name)}: every provider of {rule.by}{_when(rule.when)}, loss {rule.loss:g}"
     for name, whole in sorted(registry.compositions.items()):
         if whole.serves == primitive:
             needs = listed(f"{need.primitive} ({need.name})" for need in whole.needs.values())
@@ -182,7 +182,7 @@ def _serves_too(registry: Registry, primitive: str) -> Iterator[str]:
 
 
 def _attributes_of(registry: Registry, primitive: str) -> str:
-    """The attributes that anybody who serves it states or tells."""
+    """The attributes that any provider states or reports."""
     found: set[str] = set()
     for provider in registry.providers.values():
         if primitive in provider.serves:
@@ -195,7 +195,7 @@ def _attributes_of(registry: Registry, primitive: str) -> str:
 
 
 def provider_sheet(registry: Registry, provider: Provider) -> Sheet:
-    """A resource type, what it states and tells, and what it serves."""
+    """A resource type: the attributes that it states and reports, and the primitives that it serves."""
     rows = {
         "meaning": provider.meaning,
         "source": code(f"include <{provider.include}>;") if provider.include else "the mission's own",

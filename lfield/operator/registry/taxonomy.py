@@ -52,7 +52,7 @@ def unknown_name(registry: Registry, unknown: str) -> str:
         registry.compositions,
     )
     hint = did_you_mean(unknown[:80], [name for names in known for name in names])
-    return hint or "'lfield capabilities tree' shows what there is"
+    return hint or "'lfield capabilities tree' lists all terms"
 
 
 def tree(registry: Registry, id: str = "") -> list[TreeBranch]:

@@ -1,7 +1,7 @@
 """Tracks the location and activity of a team's agents, from the events of all hosts. Sans-IO.
 
 Several hosts report on one coordinator, and their events arrive in any order. The newest hop counts:
-(generation, sequence) grows with each hop, whatever the clocks say.
+(generation, sequence) grows with each hop, independent of clocks.
 """
 
 from __future__ import annotations
@@ -210,22 +210,22 @@ class AgentTracker:
     def on_status(
         self, host: str, agents: Iterable[AgentStatus], known: Iterable[CoordinatorState], now: float
     ) -> None:
-        """What a host knows of all agents. Only its coordinator records state start and hop."""
-        here = {told.id for told in agents}
+        """The status of all agents from one host. Only its coordinator records have start and hop."""
+        here = {reported.id for reported in agents}
         self._linked.add(host)
         for copy in known:
             self._is_of(copy.agent, "coordinator")
             agent = self._agent(copy.agent, copy.where or host)
             agent.on_report(host, copy.generation, copy.sequence, self._linked)
             _on_record(agent, host, copy, now)
-        for told in agents:
-            agent = self._agent(told.id, host)
-            self._is_of(told.id, told.kind)
-            if told.kind == "resource":
+        for reported in agents:
+            agent = self._agent(reported.id, host)
+            self._is_of(reported.id, reported.kind)
+            if reported.kind == "resource":
                 agent.host, agent.when = host, now
             if agent.host == host:
-                agent.hops, agent.served = max(agent.hops, told.hops), told.served
-                agent.set_position(told.state, agent.file, agent.line, agent.waits)
+                agent.hops, agent.served = max(agent.hops, reported.hops), reported.served
+                agent.set_position(reported.state, agent.file, agent.line, agent.waits)
         for agent in self._known.values():
             if agent.host == host and agent.entry.agent not in here and not (agent.to or agent.finished):
                 agent.set_position("not reported" if agent.when is not None else "")
@@ -349,7 +349,7 @@ def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
 
 
 def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) -> None:
-    """What a host knows of one start, whether it is there or not."""
+    """The record of a host about one start."""
     generation, sequence = known.generation, known.sequence
     if agent.knows_newer_than(generation, sequence):
         return
@@ -370,7 +370,7 @@ def _on_record(agent: _Agent, host: str, known: CoordinatorState, now: float) ->
                 agent.set_running(known.where, generation, sequence, now)
         case "EXITED":
             if known.where in ("", host):
-                # A host that only knows of the end does not know the number of hops.
+                # A record of an end does not contain the number of hops.
                 agent.hops, agent.counted = max(agent.hops, known.hops), True
             agent.finished, agent.detail = known.outcome or "done", known.detail
             agent.generation, agent.host, agent.to, agent.doubt = generation, known.where or host, "", ""

@@ -23,7 +23,7 @@ from lfield.wire.subscription_messages import EventBatch
 
 K = TypeVar("K")
 
-#: Clocks of computers go apart by no more than so many seconds in a second.
+#: Maximum drift between the clocks of two computers (s/s).
 DRIFT = 2e-4
 
 
@@ -39,7 +39,7 @@ class HostModel:
         self, name: str, place: LocalPosition | None = None, moves: Mapping[str, bool | None] | None = None
     ) -> None:
         self.devices, self._lost = DeviceTracker(moves or {}), Counter[str]()
-        self.known = HostState(name, trouble="not heard yet", place=place)
+        self.known = HostState(name, trouble="no contact yet", place=place)
         self._start_life()
 
     def _start_life(self) -> None:
@@ -61,7 +61,6 @@ class HostModel:
     # --- in -------------------------------------------------------------------------------------------
 
     def on_linked(self) -> None:
-        """There is a link to the host."""
         self.known = replace(self.known, linked=True, trouble="", error=None)
 
     def on_unlinked(self, why: str, error: LfieldError | None = None) -> None:
@@ -110,7 +109,7 @@ class HostModel:
         self.devices.on_snapshot(report.devices, now)
 
     def on_past_event(self, what: object, when: float) -> None:
-        """An event before the snapshot: it tells since when something is so, and by whose order."""
+        """An event before the snapshot: only its time and operator are used."""
         if isinstance(what, events.EmergencyStopChanged) and self.known.stopped and not what.lifted:
             self.stopped_by, self.stopped_at = what.by, when
 

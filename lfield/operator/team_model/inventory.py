@@ -44,7 +44,7 @@ class Inventory:
         return self.frames.origin
 
     def instruments(self, device: str) -> Instruments:
-        """The quantities of a device, as its manifest says where that is available."""
+        """The quantities of a device, from its manifest if available."""
         return self.devices.get(device, DEFAULT_INSTRUMENTS)
 
     def moves_of(self, host: str) -> Mapping[str, bool | None]:

@@ -11,9 +11,9 @@ from lfield.hybrid_clock import counter_of, milliseconds_of
 from lfield.operator.team_model.team_state import ShownLogLine
 from lfield.wire.events import EventsDropped, LineLogged, Printed
 
-#: So many lines are kept.
+#: Maximum number of lines.
 MAX_LINES = 1000
-#: A line that a program does not end is one after so many characters.
+#: Maximum length of a line (characters): a longer one is broken.
 MAX_LENGTH = 4096
 
 
@@ -22,7 +22,7 @@ LogEvent = Printed | LineLogged | EventsDropped
 
 
 class LogRecord(NamedTuple):
-    """What was said on a host, at `when` by our monotonic clock and with the timestamp `stamp`."""
+    """A log event of a host, at `when` by the local monotonic clock and with the timestamp `stamp`."""
 
     host: str
     when: float
@@ -31,12 +31,12 @@ class LogRecord(NamedTuple):
 
 
 def lost_events_text(what: str, count: int) -> str:
-    """What is said of what a host did not tell."""
-    return f"{count} {what} were not told: they came too often"
+    """The line about events that a host left out."""
+    return f"{count} {what} left out: too frequent"
 
 
 def lines_of(text: str) -> list[str]:
-    """Its lines as the log of its host has them: whatever else a program writes begins none."""
+    """The lines as in the log of the host: only a line feed begins a new one."""
     return text.removesuffix("\n").split("\n")
 
 
@@ -51,7 +51,7 @@ class _Line:
 
 
 class LineAssembler:
-    """What programs print, as lines, whatever pieces they write."""
+    """Assembles the output of programs into lines."""
 
     def __init__(self) -> None:
         #: What a program on a host has written since its last line ended.
@@ -79,21 +79,21 @@ class LogBuffer:
         self._lines: deque[_Line] = deque(maxlen=MAX_LINES)
         self._serial = 0
         self._pieces = LineAssembler()
-        #: What waits for what was said before it, None when nothing does.
+        #: Events that wait for the backlog, None when none is awaited.
         self._held: deque[LogRecord] | None = None
 
     def hold(self) -> None:
-        """What is said from now on waits until it is known what was said before."""
+        """Hold back new events until the backlog arrives."""
         self._held = deque(maxlen=MAX_LINES)
 
     def start(self, before: Iterable[LogRecord]) -> None:
-        """That was said before all else; nothing waits any more."""
+        """The backlog: add it, then the events held back."""
         held, self._held = self._held or (), None
         for said in (*before, *held):
             self.add(said)
 
     def add(self, record: LogRecord) -> None:
-        """It was said after all that was said before."""
+        """A new event."""
         if self._held is not None:
             self._held.append(record)
             return

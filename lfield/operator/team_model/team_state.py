@@ -57,18 +57,18 @@ class LinkState:
 
 @dataclass(frozen=True, slots=True)
 class HostState:
-    """A host. `linked`: we hear it now; else `trouble` says why not, and what it told is as old as `age`.
+    """The state of a host.
 
-    `age` is None for one that was never heard. `ending` is why it ends or has ended, where it said so.
-    `stopped` is the reason of an emergency stop that stands there, '' for none. `links` are the hosts that
-    it has links with, and what it measures of them, `away` those it misses, for how many seconds.
-    Coordinators that are not started yet wait for the hosts in `waits_for`, or for an operator's command
-    because of `start_held`; `refused` are the hosts that it cannot be linked with, each with the reason.
-    `bundle` are the first digits of the digest of the bundle that it runs, '' for none. `lost` says by kind
-    how much of what happened there this computer will never hear of, since it looks. `clock` is what its
-    clock shows more than that of this computer (s), and `clock_within` how sure that is. `place` is what the
-    devices file says. `error` is what `trouble` words, of a host that did not answer a request. `devices` are
-    its devices by name. `report` is its last snapshot: read there only what no event changes.
+    `linked`: connected now; else `trouble` is the reason and `age` the age (s) of its data, None if there was
+    no contact. `ending` is why it ends or has ended, if it reported that. `stopped` is the reason of an
+    active emergency stop, '' for none. `links` are its links to other hosts with their measurements, `away`
+    the seconds since its last contact with each unreachable one. Coordinators not started yet wait for the
+    hosts in `waits_for`, or for an operator because of `start_held`; `refused` are the hosts that it cannot
+    link with, each with the reason. `bundle` are the first digits of the digest of its bundle, '' for none.
+    `lost` counts the lost events by kind. `clock` is the offset of its clock to that of this computer (s),
+    `clock_within` the uncertainty. `place` is its place in the devices file. `error` is the error behind
+    `trouble`. `devices` are its devices by name. `report` is its last snapshot: read only fields that no
+    event changes.
     """
 
     host: str
@@ -236,11 +236,11 @@ class OfferState:
 
 
 class ShownLogLine(NamedTuple):
-    """A line of a host's log; `agent` is who said it, '' for the host itself.
+    """A line of a host's log; `agent` is its author, '' for the host itself.
 
     `at` (s since 1970) and `tick` are its timestamp: the log is in the order of timestamp, host and serial.
-    `serial` counts the lines of this picture from 1 in the order in which they came, so that only new ones
-    need be drawn. Within a host both orders are the same.
+    `serial` counts the lines from 1 in the order of arrival, so that only new ones need be drawn. Within a
+    host both orders are the same.
     """
 
     serial: int
@@ -258,7 +258,7 @@ class StopState:
 
     `hosts` are those where it is in force. `confirmed` and `unconfirmed` are their devices, the latter with
     the reason; `unreached` are hosts that should have stopped without confirmation, with the reason. `asked`
-    are hosts that have not answered the order from here yet, whatever else they have reported. `before` are
+    are hosts that have not answered the order from here yet. `before` are
     unreachable hosts that had stopped when they were last linked, with what was safe then.
     """
 

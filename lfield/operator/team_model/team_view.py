@@ -2,8 +2,8 @@
 
 Each host has a `HostModel`; this merges them with the agents, devices and orders of the team.
 
-`now` is always the monotonic clock of this computer in seconds, `wall` its Unix time. What a host told before
-its link broke stays, and grows older; a new life of a host begins with nothing of what the last one did.
+`now` is always the monotonic clock of this computer in seconds, `wall` its Unix time. The data of a host stay
+after its link is lost, with their age; a new incarnation starts without them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from lfield.wire.observer_messages import EmergencyStopResult, Status
 from lfield.wire.order_messages import OrderKind
 from lfield.wire.subscription_messages import EventBatch
 
-#: No host: it has never said anything.
+#: A host without data.
 NO_HOST = HostModel("")
 
 
@@ -59,13 +59,14 @@ class TeamView:
         self._agents.on_linked(name)
 
     def on_unlinked(self, name: str, why: str) -> None:
-        """There is none, or none any more."""
+        """The host has no link."""
         self._host(name).on_unlinked(why)
         self._agents.on_unlinked(name)
 
     def feed(self, name: str, batch: EventBatch, now: float, wall: float, took: float | None = None) -> None:
-        """What a host has sent. `took` is how long it was asked for, of a first answer: for that long nobody
-        knows what its clock showed."""
+        """A batch of a host. `took` is the round trip (s) of a first answer, the uncertainty of the host's
+        clock.
+        """
         host = self._host_of(name, batch.incarnation)
         host.on_batch(batch, now, wall, took)
         for event in batch.events:
@@ -74,7 +75,7 @@ class TeamView:
             self._on_snapshot(name, host, batch.snapshot, batch.latest, now)
 
     def hold_log(self) -> None:
-        """The log begins with what hosts have said before they are heard here: it waits for that."""
+        """Hold the log back until the stored events of the hosts arrive."""
         self._log.hold()
 
     def start_log(self, before: Iterable[tuple[str, int, Event]], now: float, wall: float) -> None:
@@ -92,8 +93,9 @@ class TeamView:
         self._log.start(told)
 
     def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
-        """An order is given from here to those hosts, and to those of the team of which nobody knows where
-        they are; its number."""
+        """An order is sent to those hosts; hosts with unknown addresses count as unreached. Returns its
+        number.
+        """
         self.revision += 1
         number = self._commands.on_order(order, [*self._hosts, *(set(hosts) - set(self._hosts))], now)
         for name in set(self._hosts) - set(hosts):
@@ -101,15 +103,14 @@ class TeamView:
         return number
 
     def on_answer(self, number: int, name: str, answer: EmergencyStopResult | LfieldError) -> None:
-        """What a host has said to an order: the devices that are not safe, with the reasons; or why it was
-        not reached."""
+        """The answer of a host to an order, or why there is none."""
         host = self._host(name)
         self._commands.on_answer(number, name, answer)
         if isinstance(answer, EmergencyStopResult):
             host.on_answer(answer)
 
     def tick(self, now: float) -> None:
-        """Once a second or so: curves grow also while nobody looks."""
+        """Extend the curves; called about once a second."""
         self._curves.add(now, self.snapshot(now).vehicles, self._agents.hops_a_minute(now))
 
     def _host(self, name: str) -> HostModel:
@@ -161,11 +162,11 @@ class TeamView:
     # --- out ------------------------------------------------------------------------------------------
 
     def curves(self, now: float) -> tuple[Curve, ...]:
-        """What is plotted."""
+        """The curves of the plots."""
         return self._curves.snapshot(now)
 
     def snapshot(self, now: float) -> TeamState:
-        """All that is known at that moment."""
+        """The state at that time."""
         hosts = {name: host.state(now) for name, host in self._hosts.items()}
         fresh = {name: host.linked for name, host in hosts.items()}
         devices, offers = self._devices_by_agent(hosts), self._offers(fresh)
@@ -215,7 +216,7 @@ class TeamView:
                 return
 
     def _offers(self, fresh: Mapping[str, bool]) -> dict[str, OfferState]:
-        """Of each agent counts what its own host says while that is heard, else what any does."""
+        """The offers by agent: as reported by its own host while that is linked, else by any host."""
         tellers: dict[str, list[str]] = {}
         for name, host in self._hosts.items():
             for agent in host.offers:
@@ -244,7 +245,7 @@ class TeamView:
                 confirmed += safe
             else:
                 before[name] = tuple(safe)
-            # Of who is not heard that counts for as long as a stop is wanted at all.
+            # The last report of an unreachable host counts while any stop is active.
             if host.known.linked or standing or pressed is not None:
                 unconfirmed |= {
                     device: host.refusals.get(device, why) for device, why in states.items() if why
@@ -270,9 +271,9 @@ class TeamView:
 
 
 def _unknown_why(host: HostState) -> str:
-    """Why nobody knows that a host has stopped."""
+    """Why the stop of a host is not confirmed."""
     if host.linked:
-        return "it has not said that it has stopped"
+        return "the host has not confirmed the stop"
     if host.ending is None:
         return host.trouble
-    return f"it has ended: {host.ending}" if host.ending else "it has ended"
+    return f"the host has ended: {host.ending}" if host.ending else "the host has ended"

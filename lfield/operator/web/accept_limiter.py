@@ -1,8 +1,8 @@
-"""Takes the calls of browsers, and shows strangers out: anybody may call, and descriptors are few.
+"""Accepts connections of browsers and limits those without a session: file descriptors are few.
 
-A connection is a stranger's until a request on it has brought the cookie of a session. Of those some are held
-at a time, and each for some seconds; who brings none has had its sentence by then. So whoever else is on the
-network keeps this process from nothing that it does with the team.
+A connection is unauthenticated until a request on it carries the cookie of a session. At most `MAX_CALLERS`
+of these are open at a time, each for at most `LOGIN_TIMEOUT` seconds. So other clients on the network cannot
+use up the descriptors that this process needs for the team.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from contextlib import suppress
 
 from lfield.net.connection_limiter import ConnectionLimiter
 
-#: So many strangers are held at a time, and each for so many seconds.
+#: Maximum number of unauthenticated connections, and maximum duration of each (s).
 MAX_CALLERS, LOGIN_TIMEOUT = 64, 10.0
-#: Seconds before the next call is taken, where one could not be.
+#: Seconds until the next attempt, after a connection could not be accepted.
 _RETRY_DELAY = 0.1
 
-#: Who is at the other end of a connection: address and port, as an application (ASGI) is told.
+#: Address and port of a peer, as an ASGI application gets them.
 PeerAddress = tuple[str, int]
 
 
@@ -30,19 +30,19 @@ ProtocolFactory = Callable[[], asyncio.Protocol]
 
 
 class _AcceptServer:
-    """Calls are taken at a socket; implements `Server`."""
+    """Accepts connections at one socket; implements `Server`."""
 
     def __init__(self, task: asyncio.Task[None], opened: socket.socket) -> None:
         self._task = task
         task.add_done_callback(lambda _: opened.close())
 
     def close(self) -> None:
-        """Take no more, and close the socket."""
+        """Stop accepting and close the socket."""
         self._task.cancel()
 
 
 class AcceptLimiter:
-    """Who has called at the sockets of a page; with `tls` each must speak TLS first."""
+    """The connections at the sockets of a page; with `tls` over TLS only."""
 
     def __init__(
         self, tls: ssl.SSLContext | None, rng: random.Random, patience: float = LOGIN_TIMEOUT
@@ -55,18 +55,18 @@ class AcceptLimiter:
         self._starting: set[asyncio.Task[None]] = set()
 
     def on_authenticated(self, peer: PeerAddress) -> None:
-        """Who is at that end has brought a session, and stays."""
+        """The peer has a session: its connection is no longer limited."""
         self._unauthenticated.release(peer)
         self._sockets.pop(peer, None)
 
     async def serve(self, opened: socket.socket) -> _AcceptServer:
-        """Listen at a bound socket; the calls wait in the kernel until `start`."""
+        """Listen at a bound socket; connections wait in the kernel until `start`."""
         opened.setblocking(False)
         opened.listen()
         return _AcceptServer(asyncio.get_running_loop().create_task(self._accept(opened)), opened)
 
     def start(self, make_protocol: ProtocolFactory) -> None:
-        """Take calls from now on; whoever gets through has a protocol of their own."""
+        """Accept connections from now on, each with its own protocol object."""
         self._make_protocol = make_protocol
         self._is_started.set()
 
@@ -78,7 +78,7 @@ class AcceptLimiter:
             try:
                 made, name = await loop.sock_accept(opened)
             except OSError:
-                # They hung up again, or there is no descriptor left.
+                # The peer has closed it already, or there is no descriptor left.
                 await asyncio.sleep(_RETRY_DELAY)
                 continue
             self._admit(made, (name[0], name[1]))
@@ -94,21 +94,21 @@ class AcceptLimiter:
         asyncio.get_running_loop().call_later(self._patience, self._evict, peer, made)
 
     def _evict(self, peer: PeerAddress, made: socket.socket) -> None:
-        """Unless they are known by now, or somebody else has that port."""
+        """Close a connection that is still unauthenticated, if that port is not in use by a later one."""
         if self._sockets.get(peer) is made:
             self.on_authenticated(peer)
             _hang_up(made)
 
-    async def _start(self, made: socket.socket, speaks: ProtocolFactory) -> None:
+    async def _start(self, made: socket.socket, make_protocol: ProtocolFactory) -> None:
         loop = asyncio.get_running_loop()
         try:
-            await loop.connect_accepted_socket(speaks, made, ssl=self._tls)
+            await loop.connect_accepted_socket(make_protocol, made, ssl=self._tls)
         except OSError:
-            # It was no TLS, or they have gone.
+            # Not TLS, or closed by the peer.
             made.close()
 
 
 def _hang_up(made: socket.socket) -> None:
-    """Whoever has the socket now reads its end, and closes it."""
+    """Shut the connection down; its protocol then closes the socket."""
     with suppress(OSError):
         made.shutdown(socket.SHUT_RDWR)

@@ -1,4 +1,4 @@
-"""The answer to a question as the page shows it: plain rows and lines of text."""
+"""Results of queries and orders as JSON for the page: rows and lines of text."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from lfield.capability.offer import Offer
 from lfield.operator.dashboard.operator_actions import OrderOutcome, PrimitiveMatches, QueryAnswer
 from lfield.operator.registry.sheets import value_text
 
-#: So many attributes of an offer are shown; `lfield query --json` has all.
+#: Maximum number of attributes shown of an offer; `lfield query --json` has all.
 SHOWN = 6
 
 
 def query_json(answer: QueryAnswer) -> bytes:
-    """An answer as JSON."""
+    """The answer to a query as JSON."""
     return msgspec.json.encode(
         {
             "question": answer.question,
             "mistakes": answer.mistakes,
-            "unheard": answer.unanswered,
+            "unreachable": answer.unanswered,
             "found": [_found(found) for found in answer.found],
         }
     )
@@ -43,20 +43,20 @@ def _found(found: PrimitiveMatches) -> dict[str, Any]:
 
 
 def _offer(offer: Offer, units: Mapping[str, str]) -> dict[str, Any]:
-    told = list(offer.facts.items())[:SHOWN]
+    shown = list(offer.facts.items())[:SHOWN]
     return {
         "agent": offer.agent,
         "host": offer.host,
-        # Of one that is composed those of its parts.
+        # The hosts of the parts of a composed offer.
         "hosts": sorted({part.host for part in offer.parts.values()} or {offer.host}),
         "how": "direct" if offer.kind == "direct" else f"by {offer.rule}",
         "score": offer.score,
-        "facts": [f"{name} {value_text(fact.value, units.get(name, ''))}" for name, fact in told],
-        # What stands in for it, or what it is composed of: `lfield query` draws the whole tree.
+        "facts": [f"{name} {value_text(fact.value, units.get(name, ''))}" for name, fact in shown],
+        # One level only: `lfield query` draws the whole tree.
         "parts": [f"{part.agent} at {part.host}: {part.primitive}" for part in offer.parts.values()],
     }
 
 
 def order_json(order: OrderOutcome) -> bytes:
-    """What came of an order, as JSON."""
+    """The result of an order as JSON."""
     return msgspec.json.encode({**msgspec.to_builtins(order), "well": order.is_complete})

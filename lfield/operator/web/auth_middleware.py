@@ -1,4 +1,4 @@
-"""The door in front of the server: every request and every WebSocket goes through here (ASGI)."""
+"""ASGI middleware that authenticates every request and WebSocket by a session cookie or a login link."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Receive = Callable[[], Awaitable[Message]]
 Send = Callable[[Message], Awaitable[None]]
 App = Callable[[Scope, Receive, Send], Awaitable[None]]
 
-#: The browser itself refuses to ask anybody else for anything. Vue makes code of templates in the page.
+#: The page can contact its own server only. Vue compiles templates in the page, hence 'unsafe-eval'.
 _POLICY = (
     "default-src 'self'; script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'; "
     "img-src 'self' data:; font-src 'self' data:; connect-src 'self'; object-src 'none'; base-uri 'none'; "
@@ -28,9 +28,8 @@ _HEADERS = [
 
 
 class AuthMiddleware:
-    """An application (ASGI) behind a door. `on_login` is called when a link was used: the next is another.
-
-    `on_authenticated` is told who has brought a session, by the address and port of that connection.
+    """An ASGI application with authentication. `on_login` is called after a link was used up;
+    `on_authenticated` gets the address and port of each peer that has a session.
     """
 
     def __init__(
@@ -47,18 +46,18 @@ class AuthMiddleware:
             on_login,
             on_authenticated,
         )
-        # A cookie of that name comes from https alone, browsers see to it, and from this very host.
+        # Browsers accept a cookie with this prefix over https only, and only from this host.
         self._cookie = f"__Host-{cookie}" if page_sessions.secure else cookie
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
-        knock = self._request(scope)
+        request = self._request(scope)
         token = _token(scope)
-        if token is not None and not self._page_sessions.address_refusal(knock):
-            await self._log_in(token, knock, send)
-        elif refusal := self._page_sessions.refusal(knock):
+        if token is not None and not self._page_sessions.address_refusal(request):
+            await self._log_in(token, request, send)
+        elif refusal := self._page_sessions.refusal(request):
             await _refuse(scope, refusal, send)
         else:
             self._on_authenticated(scope["client"])
@@ -81,15 +80,15 @@ class AuthMiddleware:
             cookie += "; Secure" if self._page_sessions.secure else ""
             headers.append((b"set-cookie", cookie.encode()))
             self._on_login()
-        # The link does not stay in the address bar.
+        # The redirect removes the token from the address bar.
         await _answer(send, 303, "", headers)
 
 
 def cookie_values(headers: Iterable[tuple[bytes, bytes]], name: str) -> tuple[str, ...]:
     """The values of all cookies of that name in the `cookie` headers of a request (RFC 6265, section 5.4).
 
-    Browsers send the cookies of every program on the same address, whatever its port. Their text is not
-    parsed: a browser accepts cookies that do not follow the grammar, and `http.cookies` then finds none.
+    Browsers send the cookies of all ports of an address. They also accept cookies that violate the grammar,
+    with which `http.cookies` finds none, so the values are not parsed further.
     """
     pairs = (
         pair.partition("=")

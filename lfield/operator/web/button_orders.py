@@ -1,9 +1,8 @@
-"""What the buttons of the page do, and what of that is not done any more when a press comes late.
+"""The orders of the page's buttons, and the refusal of orders that arrive too late.
 
-How late it is goes by the clock of the server alone, whatever that of a browser shows.
-
-Each look says when it was made, and a press says how long the page had had the last one (browser/team.js). So
-`pressed` is when that was on the server's clock, or as much earlier as the look was under way.
+Delays are measured by the server's clock alone. Each snapshot carries the time when it was made, and a press
+adds how long the page has had the last snapshot (browser/team.js). So `pressed` is the time of the press by
+the server's clock, too early by at most the time that the snapshot was in transit.
 """
 
 from __future__ import annotations
@@ -12,18 +11,18 @@ from collections.abc import Awaitable, Callable, Mapping
 
 from lfield.operator.dashboard.operator_actions import OperatorActions, OrderOutcome
 
-#: What is written into the logs of the hosts when somebody presses STOP here.
+#: The reason of a stop from the page, in the logs of the hosts.
 REASON = "on the page of lfield watch"
-#: For so many seconds what lets vehicles move again may be under way.
+#: Maximum delay (s) of an order that lets vehicles move again.
 MAX_DELAY = 10.0
-#: What does so. STOP and Pause make a team safer: late is better than never.
+#: These orders. STOP and Pause make a team safer and are executed however late.
 _RELEASES = ("lift", "resume")
 
-NOT_SHOWN_YET = "the page had not seen the team yet; look, and press it again"
+NOT_SHOWN_YET = "the page had no state of the team yet; check the state, and press it again"
 
 
 def buttons(actions: OperatorActions, reason: str) -> Mapping[str, Callable[[], Awaitable[OrderOutcome]]]:
-    """What each of them does; the reason is that of a stop."""
+    """The action of each button; `reason` is that of a stop."""
     return {
         "stop": lambda: actions.stop(reason),
         "lift": actions.lift,
@@ -33,10 +32,10 @@ def buttons(actions: OperatorActions, reason: str) -> Mapping[str, Callable[[], 
 
 
 def refusal(order: object, pressed: object, now: float) -> str:
-    """Why that order is not given any more, '' when it is.
+    """Why an order is refused as too late, '' when it is accepted.
 
-    `pressed` is whatever came as that, and `now` the time by the same clock (s). Who does not say when it was
-    pressed releases nothing.
+    `pressed` is the unchecked value from the page, `now` the time by the same clock (s). A release without a
+    valid time is refused.
     """
     if order not in _RELEASES:
         return ""
@@ -45,17 +44,17 @@ def refusal(order: object, pressed: object, now: float) -> str:
         return NOT_SHOWN_YET
     if late <= MAX_DELAY:
         return ""
-    return f"it came {late:.0f} s after it was pressed, which is too late; look, and press it again"
+    return f"it arrived {late:.0f} s after the press, which is too late; check the state, and press it again"
 
 
 def stop_reason(reason: str, pressed: object, now: float) -> str:
-    """The reason of a stop, which says how late it came when that was late."""
+    """The reason of a stop, with its delay if it is late."""
     late = _late(pressed, now)
-    return reason if late is None or late <= MAX_DELAY else f"{reason}; it came {late:.0f} s late"
+    return reason if late is None or late <= MAX_DELAY else f"{reason}; it arrived {late:.0f} s late"
 
 
 def _late(pressed: object, now: float) -> float | None:
-    """Seconds; None where nobody knows it, as of a press that is still to come."""
+    """Seconds; None for a value that is not a number or in the future."""
     if isinstance(pressed, bool) or not isinstance(pressed, int | float) or pressed > now + MAX_DELAY:
         return None
     return max(0.0, now - pressed)

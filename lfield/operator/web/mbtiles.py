@@ -1,7 +1,7 @@
-"""A background for the map from an MBTiles file: a SQLite database of pictures, read where it lies.
+"""Map background from an MBTiles file, a SQLite database of pictures.
 
-MBTiles 1.3: table `tiles` (zoom_level, tile_column, tile_row, tile_data), rows counted from the south, where
-browsers count from the north; table `metadata` (name, value). Pictures only, no vector tiles.
+MBTiles 1.3: table `tiles` (zoom_level, tile_column, tile_row, tile_data) with rows counted from the south,
+while browsers count from the north; table `metadata` (name, value). Pictures only, no vector tiles.
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ from pathlib import Path
 
 from lfield.errors import InputFileError
 
-#: How the pictures begin that browsers show, and what they are.
+#: First bytes of the supported pictures, and their media types.
 _KINDS = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp"}
-#: Zooms that can be asked for: at 24 a pixel is 9 mm.
+#: Largest zoom: at 24 a pixel is 9 mm.
 MAX_ZOOM = 24
 
 _USABLE = "from tiles where typeof(zoom_level) = 'integer' and zoom_level between ? and ?"
@@ -32,16 +32,14 @@ class MapTile:
 
 
 class MbtilesSource:
-    """The tiles of one file; `min_zoom` and `max_zoom` are the zooms that it has, `credit` whom to name for
-    it.
-    """
+    """The tiles of one file: `min_zoom`, `max_zoom`, and `credit`, the attribution of its author."""
 
     def __init__(self, path: Path) -> None:
         """Raises InputFileError for a file that cannot be read, or has no pictures for a map."""
         self._path = path
         if not path.is_file():
-            why = "it is no file" if path.exists() else "there is no such file"
-            raise InputFileError(str(path), f"{why}; an MBTiles file is meant")
+            why = "not a file" if path.exists() else "there is no such file"
+            raise InputFileError(str(path), f"{why}; expected an MBTiles file")
         try:
             self._database = sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)
         except sqlite3.Error as error:
@@ -53,7 +51,7 @@ class MbtilesSource:
             raise
 
     def _check(self) -> None:
-        """Read what the map needs to know of the file; raises InputFileError."""
+        """Read the metadata of the file. Raises InputFileError."""
         path = self._path
         try:
             zooms = self._database.execute(_ZOOMS, (0, MAX_ZOOM)).fetchone()
@@ -66,7 +64,9 @@ class MbtilesSource:
             zoomed = f", only of zoom {others[0]!r}" if others is not None else ""
             raise _none(path, f"it has no tiles of zoom 0 to {MAX_ZOOM}{zoomed}")
         if not isinstance(sample[0], bytes) or _kind(sample[0]) is None:
-            raise _none(path, "its tiles are no pictures (PNG, JPEG or WebP), which vector tiles are not")
+            raise _none(
+                path, "its tiles are not pictures (PNG, JPEG or WebP); vector tiles are not supported"
+            )
         self.min_zoom, self.max_zoom = zooms
 
     def tile(self, zoom: int, column: int, row: int) -> MapTile | None:
@@ -78,7 +78,7 @@ class MbtilesSource:
             with closing(self._database.execute(question, (zoom, column, (1 << zoom) - 1 - row))) as found:
                 line = found.fetchone()
         except sqlite3.Error:
-            # A page that is damaged is a tile that is missing.
+            # A tile in a damaged part of the file is missing.
             return None
         if line is None or not isinstance(line[0], bytes):
             return None
@@ -86,7 +86,7 @@ class MbtilesSource:
         return MapTile(line[0], kind) if kind else None
 
     def close(self) -> None:
-        """Let go of the file."""
+        """Close the file."""
         self._database.close()
 
     def _metadata(self, name: str) -> str:

@@ -1,4 +1,4 @@
-"""The page: one component of ours (browser/) in a page of NiceGUI, which brings Vue, Leaflet and ECharts."""
+"""The page: one own component (browser/) in a page of NiceGUI, which provides Vue, Leaflet and ECharts."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from pathlib import Path
 from nicegui import ui
 from nicegui.element import Element
 
-#: Leaflet as NiceGUI has it, without the element that would add a layer of the internet; and the charts.
+#: NiceGUI's Leaflet without its element, which would load tiles from the internet; and the charts.
 _LEAFLET = importlib.import_module("nicegui.elements.leaflet")
 importlib.import_module("nicegui.elements.echart")
 
 
 class TeamPage(Element, component="browser/team.js", esm={"lfield-watch": "browser"}):
-    """Everything on the page. What it shows it asks its server for (browser/server.js)."""
+    """The whole page. It requests its data from its server (browser/server.js)."""
 
     def __init__(self, title: str) -> None:
         super().__init__()
@@ -24,7 +24,7 @@ class TeamPage(Element, component="browser/team.js", esm={"lfield-watch": "brows
 
 
 def page(title: str) -> None:
-    """Make the page that is served at `/`."""
+    """Create the page that is served at `/`."""
     style = (Path(__file__).parent / "browser" / "style.css").read_text(encoding="utf-8")
 
     @ui.page("/", title=title)

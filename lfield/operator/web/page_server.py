@@ -1,6 +1,6 @@
-"""Serves the page: its routes, and a server at a site of ours that ends when the command does.
+"""HTTP server of the page: its routes, and a uvicorn server that ends with the command.
 
-NiceGUI brings server, page and components; it is imported when a page is served, and not before.
+Only this module and page.py import NiceGUI, so it is loaded only when a page is served.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ from lfield.operator.web.page_snapshots import PageSnapshots
 
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
-#: Seconds for which a connection of a browser is kept on which nothing is asked.
+#: Keep-alive time of an idle connection (s).
 _IDLE = 3600
 
 
 @dataclass(frozen=True, slots=True)
 class ServedPage:
-    """What a page is of: the team, what may be done with it, a background for the map, and a clock."""
+    """The inputs of a page: state of the team, permitted actions, clock, map background."""
 
     title: str
     source: TeamStateSource
@@ -49,11 +49,11 @@ class ServedPage:
 
 
 async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], None]) -> None:
-    """Serve the page at that site until this is cancelled; `print_link` gets each link that opens it."""
-    door = PageSessions(site.addresses, lambda: secrets.token_urlsafe(24), site.scheme)
+    """Serve the page until cancelled; `print_link` gets each login link."""
+    sessions = PageSessions(site.addresses, lambda: secrets.token_urlsafe(24), site.scheme)
 
     def show_link() -> None:
-        print_link(site.link(door.token))
+        print_link(site.link(sessions.token))
 
     app = FastAPI(openapi_url=None)
     _add_routes(app, served)
@@ -69,16 +69,16 @@ async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], 
         gzip_middleware_factory=None,
     )
     config = uvicorn.Config(
-        AuthMiddleware(app, door, f"lfield-{site.port}", show_link, site.limiter.on_authenticated),
+        AuthMiddleware(app, sessions, f"lfield-{site.port}", show_link, site.limiter.on_authenticated),
         log_config=None,
-        # Who calls is who is at the other end, whatever they say.
+        # Forwarded-For headers are not trusted: the peer is the other end of the socket.
         proxy_headers=False,
         access_log=False,
         lifespan="on",
-        # A process that did not run for a while looks at its timers first: a connection that it gave up then
-        # would take the press with it that has come there meanwhile.
+        # After a pause a process handles its timers first. A shorter keep-alive could close a connection on
+        # which a button press has arrived meanwhile.
         timeout_keep_alive=_IDLE,
-        # Pages that are open are not waited for.
+        # Do not wait for open pages.
         timeout_graceful_shutdown=1,
     )
     server = _Server(config, site)
@@ -93,7 +93,7 @@ async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], 
 
 
 class _Server(uvicorn.Server):
-    """One that leaves Ctrl-C to the command, and the sockets to a site."""
+    """A server whose signals are handled by the command and whose sockets belong to a `PageSite`."""
 
     def __init__(self, config: uvicorn.Config, site: PageSite) -> None:
         super().__init__(config)
@@ -134,24 +134,24 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
 
     @app.post("/act")
     async def act(request: Request) -> Response:
-        said = await _body(request)
-        asked, pressed, now = said.get("action"), said.get("pressed"), served.clock.monotonic()
-        does = buttons(served.actions, stop_reason(REASON, pressed, now)).get(str(asked))
-        if does is None:
-            return _refused("there is no such button")
-        # Hosts would say the same; whoever has no button need not ask them.
+        body = await _body(request)
+        action, pressed, now = body.get("action"), body.get("pressed"), served.clock.monotonic()
+        execute = buttons(served.actions, stop_reason(REASON, pressed, now)).get(str(action))
+        if execute is None:
+            return _refused("unknown action")
+        # The hosts would refuse a denied order too; this saves the requests.
         for order, why in served.actions.denied_orders.items():
-            if order == asked:
+            if order == action:
                 return _refused(why, 403)
-        if why := refusal(asked, pressed, now):
+        if why := refusal(action, pressed, now):
             return _refused(why, 409)
-        return _json(order_json(await does()))
+        return _json(order_json(await execute()))
 
     @app.post("/query")
     async def query(request: Request) -> Response:
         text = (await _body(request)).get("text")
         if not isinstance(text, str) or not text.strip():
-            return _refused("ask for something: a capability, or an id of the taxonomy")
+            return _refused("empty query: enter a capability or a taxonomy id")
         return _json(query_json(await served.actions.query(text)))
 
     @app.get("/tiles/{zoom}/{column}/{row}")
@@ -163,7 +163,7 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
 
 
 async def _body(request: Request) -> dict[str, Any]:
-    """The body of a request, {} where it is none."""
+    """The body of a request, {} if it is not a JSON object of at most `_MOST_BYTES`."""
     body = bytearray()
     async for part in request.stream():
         body += part

@@ -1,4 +1,4 @@
-"""Where a page is served: for this computer alone, or on a network under the names of a certificate."""
+"""Address of a page: on loopback, or on a network with https under the names of a certificate."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ if TYPE_CHECKING:
     from lfield.authority.web_ca.web_keys import WebKeys
 
 LOOPBACK = "127.0.0.1"
-#: The ports that browsers leave out.
+#: Default ports, which browsers omit from addresses.
 _USUAL = {"http": 80, "https": 443}
 
-_NOT_HERE = "it is no address of this computer; 'ip address' lists those that it has"
-_LINK_LOCAL = "no browser opens a page at a link-local address of IPv6; give another address, or a name"
+_NOT_HERE = "not an address of this computer; 'ip address' lists them"
+_LINK_LOCAL = "browsers do not open link-local IPv6 addresses; give another address, or a name"
 _UNKNOWN = "unknown host name: give an IP address"
 
 
 @dataclass(frozen=True, slots=True)
 class PageSite:
-    """Where a page is served: its port, and the names by which browsers reach it, the first in the link.
+    """The port of a page and the names under which browsers reach it; the link has the first.
 
-    `limiter` takes the calls at the sockets of `listener`.
+    `limiter` accepts connections at the sockets of `listener`.
     """
 
     port: int
@@ -46,7 +46,7 @@ class PageSite:
 
     @property
     def addresses(self) -> list[str]:
-        """What browsers name when they ask for the page, by each of its names."""
+        """The Host headers of requests for the page, one for each name."""
         return addresses_of(self.names, self.port, self.scheme)
 
     def link(self, token: str) -> str:
@@ -54,30 +54,30 @@ class PageSite:
         return f"{self.scheme}://{self.addresses[0]}/?token={token}"
 
     def close(self) -> None:
-        """Take no more calls."""
+        """Accept no more connections."""
         self.listener.close()
 
 
 def addresses_of(names: tuple[str, ...], port: int, scheme: str) -> list[str]:
-    """Names with the port, which browsers leave out where it is the usual one."""
+    """Names with the port, without it for the default port of the scheme."""
     joined = [join_address(name, port) for name in names]
     return [address.removesuffix(f":{port}") for address in joined] if port == _USUAL[scheme] else joined
 
 
 async def local_site(port: int, note: Callable[[str], None]) -> PageSite:
-    """A site for the browsers of this computer; on any free port for 0. Raises AddressError."""
+    """A site on loopback; port 0 takes any free one. Raises AddressError."""
     return await _opened((LOOPBACK, "localhost"), port, None, note)
 
 
 async def network_site(name: str, port: int, keys: WebKeys, note: Callable[[str], None]) -> PageSite:
-    """A site at an address of this computer, or where a name leads; by https, which these keys are for.
+    """A site with https at an address of this computer, or at those to which a name resolves.
 
-    A name is followed as long as the page is served; `note` takes a line about it. Raises AddressError,
+    The name is resolved repeatedly, and `note` gets a line when the address changes. Raises AddressError,
     KeysError.
     """
     tls = _tls(keys)
     await _check(name)
-    # A star is no name that a browser sends.
+    # Browsers never send a wildcard name.
     others = [other for other in keys.names if other != name and not other.startswith("*")]
     return await _opened((name, *others), port, tls, note)
 
@@ -93,7 +93,7 @@ async def _opened(
 
 
 async def _check(name: str) -> None:
-    """Raises AddressError for what is no place for a page on a network."""
+    """Raises AddressError for an address that other computers cannot reach."""
     address = address_in(name)
     if address is not None:
         if address.version == 6 and address.is_link_local:
@@ -104,7 +104,9 @@ async def _check(name: str) -> None:
     except (OSError, UnicodeError):
         raise AddressError(name, _UNKNOWN) from None
     if all(ip_address(other.partition("%")[0]).is_loopback for other in found):
-        raise AddressError(name, f"it is {found[0]} here, which no other computer reaches; give the address")
+        raise AddressError(
+            name, f"it resolves to {found[0]}, which other computers cannot reach; give the address"
+        )
 
 
 def _why(error: OSError | UnicodeError) -> str:
@@ -112,12 +114,14 @@ def _why(error: OSError | UnicodeError) -> str:
 
 
 def _tls(keys: WebKeys) -> ssl.SSLContext:
-    """TLS 1.3, which browsers have had since 2020. Raises KeysError for keys that OpenSSL cannot use."""
+    """A TLS 1.3 context. Raises KeysError for keys that OpenSSL cannot use."""
     context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
     context.minimum_version = ssl.TLSVersion.TLSv1_3
     try:
         with as_file(keys.certificate) as certificate, as_file(keys.key) as key:
             context.load_cert_chain(certificate, key)
     except OSError as error:
-        raise KeysError(f"the page's keys cannot be used: {error}; make them again") from None
+        raise KeysError(
+            f"the keys of the page cannot be used: {error}; create them again with 'lfield keys page'"
+        ) from None
     return context

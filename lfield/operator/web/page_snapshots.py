@@ -1,8 +1,8 @@
-"""One look at a team as the page gets it: what `TeamState` has, as JSON, without what no page shows.
+"""Snapshots of a team as JSON for the page: the fields of `TeamState` that the page shows.
 
-`TeamState`, its parts and their units are in team_model/team_state.py; named tuples are arrays here. The page
-draws just that, so a look is whole: a page that was asleep needs one, not all that it has missed. All
-browsers get the same bytes; only the lines of the log are for each those that it does not have yet.
+`TeamState`, its parts and their units are in team_model/team_state.py; named tuples become arrays. Each
+snapshot is complete, so a page that was inactive needs only the newest. All browsers get the same bytes,
+except the lines of the log, of which each gets those that it does not have yet.
 """
 
 from __future__ import annotations
@@ -25,21 +25,22 @@ from lfield.operator.team_model.team_state import (
 from lfield.operator.web.button_orders import MAX_DELAY
 from lfield.wire.order_messages import OrderKind
 
-#: Seconds between two looks, at least, however many browsers ask; one asks five times a second (server.js).
+#: Least seconds between two snapshots, for any number of browsers; a browser asks 5 times a second
+#: (server.js).
 MIN_INTERVAL = 0.05
-#: So many lines of the log a page gets at once, the newest, and keeps (log.js).
+#: Maximum number of log lines that a page gets at once, the newest, and keeps (log.js).
 MAX_LOG_LINES = MAX_LINES
-#: So many points a curve of a plot has at most.
+#: Maximum number of points of a curve.
 MAX_POINTS = 150
 
 
-#: Fields of a host that no page gets: vehicles have its devices, `trouble` words its error.
+#: Fields of a host that the page does not get: `vehicles` has the devices, `trouble` the text of the error.
 _NOT_SHOWN = ("error", "devices", "report")
 _HOST_FIELDS = tuple(each.name for each in fields(HostState) if each.name not in _NOT_SHOWN)
 
 
 def team_json(state: TeamState, denied: Mapping[OrderKind, str], tiles: Mapping[str, Any] | None) -> bytes:
-    """All that is shown but the log, as a JSON object."""
+    """The whole state except the log, as a JSON object."""
     return msgspec.json.encode(
         {
             "team": state.team,
@@ -61,12 +62,12 @@ def team_json(state: TeamState, denied: Mapping[OrderKind, str], tiles: Mapping[
 
 
 def _slim(vehicle: VehicleState) -> VehicleState:
-    """Without its telemetry: what of that is shown has been picked out of it."""
+    """Without raw telemetry: the shown values are fields of their own."""
     return replace(vehicle, devices=tuple(replace(device, readings={}) for device in vehicle.devices))
 
 
 def log_json(log: Sequence[ShownLogLine], after: int) -> bytes:
-    """The lines of the log behind that number, as a JSON array of objects."""
+    """The log lines after that number, as a JSON array of objects."""
     first = len(log)
     while first and log[first - 1].serial > after and len(log) - first < MAX_LOG_LINES:
         first -= 1
@@ -74,7 +75,7 @@ def log_json(log: Sequence[ShownLogLine], after: int) -> bytes:
 
 
 def plots_json(curves: Sequence[Curve]) -> bytes:
-    """Curves for the plots as JSON, each with as many points as can be told apart."""
+    """Curves for the plots as JSON, each with at most `MAX_POINTS` points."""
     return msgspec.json.encode([replace(curve, points=_thinned(curve.points)) for curve in curves])
 
 
@@ -82,15 +83,13 @@ def _thinned(points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, floa
     step = -(-len(points) // MAX_POINTS)
     if step <= 1:
         return points
-    # Counted from the newest, which is always there.
+    # Counted from the newest point, which is always included.
     return points[::-1][::step][::-1]
 
 
 @dataclass(slots=True)
 class PageSnapshots:
-    """Looks at a team when browsers ask, `MIN_INTERVAL` seconds apart at least; `now` is a monotonic clock
-    (s).
-    """
+    """Makes snapshots on request, at most one per `MIN_INTERVAL`; `now` is a monotonic clock (s)."""
 
     source: TeamStateSource
     denied_orders: Callable[[], Mapping[OrderKind, str]]
@@ -101,9 +100,9 @@ class PageSnapshots:
     _at: float = 0.0
 
     def snapshot(self, after: int) -> bytes:
-        """What a browser gets that has the log until that number: `{"at": s, "look": {...}, "log": [...]}`.
+        """A snapshot with the log lines after that number: `{"at": s, "look": {...}, "log": [...]}`.
 
-        `at` is when the look was made, by `now`.
+        `at` is the time of the snapshot by `now`.
         """
         now = self.now()
         if self._state is None or now - self._at >= MIN_INTERVAL:
@@ -113,5 +112,5 @@ class PageSnapshots:
         return b'{"at":%b,"look":%b,"log":%b}' % (msgspec.json.encode(self._at), self._team, log)
 
     def plots(self) -> bytes:
-        """What its plots show."""
+        """The curves of the plots as JSON."""
         return plots_json(self.source.curves())

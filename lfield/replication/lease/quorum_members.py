@@ -46,7 +46,6 @@ class QuorumMembers:
         return self.knows_promises and self.own_name in self.names
 
     def is_majority(self, names: Collection[str]) -> bool:
-        """Whether these members are a majority."""
         return len(self.names.intersection(names)) >= self.majority
 
 

@@ -88,7 +88,7 @@ class OutcomeResolver:
     A copy in transit may be recorded as sent but not yet as received. When the next query misses the same
     transfer, its receiver was queried after it had accepted it.
 
-    It also remembers the progress of each start, since the host that reported it may be gone.
+    It also stores the progress of each start, since the host that reported it may have ended.
     """
 
     def __init__(self, homes: Mapping[str, str]) -> None:

@@ -176,7 +176,7 @@ class Membership:
         if self._first_incarnations.setdefault(host, incarnation) != incarnation:
             self.restarted.add(host)
 
-    # --- what is told ---------------------------------------------------------------------------------
+    # --- outgoing gossip ------------------------------------------------------------------------------
 
     def next_gossip(self, now: float) -> list[tuple[str, GossipUpdate]]:
         """The gossip for each neighbour: the updates that it does not have."""
@@ -274,7 +274,6 @@ class Membership:
             self._last_evidence.setdefault(host, now)
 
     def _forward_probe(self, question: LivenessCounter) -> bool:
-        """Forward a probe. Returns whether it is new."""
         if not self._probes.update(question):
             return False
         self._note((True, question.host, question.incarnation))
@@ -305,7 +304,7 @@ class Membership:
             if count + HEARTBEAT_CREDIT // 2 >= self._probes.count_of(number, life):
                 self._forward_probe(LivenessCounter(number, life, count + HEARTBEAT_CREDIT))
 
-    # --- who is missing -------------------------------------------------------------------------------
+    # --- missing hosts --------------------------------------------------------------------------------
 
     def is_fully_connected(self, now: float) -> bool:
         """Whether no host is missing and none has restarted, so that every host reports terminations.

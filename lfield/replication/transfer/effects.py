@@ -23,7 +23,7 @@ class Send(Struct, frozen=True):
 
 
 class SendTransfer(Struct, frozen=True):
-    """Send a block to a host. If the link is gone, drop it and report `unlinked`."""
+    """Send a block to a host. Without a link, drop it and report `unlinked`."""
 
     host: str
     header: Transfer

@@ -20,7 +20,6 @@ class PlannedEvent:
         self.event: Callable[[], None] | None = event
 
     def cancel(self) -> None:
-        """Cancels it."""
         self.event = None
 
 

@@ -43,7 +43,6 @@ class PipeEnd(asyncio.WriteTransport):
         self._closing = True
 
     def is_closing(self) -> bool:
-        """Whether it is closed."""
         return self._closing or self._reader.dead
 
     def get_write_buffer_size(self) -> int:

@@ -100,7 +100,6 @@ class ConnectionEnd(asyncio.Transport):
 
     @property
     def way(self) -> NetworkPath:
-        """The path from this end to the other."""
         return self.machine.name, self.other.machine.name
 
     def start(self, made: Callable[[], asyncio.Protocol]) -> None:
@@ -137,7 +136,6 @@ class ConnectionEnd(asyncio.Transport):
             self.loop.call_soon(self._close, None)
 
     def is_closing(self) -> bool:
-        """Whether it is closed or closing."""
         return self._closing or self.is_over
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
@@ -145,7 +143,6 @@ class ConnectionEnd(asyncio.Transport):
         return {"peername": self._peer, "socket": SimulatedSocket(self._peer)}.get(name, default)
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Sets the buffer limits."""
         self._high = high if high is not None else self._high
 
     def get_write_buffer_size(self) -> int:
@@ -210,7 +207,6 @@ class ConnectionEnd(asyncio.Transport):
             self.other.arrive(partial(self.other._close, error))
 
     def arrive(self, event: Callable[[], None]) -> None:
-        """An event for this end."""
         self.loop.enter(partial(self._deliver, event))
 
     def _deliver(self, event: Callable[[], None]) -> None:

@@ -52,7 +52,6 @@ class MachineClock:
 
     @property
     def suspended(self) -> bool:
-        """Whether it is suspended now."""
         return self._timeline.now < self._wakes
 
     def true(self, awake: float) -> float:

@@ -75,7 +75,6 @@ class _Near:
             self._user.received(data)
 
     def unplugged(self) -> None:
-        """It was unplugged."""
         if self._open:
             self._open = False
             self._user.unplugged()
@@ -87,6 +86,5 @@ class _Near:
         self._port.to_far(bytes(data))
 
     def close(self) -> None:
-        """Closes it."""
         self._open = False
         self._port.release(self)

@@ -136,7 +136,6 @@ class Itinerary:
         return self._team[ticket.member].host == self._here
 
     def resource(self, ticket: Ticket) -> TeamMember:
-        """Its resource."""
         return self._team[ticket.member]
 
     @property

@@ -336,7 +336,7 @@ def test_a_drive_that_vanishes_is_an_exception_and_comes_back_standing(rig):
         travel = asyncio.create_task(axis.execute("moveTo", [1000.0, 5.0]))
         await asyncio.sleep(0.2)
         b.drive.silent = True
-        with pytest.raises(DeviceError, match="not heard for") as error:
+        with pytest.raises(DeviceError, match="no message for") as error:
             await travel
         assert error.value.kind == "DeviceTimeoutException"
         assert b.driver.clock.monotonic() - start < 3.0

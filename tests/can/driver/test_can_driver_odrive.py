@@ -355,7 +355,7 @@ def test_a_lost_axis_is_told_and_comes_back_standing(rig):
         await axis.execute("setVelocity", [1.0])
         b.axis.silent = True
         start = asyncio.get_running_loop().time()
-        with pytest.raises(DeviceError, match="not heard for") as error:
+        with pytest.raises(DeviceError, match="no message for") as error:
             await axis.execute("moveTo", [10.0, 1.0])
         assert error.value.kind == "DeviceTimeoutException"
         assert (b.values["online"], b.values["enabled"]) == (False, False), "read where it is caught"

@@ -246,7 +246,7 @@ def test_one_that_is_not_heard_is_not_at_rest(rig):
         await axis.make_safe()
         b.bus.cut = True
         await asyncio.sleep(3.0)
-        assert re.fullmatch(r"not heard for [23]\.\d s, last seen turning at \d\d rad/s", axis.moving())
+        assert re.fullmatch(r"no message for [23]\.\d s, last seen turning at \d\d rad/s", axis.moving())
 
     b.run(mission)
 
@@ -308,7 +308,7 @@ def test_an_axis_that_fell_silent_before_a_stop_has_not_been_seen(rig, state):
         await axis.make_safe()
         b.world.faults.apply(["silence=true"])
         await asyncio.sleep(0.3)
-        with pytest.raises(DeviceError, match="not heard for"):
+        with pytest.raises(DeviceError, match="no message for"):
             await axis.make_safe()
 
     b.run(mission)

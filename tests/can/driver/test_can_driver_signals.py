@@ -173,7 +173,7 @@ def test_a_device_by_file_rests_while_what_confirms_it_fits(rig):
         assert device.moving() == "Status.speed is 3.0"
         b.pump.silent = True
         await asyncio.sleep(3.0)
-        assert re.fullmatch(r"not heard for [23]\.\d s", device.moving()), device.moving()
+        assert re.fullmatch(r"no message for [23]\.\d s", device.moving()), device.moving()
 
     b.run(mission)
 

@@ -138,12 +138,12 @@ def test_why_an_agent_cannot_be_called(seats):
     alpha.directory.set_own("arm1", AgentCondition(Unavailability("died of DeviceException: no")))
     assert alpha.candidate("arm1").refusal == "died of DeviceException: no"
     bravo.directory.set_own(
-        "arm2", AgentCondition(Unavailability("axis: not heard", bravo.clock.monotonic() - 3.2))
+        "arm2", AgentCondition(Unavailability("axis: no message", bravo.clock.monotonic() - 3.2))
     )
     tell(bravo, alpha, bravo.directory.next_delta())
-    assert alpha.candidate("arm2").refusal == "axis: not heard for 3.2 s"
+    assert alpha.candidate("arm2").refusal == "axis: no message for 3.2 s"
     alpha.clock.advance(60.0)
-    assert alpha.candidate("arm2").refusal == "axis: not heard for 63 s"
+    assert alpha.candidate("arm2").refusal == "axis: no message for 63 s"
     alpha.wires.down_since["bravo"] = alpha.clock.monotonic() - 12.0
     assert alpha.candidate("arm2").refusal == "unreachable for 12 s"
     del alpha.wires.down_since["bravo"]

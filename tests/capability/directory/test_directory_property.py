@@ -21,7 +21,7 @@ VALUES = {
     "mode": st.sampled_from(["hold", "fly", ""]),
 }
 LIVE = {"rover1": ("battery",), "arm2": tuple(VALUES), "shelf": ()}
-TROUBLES = st.sampled_from([None, ("fc: in its safe state hold: why", None), ("fc: not heard", 3.0)])
+TROUBLES = st.sampled_from([None, ("fc: in its safe state hold: why", None), ("fc: no message", 3.0)])
 
 
 class Exchange(RuleBasedStateMachine):

@@ -83,14 +83,14 @@ def test_times_become_ages_and_times_again(age, later, kept):
     sample = AttributeSample(0.5, 1000.0 - age, 1000.0, kept)
     held = ReservedBy("pilot", 990.0)
     change = AgentCondition(
-        Unavailability("fc: not heard", 1000.0), {"battery": sample}, {"mode": "x" * 1000}, held
+        Unavailability("fc: no message", 1000.0), {"battery": sample}, {"mode": "x" * 1000}, held
     )
     reports = DirectoryCodec(REGISTRY, AGENTS)
     report = through_the_wire(reports.encode(DirectoryDelta(7, 3, 4, {"arm2": change}), 1000.0 + later))
     news = reports.decode("bravo", report, 50.0)
     assert (news.incarnation, news.since, news.sequence) == (7, 3, 4)
     found = news.agents["arm2"]
-    assert found.trouble == Unavailability("fc: not heard", pytest.approx(50.0 - max(0.0, later)))
+    assert found.trouble == Unavailability("fc: no message", pytest.approx(50.0 - max(0.0, later)))
     assert found.reserved == ReservedBy("pilot", pytest.approx(50.0 - max(0.0, 10.0 + later)))
     wanted = age if kept else max(0.0, age + later)
     assert found.samples["battery"] == AttributeSample(

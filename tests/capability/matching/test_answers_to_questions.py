@@ -79,7 +79,7 @@ def test_an_offer_says_how_many_there_were(answers: MatchResults) -> None:
 
 def test_nobody_is_not_said_where_not_everything_was_tried(answers: MatchResults) -> None:
     cut = "odd-pair: more combinations of parts exist than could be tried"
-    with pytest.raises(SearchIncomplete, match=f"nobody was found for Haul, but {cut}"):
+    with pytest.raises(SearchIncomplete, match=f"no offer was found for Haul, but {cut}"):
         answers.find_offers("Haul", None)
     with pytest.raises(SearchIncomplete, match="no team of 2 was found for Haul"):
         answers.find_teams("Haul", None, 2)

@@ -189,7 +189,7 @@ agents:
     assert made.status == 73, "there is no such folder"
     (lfield.folder / "sent").mkdir()
     made = here("build", "mission.dL", "-o", "sent/mission.lfm")
-    assert made.err[-1] == "copy with it, as they lie beside it: keys/secret"
+    assert made.err[-1] == "copy to the same folder: keys/secret"
     assert ("00" * 32).encode() not in (lfield.folder / "sent" / "mission.lfm").read_bytes()
 
 
@@ -222,11 +222,11 @@ def test_a_driver_that_is_not_the_one_of_the_desk_is_refused(lfield) -> None:
         (["build", "mission.lfm", "--program", "mission.L"], 64, "which has its program"),
         (["build", "mission.L", "--sim"], 64, "build the bundle of a deployment"),
         (["up", "nobody.lfm"], 66, "cannot read nobody.lfm"),
-        (["up", "cut.lfm", "--all"], 65, "cut.lfm is not a sound bundle: it is damaged or truncated"),
-        (["ps", "cut.lfm"], 65, "is not a sound bundle"),
-        (["check", "cut.lfm"], 65, "is not a sound bundle"),
-        (["disasm", "cut.lfm"], 65, "is not a sound bundle"),
-        (["inspect", "cut.lfm"], 65, "is not a sound bundle"),
+        (["up", "cut.lfm", "--all"], 65, "cut.lfm is not a valid bundle: it is damaged or truncated"),
+        (["ps", "cut.lfm"], 65, "is not a valid bundle"),
+        (["check", "cut.lfm"], 65, "is not a valid bundle"),
+        (["disasm", "cut.lfm"], 65, "is not a valid bundle"),
+        (["inspect", "cut.lfm"], 65, "is not a valid bundle"),
         (["up", "newer.lfm"], 65, "it has format 9, this lfield reads format 3"),
         (["up", "mission.lfm"], 64, "name one with --host, or run all of them here with --all"),
     ],

@@ -161,7 +161,7 @@ def test_a_capability_with_its_term(run):
         "                  emits m",
         "                  actuate, raises DeviceException",
         "  served by   Clown when balls >= 3",
-        "              climb-juggles: whoever serves Climb when payload >= 0.5, loss 0.9",
+        "              climb-juggles: every provider of Climb when payload >= 0.5, loss 0.9",
         "  attributes  balls, environment, tired",
     ]
     assert run("show", "skill.tossing", *ADDED)[1] == out

@@ -67,7 +67,7 @@ def refused(here):
         (["ps", "--deploy", "mission.dL", "--map", "alhpa=localhost:1"], "did you mean 'alpha'"),
         (["up", "--deploy", "mission.dL", "--host", "alhpa"], "did you mean 'alpha'"),
         (["up", "--deploy", "mission.dL"], "name one with --host, or run all of them here with --all"),
-        (["sim"], "which fake? installed: can, dynamixel, mavlink"),
+        (["sim"], "no simulated device given; installed: can, dynamixel, mavlink"),
         (["sim", "mavlink", "--listen", "pigeon:1"], "write udp:HOST:PORT"),
         (["check"], "required: FILE.L"),
     ],
@@ -172,7 +172,7 @@ def test_what_is_no_mission_is_told_by_its_own_name(refused):
 
 
 def test_an_endless_file_in_place_of_the_program(lfield, refused, good):
-    refused(65, "not a sound L program", "disasm", "/dev/zero")
+    refused(65, "not a valid L program", "disasm", "/dev/zero")
 
 
 @pytest.mark.parametrize("command", ["check zero.L", "check zero.dL"])

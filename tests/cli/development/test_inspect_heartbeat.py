@@ -11,8 +11,8 @@ from lfield.vm.inspection import dump_file
 @pytest.mark.parametrize(
     ("calls", "said"),
     [
-        ("heartbeatInterval(2.5);", ["heartbeat recovered 2.5 s after the last sign of it"]),
-        ("heartbeatInterval(0.0001);", ["heartbeat recovered 0.001 s after the last sign of it"]),
+        ("heartbeatInterval(2.5);", ["heartbeat failover 2.5 s after its last heartbeat"]),
+        ("heartbeatInterval(0.0001);", ["heartbeat failover 0.001 s after its last heartbeat"]),
         ("heartbeatInterval(2); heartbeatInterval(-1);", []),
         ("try { heartbeatInterval(0); } catch (ArithmeticException e) { }", []),
     ],

@@ -37,33 +37,33 @@ SHOWN = """\
 journal   of barn in harvest
 identity  IDENTITY
 starts    4
-run       goes on
+run       not ended
 paused    until 'lfield resume'
 stopped   until 'lfield estop --lift': the emergency stop was pressed: fog
 program   PROGRAM, SIZE bytes
 fence     left: no start before 2
 
-boss, start 3: EXITED: has ended
+boss, start 3: EXITED: ended
   as of     2027-01-15 08:00:00 UTC
   transfer  0, after 0 hops
   ended     died on field: MathException: division by zero
 
-boss, start 4: PREPARED: may have left
+boss, start 4: PREPARED: migrating, unconfirmed
   as of     2027-01-15 08:00:00 UTC
   transfer  7, after 5 hops
   sent to   field, memory 000000000000002a
   block     BLOCK bytes of program PROGRAM
 STACK
-digger, start 1: ABSENT: was refused here
+digger, start 1: ABSENT: rejected
   as of     2027-01-15 08:00:00 UTC
   transfer  2, after 0 hops
   refused   LimitException: too large
 
-scout, start 1: RUN: is here
+scout, start 1: RUN: here
   as of     2027-01-15 08:00:00 UTC
   transfer  1, after 1 hop
   block     8 bytes of program 0909090909090909
-  its program is not in this journal, so there is no stack to show
+  stack not shown: the program is not in this journal
 """
 
 
@@ -146,7 +146,7 @@ def test_all_that_is_in_it_is_shown_while_a_host_has_it_and_after(tmp_path: Path
 def test_a_folder_without_a_journal_is_told_as_that(tmp_path: Path) -> None:
     said = inspect(tmp_path)
     assert (said.status, said.out) == (66, "")
-    assert said.err == f"lfield: cannot read {tmp_path}: it is a folder without a host.journal\n"
+    assert said.err == f"lfield: cannot read {tmp_path}: the folder has no host.journal\n"
     file = tmp_path / "host.journal"
     file.symlink_to("nowhere")
     for named in (tmp_path, file):
@@ -165,7 +165,7 @@ def test_a_damaged_page_is_named_and_all_others_are_shown(tmp_path: Path) -> Non
     assert said.status == 65
     assert "scout, start 1: RUN" in said.out
     assert "\ndamaged: the copy of digger, start 1, stored 2027-01-15 08:00:01 UTC: its checksum" in said.out
-    assert said.err.endswith("host.journal: 1 page of it cannot be believed\n")
+    assert said.err.endswith("host.journal: 1 damaged page\n")
     journal(tmp_path).close()
     said = inspect(tmp_path)
     assert (said.status, said.err) == (0, "")
@@ -182,9 +182,9 @@ def test_calls_that_were_begun_are_shown_with_what_became_of_them(tmp_path: Path
     made.close()
     as_of = "  as of     2027-01-15 08:00:00 UTC\n"
     assert (
-        f"\nboss, start 4: call 1 begun: left.lift\n{as_of}  outcome   not known: it was under way\n"
-        f"\nboss, start 4: call 2 begun: right.lift\n{as_of}"
-        "  outcome   has come to its end, and waits to be fetched, 16 bytes\n"
+        f"\nboss, start 4: call 1 started: left.lift\n{as_of}  outcome   unknown: the call was running\n"
+        f"\nboss, start 4: call 2 started: right.lift\n{as_of}"
+        "  outcome   completed; the result is waiting for its caller, 16 bytes\n"
     ) in inspect(tmp_path).out
     sql(tmp_path, "UPDATE pages SET body = x'00' WHERE number = 2")
     damaged = inspect(tmp_path)
@@ -198,11 +198,11 @@ def test_who_has_reserved_what_is_shown(tmp_path: Path) -> None:
     made.close()
     out = inspect(tmp_path).out
     assert "reserved  arm, number 41: boss, start 4\n" in out
-    assert "reserved  leg, number 7: nobody\n" in out
+    assert "reserved  leg, number 7: free\n" in out
     sql(tmp_path, "UPDATE pages SET body = x'00' WHERE name = 'arm'")
     damaged = inspect(tmp_path)
     assert damaged.status == 65
-    assert "damaged: who has reserved arm, stored" in damaged.out
+    assert "damaged: the reservation of arm, stored" in damaged.out
 
 
 def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:
@@ -213,7 +213,7 @@ def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:
     assert said.status == 65
     assert said.out.startswith("journal   of barn in harvest\n")
     assert "starts    4\n" in said.out
-    assert "it is damaged, this is what is left of it" in said.err
+    assert "damaged; the readable records are above" in said.err
 
 
 @pytest.mark.parametrize(
@@ -221,8 +221,8 @@ def test_of_a_truncated_journal_is_shown_what_is_left(tmp_path: Path) -> None:
     [
         ("PRAGMA user_version = 7", None, "it has format 7, this lfield reads format 1"),
         ("PRAGMA application_id = 7", None, ""),
-        (None, b"no journal", "it is no journal, or nothing of it is left: file is not a database"),
-        (None, b"", "it is no journal"),
+        (None, b"no journal", "not a journal, or completely damaged: file is not a database"),
+        (None, b"", "not a journal"),
     ],
 )
 def test_what_is_none_of_ours_is_one_sentence(

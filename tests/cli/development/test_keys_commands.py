@@ -79,7 +79,7 @@ def test_a_team_has_keys_renews_revokes_and_lists_them(here, team: Path) -> None
 
 def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own_settings: Path) -> None:
     mine = here("keys", "show")
-    assert (mine.status, mine.out[0].split(": ")[1][:11]) == (0, "anna, until")
+    assert (mine.status, mine.out[0].split(": ")[1][:11]) == (0, "anna, valid")
     alpha = team / "hosts" / "alpha"
     assert here("keys", "show", alpha).status == 0
     (alpha / "host.key").chmod(0o644)
@@ -90,7 +90,7 @@ def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own
     assert "host bravo, revoked" in here("keys", "show", team / "hosts" / "bravo").out[0]
     here("keys", "person", "bob", "--may", "observe", "--days", "20")
     soon = here("keys", "show", team / "people" / "bob")
-    assert (soon.status, soon.out[0].split(", ")[1]) == (0, "end in 19 days")
+    assert (soon.status, soon.out[0].split(", ")[1]) == (0, "expire in 19 days")
     shutil.rmtree(own_settings / "keys")
     assert "no keys on this computer" in here("keys", "show").err[0]
 
@@ -108,14 +108,14 @@ def test_the_keys_of_a_folder_are_shown_with_what_is_wrong(here, team: Path, own
         ("keys host carl --days 0.5", 64, "must be a whole number of days from 1 to 36500, not '0.5'"),
         ("keys host carl --days nan", 64, "must be a whole number of days from 1 to 36500, not 'nan'"),
         ("keys host alpha", 65, "'lfield keys renew host alpha' makes them last longer"),
-        ("keys host ../x", 65, "is no name for keys"),
+        ("keys host ../x", 65, "is not a valid name"),
         ("keys person anna --may stop", 65, "revoke person anna' ends them, and then there can be some"),
         ("keys renew person bob", 65, "'lfield keys person bob --may ...' makes some"),
         ("keys renew host", 64, "say whom to renew"),
         ("keys renew authority alpha", 64, "say whom to renew"),
         ("keys renew host carl", 65, "host carl has no keys that are not revoked"),
         ("keys revoke host carl", 65, "host carl has no keys of this authority"),
-        ("keys revoke serial zz", 65, "is no number of a certificate"),
+        ("keys revoke serial zz", 65, "is not the number of a certificate"),
         ("keys init", 65, "has an authority already"),
         ("keys list --authority elsewhere", 65, "elsewhere has no authority"),
         ("sign mission.dL", 64, "is no bundle"),
@@ -157,7 +157,7 @@ def test_an_authority_may_be_elsewhere(here, lfield, monkeypatch: pytest.MonkeyP
 def test_a_bundle_is_signed_in_place_and_stays_the_same(here, lfield, team: Path, own_settings: Path) -> None:
     lfield.mission(PROGRAM, DEPLOYMENT)
     assert here("build", "mission.dL").status == 0
-    assert here("inspect", "mission.lfm").out[1] == "signed    by nobody"
+    assert here("inspect", "mission.lfm").out[1] == "signed    no"
     path = lfield.folder / "mission.lfm"
     before = bundle.contents(path.read_bytes())
     said = here("sign", "mission.lfm")
@@ -174,7 +174,7 @@ def test_a_bundle_is_signed_in_place_and_stays_the_same(here, lfield, team: Path
         path.read_bytes().index(bytes(after.parts["program"]))
     )
     shutil.rmtree(own_settings / "keys" / "me")
-    assert "there are no keys here" in here("inspect", "mission.lfm").out[1]
+    assert "no keys on this computer" in here("inspect", "mission.lfm").out[1]
     assert "there are no keys of yours here" in here("sign", "mission.lfm").err[0]
 
 

@@ -44,10 +44,10 @@ def test_the_keys_of_a_page_are_shown_with_what_is_wrong(here, authority: Path) 
     page = authority / "pages" / "192.168.1.20"
     shown = here("keys", "show", page)
     assert (shown.status, len(shown.out)) == (0, 1)
-    assert shown.out[0].startswith(f"keys {page}: a page at 192.168.1.20, ground.local, until 20")
+    assert shown.out[0].startswith(f"keys {page}: a page at 192.168.1.20, ground.local, valid until 20")
     here("keys", "page", "192.168.1.20", "ground.local", "--days", "9")
     soon = here("keys", "show", page)
-    assert ", end in 8 days, 20" in soon.out[0]
+    assert ", expire in 8 days, 20" in soon.out[0]
     assert "'lfield keys page 192.168.1.20 ground.local' makes the next" in soon.out[1]
     (page / "page.key").chmod(0o644)
     said = here("keys", "show", page)
@@ -59,7 +59,7 @@ def test_the_keys_of_a_page_are_shown_with_what_is_wrong(here, authority: Path) 
     ("line", "status", "words"),
     [
         ("keys page", 64, "ADDRESS"),
-        ("keys page 0.0.0.0", 65, "'0.0.0.0' is no address or name that a browser could open"),
+        ("keys page 0.0.0.0", 65, "'0.0.0.0' is not an address or name for browsers"),
         ("keys page 10.0.0.1 8.8.8.8", 65, "8.8.8.8 is in no private network"),
         ("keys page ground.example", 65, "(names end in .local, .home.arpa, .internal, .lan)"),
         ("keys page 10.0.0.1 --days 399", 64, "must be a whole number of days from 1 to 398, not '399'"),

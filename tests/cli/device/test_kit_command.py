@@ -24,7 +24,7 @@ def bus(lfield):
             64,
             "there is no driver 'pigeon' (installed: can, dynamixel, mavlink",
         ),
-        (["mavlink"], 64, "where is the device? give --endpoint, or --devices with a file that says it"),
+        (["mavlink"], 64, "no endpoint: give --endpoint, or --devices with a devices file"),
         (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--set", "ttl"], 64, "--set ttl: write KEY=VALUE"),
         (["can", "--endpoint", "socketcand:127.0.0.1:1/can0"], 64, "is a CanAxis or a CanSignals"),
         (["mavlink", "--devices", "none.yaml"], 66, "none.yaml"),

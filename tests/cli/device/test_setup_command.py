@@ -54,7 +54,7 @@ def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, en
     assert any(line.startswith("        setting MAV_GCS_SYSID is 255 and must be 128: ") for line in details)
     assert f"        setting {STOCK}: its action when this computer fails" in details
     assert "        setting WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding" in details
-    assert cure == f"        -> {command} (it asks first)"
+    assert cure == f"        -> {command} (with a confirmation)"
 
     up = lfield("up", "--deploy", deployment, "--all")
     assert lfield.status(up) == 69, up.said
@@ -183,8 +183,8 @@ def test_what_one_had_is_not_put_back_to_another_in_its_place(lfield, setup):
 @pytest.mark.parametrize(
     ("words", "status", "sentence"),
     [
-        ([], 64, "whose devices? give --deploy MISSION, or DRIVER --endpoint E"),
-        (["mavlink"], 64, "where is the device?"),
+        ([], 64, "no devices given: give --deploy MISSION, or DRIVER --endpoint E"),
+        (["mavlink"], 64, "no endpoint: give --endpoint"),
         (["mavlink", "--deploy", "mission.dL"], 64, "name a mission by --deploy, or a driver; not both"),
         (["mavlink", "--endpoint", "udp:127.0.0.1:1", "--sim"], 64, "name it by --deploy"),
         (["--deploy", "none.dL"], 66, "none"),

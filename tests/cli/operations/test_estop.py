@@ -141,7 +141,7 @@ def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down
     assert lfield.status(silenced) == 0, silenced.said
     looking = lfield.start("estop", env=own)
     looking.wait_for("lead.fc: at rest")
-    looking.wait_for("wing.fc: not heard any more")
+    looking.wait_for("wing.fc: no message any more")
     looking.signal(signal.SIGINT)
     assert looking.wait() in (3, 130), looking.said
     told = "\n".join(looking.err)

@@ -133,10 +133,10 @@ def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield)
     watcher.wait_for(r"alpha \| p: visit")
     watcher.wait_for(r"beta \| q: visit")
     beta.signal(signal.SIGKILL)
-    watcher.wait_for("beta: not heard: ")
+    watcher.wait_for("beta: unreachable: ")
     again = lfield.start(*words, "--host", "beta")
-    watcher.wait_for("beta: it is heard again")
-    watcher.wait_for("beta: it was started again")
+    watcher.wait_for("beta: reachable again")
+    watcher.wait_for("beta: restarted")
     again.wait_for("listening on")
     nth(watcher, " beta | beta listening on", 2)
     watcher.signal(signal.SIGINT)
@@ -147,12 +147,12 @@ def test_a_host_that_is_killed_and_started_again_is_told_and_followed_on(lfield)
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--kinds", "cane"], "there are no events of kind 'cane' here"),
+        (["--kinds", "cane"], "unknown kind of events 'cane'; the kinds are"),
         (
             ["--csv", "--kinds", "latched"],
-            "there are no events of kind 'latched' here, but measured, path, left",
+            "unknown kind of events 'latched'; the kinds are measured, path, left",
         ),
-        (["--host", "gamma"], "there is no host 'gamma': there is alpha and beta"),
+        (["--host", "gamma"], "no host 'gamma'; the hosts are alpha and beta"),
         (["--since", "-1"], "--since"),
         (["--rate", "50"], "the rate must be from 0 to 20 Hz"),
         (["--rate", "nan"], "the rate must be from 0 to 20 Hz"),
@@ -188,7 +188,7 @@ coordinator Walker {
 """
 #: Teams of their own: that of `walk` runs meanwhile.
 FLOODED, LATER = (DEPLOYMENT.replace("q@", f"{name}@") for name in ("flooded", "later"))
-SKIPPED = re.compile(r"(\d+) (?:lines|events of kind '(\w+)') were not told: they came too often$")
+SKIPPED = re.compile(r"(\d+) (?:lines|events of kind '(\w+)') left out: too frequent$")
 
 
 def skipped(lines: list[str], kind: str | None = None) -> int:
@@ -220,7 +220,7 @@ def test_what_came_too_often_is_counted_for_whoever_reads_it_however(lfield):
 def test_who_begins_before_the_mission_finds_it_as_soon_as_it_runs_and_again_after_that(lfield):
     deployment = lfield.mission(PROGRAM, LATER)
     watcher = lfield.start("logs", "-f", "--deploy", deployment)
-    watcher.wait_for(r"alpha: not heard: .*this mission does not run on this computer \(yet\)")
+    watcher.wait_for(r"alpha: unreachable: .*this mission does not run on this computer \(yet\)")
     for run in (1, 2):
         team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
         nth(watcher, " alpha | p: visit 0", run)

@@ -243,7 +243,7 @@ def test_what_is_reserved_and_for_how_long_yet(capsys):
     ]
     team_status_view.show(states_of({"alpha": status}))
     rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert rows[1] == "alpha tom has reserved near for 12 s, and 4 s yet"
+    assert rows[1] == "alpha tom near reserved for 12 s, 4 s left"
 
 
 def test_what_was_begun_and_is_to_be_fetched(capsys):
@@ -262,8 +262,8 @@ def test_what_was_begun_and_is_to_be_fetched(capsys):
     team_status_view.show(states_of({"alpha": status}))
     rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
     assert rows[1:4] == [
-        "alpha tom has begun near.lift",
-        "alpha tom near.lift has ended, to be fetched",
+        "alpha tom near.lift running",
+        "alpha tom near.lift completed, result not delivered yet",
         "alpha tom near.lift was lost in a restart",
     ]
 

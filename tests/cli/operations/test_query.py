@@ -63,7 +63,7 @@ def test_offers_as_a_table_and_what_is_composed_as_a_tree(ask, monkeypatch):
     status, out, err = ask("Lift where payload >= 0.1")
     assert (status, err) == (0, [])
     assert out == [
-        "from the files: nothing is running, live attributes are not known",
+        "from the files: nothing is running, live attributes are unknown",
         "",
         "Lift (skill.material_handling.lifting)",
         "RANK  WHO        HOST     HOW                         SCORE  ATTRIBUTES",
@@ -114,7 +114,7 @@ def test_everybody_is_offered_or_refused(ask):
 def test_without_offers(ask):
     status, out, err = ask("Lift where payload >= 500.0")
     assert (status, err) == (1, [])
-    assert out[2:] == ["Lift (skill.material_handling.lifting)", "no agent can; --explain says why"]
+    assert out[2:] == ["Lift (skill.material_handling.lifting)", "no agent can; --explain prints the reasons"]
 
 
 def test_an_id_asks_for_all_that_can_be_called_below_it(ask):
@@ -343,7 +343,7 @@ def test_hosts_that_refuse_are_told(told):
     refusal = HandshakeError("alpha wants a key")
     status, out, err = told({"alpha": refusal}, "Lift")
     assert status == 0
-    assert out[0] == "from the files: no host tells more, live attributes are not known"
+    assert out[0] == "from the files: no host answered, live attributes are unknown"
     assert err == ["alpha: alpha wants a key"]
 
 

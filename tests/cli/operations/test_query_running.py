@@ -70,5 +70,5 @@ def test_where_nothing_runs_the_files_answer(mission, lfield):
     maps = lfield.maps(["alpha", "bravo"])
     shown = lfield("query", "Lift", "--deploy", mission.deployment, *maps)
     assert lfield.status(shown) == 0, shown.said
-    assert shown.out[0] == "from the files: nothing is running, live attributes are not known"
+    assert shown.out[0] == "from the files: nothing is running, live attributes are unknown"
     assert shown.err == []

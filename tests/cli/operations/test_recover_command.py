@@ -63,7 +63,7 @@ def test_the_home_goes_on_and_the_host_that_comes_back_does_not(lfield, own):
         "tom, start 1: the newest copy is on alpha, as it left for bravo after 0 hops (transfer 1)"
         in unasked.out
     )
-    assert any(line.startswith("  bravo does not answer; last heard ") for line in unasked.out)
+    assert any(line.startswith("  bravo does not answer; last contact ") for line in unasked.out)
 
     words = ("recover", "tom", deployment, *maps)
     assert answered("no\n", *words, cwd=lfield.folder, env=lfield.environment) == 1

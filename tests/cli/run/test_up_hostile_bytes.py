@@ -27,7 +27,7 @@ coordinator Ringer {
 DEPLOYMENT = "//Bell:bell@alpha\n//Ringer:tom@bravo?bell\n"
 
 NOT_OURS = "the peer does not speak lfield"
-NO_TLS = "received data is not TLS: the peer is no lfield host, or an outdated one"
+NO_TLS = "received data is not TLS: the peer is not an lfield host, or an outdated one"
 CASES = {
     "garbage": (b"\xff\xfe\x00\x01" * 500, f"{NOT_OURS}: a frame of kind 255"),
     "zeros": (bytes(5000), f"{NOT_OURS}: a frame of kind 0 and length 0"),
@@ -105,7 +105,7 @@ def test_a_stranger_who_begins_tls_hears_no_word_of_ours(alpha):
     with connect(alpha) as sock:
         sock.sendall(bytes.fromhex("16030100c6010000c20303") + bytes(192))
         assert b"alpha" not in drain(sock)
-    told(alpha, "received data is no TLS 1.3, or was corrupted in transit")
+    told(alpha, "received data is not TLS 1.3, or was corrupted in transit")
     context = ssl.create_default_context()
     context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
     with (

@@ -150,7 +150,7 @@ def test_a_bit_that_was_changed_after_signing_is_seen(lfield, here, made) -> Non
         changed = bytearray(data)
         changed[place] ^= 1
         path.write_bytes(changed)
-        assert re.search("not a sound bundle|does not run here", refused(lfield, *maps))
+        assert re.search("not a valid bundle|does not run here", refused(lfield, *maps))
 
 
 def test_all_hosts_of_one_command_need_no_signature(lfield, here, made) -> None:
@@ -158,4 +158,4 @@ def test_all_hosts_of_one_command_need_no_signature(lfield, here, made) -> None:
     team = lfield.start("up", "mission.lfm", "--all")
     team.wait_for(r"\| here$")
     shown = " ".join(line.strip() for line in here("ps", "mission.lfm").out[-2:])
-    assert re.search("bundle .{16}, signed by whoever started it .*: alpha, bravo$", shown)
+    assert re.search("bundle .{16}, signed by the user who started it .*: alpha, bravo$", shown)

@@ -47,7 +47,7 @@ def test_a_vehicle_that_fell_silent_is_named_with_what_was_last_known_and_the_st
         flown.host.signal(signal.Signals[how])
     assert flown.host.wait() == 3, flown.host.said
     (line,) = [line for line in flown.host.err if "NOT SAFE" in line]
-    assert line.startswith("lead.fc NOT SAFE: its safe state was not confirmed; last heard ")
+    assert line.startswith("lead.fc NOT SAFE: its safe state was not confirmed; last contact ")
     assert "armed yes" in line
 
 

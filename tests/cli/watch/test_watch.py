@@ -77,15 +77,15 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     browser.says("log", "on the page of lfield watch")
 
     os.kill(lfield.child("bravo"), signal.SIGKILL)
-    browser.says("host-bravo", "last heard")
+    browser.says("host-bravo", "last contact")
     browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
     assert "old" not in browser.thing("vehicle-lead").get_attribute("class")
-    browser.says("host-alpha", "misses bravo")
+    browser.says("host-alpha", "no contact with bravo")
     browser.says("before-bravo", "wing.fc safe")
     browser.thing("lift").click()
     browser.thing("yes").click()
     browser.says("order-lift", "bravo NOT REACHED")
-    browser.says("halt", "No stop stands where somebody is heard")
+    browser.says("halt", "No stop is active on the linked hosts")
     browser.says("state", "1 of 2 hosts linked")
     assert "STOP" not in browser.text("state")
     assert browser.asked_hosts() == {link.removeprefix("http://").partition("/")[0]}

@@ -44,10 +44,10 @@ def page_in(folder: Path, *names: str, begins: float = 60.0, ends: float = DAY) 
         (
             "--listen 0.0.0.0 --page-keys page",
             64,
-            "'0.0.0.0' is no address or name that a browser could open",
+            "'0.0.0.0' is not an address or name for browsers",
         ),
-        ("--listen [::] --page-keys page", 64, "'[::]' is no address or name that a browser could open"),
-        ("--listen a:b --page-keys page", 64, "'a:b' is no address or name"),
+        ("--listen [::] --page-keys page", 64, "'[::]' is not an address or name for browsers"),
+        ("--listen a:b --page-keys page", 64, "'a:b' is not an address or name"),
         (
             "--listen 127.0.0.2 --page-keys none",
             65,

@@ -74,7 +74,7 @@ def test_a_member_that_does_not_answer_is_named(state):
         assert group.moving() == ""
         bench.fault("dead@2=true")
         await asyncio.sleep(3.0)
-        assert re.fullmatch(r"servo 2 not heard for [23]\.\d s", group.moving()), group.moving()
+        assert re.fullmatch(r"servo 2 no message for [23]\.\d s", group.moving()), group.moving()
         with pytest.raises(DeviceError, match="servo 2 does not answer"):
             await group.make_safe()
         bench.fault("dead@2=false")
@@ -103,7 +103,7 @@ def test_an_adapter_that_is_unplugged_leaves_nobody_at_rest():
         assert servo.moving() == ""
         bench.port.unplug()
         await asyncio.sleep(3.0)
-        assert re.fullmatch(r"not heard for [23]\.\d s", servo.moving()), servo.moving()
+        assert re.fullmatch(r"no message for [23]\.\d s", servo.moving()), servo.moving()
 
     bench.run(story)
 

@@ -66,7 +66,7 @@ def test_one_that_is_alive_goes_on_and_whoever_asks_is_told_where(fleet):
         await team.until(lambda: away.output and "PREPARED" not in str(home.host.mobility.known_states()))
         with pytest.raises(CoordinatorAlive, match=r"alive on away \(start 1\), in a portal: nothing"):
             require_in_doubt("guest", await looked(team, "home", "away"), NAMES)
-        with pytest.raises(UsageError, match="no host that answers knows of a coordinator geust"):
+        with pytest.raises(UsageError, match=r"no reachable host has a.* coordinator geust"):
             require_in_doubt("geust", await looked(team, "home", "away"), NAMES)
         # Said of one that is alive all the same: its shadow is given up, and it goes on.
         await send_request(team.network.transport("desk"), "home:8181", forget("guest"))

@@ -95,7 +95,7 @@ def test_a_coordinator_of_another_program_is_parked_and_explained(fleet):
         digest = home.host.hello().mission_hash
         (parked,) = again.host.status().journal.parked
         assert (parked.agent, parked.generation, parked.program) == ("guest", 1, digest)
-        assert f"parked: it is of another mission ({digest.hex()[:16]})" in shown(again)
+        assert f"parked: belongs to another mission ({digest.hex()[:16]})" in shown(again)
         assert (
             as_data(states_of({"home": again.host.status()}))["home"]["journal"]["parked"][0]["id"] == "guest"
         )

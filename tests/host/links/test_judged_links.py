@@ -114,7 +114,7 @@ def test_in_flight_a_known_peer_whose_certificate_ends_may_finish(fleet, judges)
         await team.until(lambda: linked(alpha))
         await asyncio.sleep(60.0)
         assert linked(alpha)
-        assert alpha.log.count("the certificate of host bravo ended") == 1
+        assert alpha.log.count("the certificate of host bravo expired") == 1
         team.network.cut("alpha", "bravo")
         await team.until(lambda: not linked(alpha))
         await team.until(lambda: linked(alpha))
@@ -129,7 +129,7 @@ def test_a_peer_that_nobody_has_heard_before_and_whose_certificate_has_ended_get
     async def story(team):
         judges.ends("bravo", -1.0)
         alpha, bravo = await both_up(team, judges, ENDLESS)
-        await team.until(lambda: "the certificate of host bravo ended" in alpha.log + bravo.log)
+        await team.until(lambda: "the certificate of host bravo expired" in alpha.log + bravo.log)
         await asyncio.sleep(20.0)
         assert not linked(alpha)
 
@@ -261,11 +261,11 @@ def test_whose_certificate_ends_in_flight_keeps_the_link_to_look_and_stop(fleet,
         assert not looks.over
         lifts.link.send(EmergencyStop(bytes(16), "", lift=True))
         await team.until(lambda: lifts.over)
-        assert ("may only look and stop" if name == "desk" else "a person has it") in lifts.refused
+        assert ("may only observe and stop" if name == "desk" else "a person has it") in lifts.refused
         epoch = alpha.host.core.orders.epochs.hold
         looks.link.send(EmergencyStop(bytes(16), "enough", epoch=epoch))
         await team.until(lambda: looks.over)
-        assert f"the certificate of {judges.who[name]} ended" in looks.refused
+        assert f"the certificate of {judges.who[name]} expired" in looks.refused
         assert "EMERGENCY STOP" in alpha.log
 
     fleet(story)
@@ -301,10 +301,10 @@ def test_a_person_who_was_known_and_whose_certificate_has_ended_may_stop_what_fl
         await send_request(desk, "alpha:8181", SNAPSHOT)
         await asyncio.sleep(30.0)
         await send_request(desk, "alpha:8181", SNAPSHOT)
-        with pytest.raises(HandshakeError, match=r"ended .*; until then desk may only look and stop"):
+        with pytest.raises(HandshakeError, match=r"expired .*; until then desk may only observe and stop"):
             await send_request(desk, "alpha:8181", emergency_stop("", lift=True))
         await send_request(desk, "alpha:8181", emergency_stop("enough"))
-        with pytest.raises(HandshakeError, match="the certificate of desk ended"):
+        with pytest.raises(HandshakeError, match="the certificate of desk expired"):
             await send_request(desk, "alpha:8181", SNAPSHOT)
         assert "EMERGENCY STOP by desk: enough" in alpha.log
 

@@ -27,7 +27,7 @@ def test_a_flight_without_heartbeats_ends_well_and_is_at_rest(bench):
         await asyncio.sleep(7.0)
         told = fc.moving()
         assert told.startswith("no heartbeat for "), told
-        assert ", so its motors are unknown; last told 5." in told
+        assert ", motor state unknown; last reported 5." in told
         await fc.execute("land", [])
         assert not b.autopilot.armed
         await fc.execute("disarm", [])

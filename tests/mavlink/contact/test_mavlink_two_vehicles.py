@@ -400,5 +400,5 @@ def test_a_port_where_only_a_station_sends_has_no_vehicle(bench):
     b.filter = lambda link, packet: link.on_data(
         dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(station)
     )
-    with pytest.raises(DeviceError, match=r"no heartbeat .*heard: system 1, component 1 \(gcs\)"):
+    with pytest.raises(DeviceError, match=r"no heartbeat .*received: system 1, component 1 \(gcs\)"):
         b.run(lambda fc: asyncio.sleep(0.0))

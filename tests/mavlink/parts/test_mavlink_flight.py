@@ -212,7 +212,9 @@ def test_who_is_heard_instead_is_named(bench):
     kind, reason = b.run(mission, opened=False)
     assert kind == "DeviceTimeoutException"
     assert reason.startswith("no heartbeat from system 2 at ")
-    assert "; heard: system 1, component 1 (quadrotor, ArduPilot); system 1, component 100 (camera" in reason
+    assert (
+        "; received: system 1, component 1 (quadrotor, ArduPilot); system 1, component 100 (camera" in reason
+    )
 
 
 def test_what_is_no_mavlink_is_named(bench):

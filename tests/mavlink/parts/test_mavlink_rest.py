@@ -95,7 +95,7 @@ def test_a_vehicle_that_is_not_heard_is_not_at_rest(bench):
         await asyncio.sleep(1.0)
         b.cut = True
         await asyncio.sleep(4.0)
-        assert re.fullmatch(r"not heard for [34]\.\d s, last seen 4\.\d m up, .*", fc.moving()), fc.moving()
+        assert re.fullmatch(r"no message for [34]\.\d s, last seen 4\.\d m up, .*", fc.moving()), fc.moving()
         b.cut = False
         await watched(fc)
 
@@ -109,7 +109,7 @@ def test_one_that_is_not_heard_any_more_is_not_at_rest_although_its_motors_were_
         await fc.make_safe()
         b.cut = True
         await asyncio.sleep(4.0)
-        assert re.fullmatch(r"not heard for \d\.\d s, last seen with its motors off", fc.moving())
+        assert re.fullmatch(r"no message for \d\.\d s, last seen with its motors off", fc.moving())
 
     b.run(mission)
 
@@ -130,7 +130,7 @@ def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motor
         assert sum("no command sent: it is in" in note for note in b.notes) == 1
         b.cut = True
         await asyncio.sleep(5.0)
-        assert "not heard for" in fc.moving()
+        assert "no message for" in fc.moving()
         b.cut = False
         b.autopilot.disarm(force=True)
         await asyncio.sleep(2.0)
@@ -319,7 +319,7 @@ def test_words(known, words):
 
 def test_nothing_heard_at_all():
     known = Known(ARDUPILOT, "copter", "", heartbeat_at=None, silence=math.inf, armed=False)
-    assert known.moving() == "not heard yet"
+    assert known.moving() == "no message yet"
 
 
 @pytest.mark.parametrize("mode", ["LOITER", "STABILIZE", "AUTO", "mode 77"])

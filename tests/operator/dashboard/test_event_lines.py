@@ -131,7 +131,7 @@ def test_a_log_has_whole_lines_and_who_said_them() -> None:
 
 def test_a_log_says_where_lines_are_missing() -> None:
     (line,) = LogLineView().lines(dated(EventsDropped("printed", 4550)))
-    assert line.endswith(" alpha | 4550 lines were not told: they came too often")
+    assert line.endswith(" alpha | 4550 lines left out: too frequent")
     assert list(LogLineView().lines(dated(EventsDropped("left", 3)))) == []
 
 

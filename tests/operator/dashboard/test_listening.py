@@ -47,7 +47,7 @@ def test_a_host_that_is_not_heard_is_told_once_for_each_reason() -> None:
         desk.ears.on_unlinked("beta", why)
     desk.ears.on_linked("beta")
     desk.ears.on_linked("beta")
-    assert desk.said() == ["not heard: nobody listens", "not heard: it was refused", "it is heard again"]
+    assert desk.said() == ["unreachable: nobody listens", "unreachable: it was refused", "reachable again"]
 
 
 def test_what_was_lost_and_another_life_are_told() -> None:
@@ -57,7 +57,7 @@ def test_what_was_lost_and_another_life_are_told() -> None:
     desk.tell("alpha", LinkUp("y"))
     assert desk.said()[:2] == [
         "events were lost: 3 of kind 'state', 1 of kind 'measured'",
-        "it was started again",
+        "restarted",
     ]
 
 

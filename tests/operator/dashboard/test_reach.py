@@ -68,7 +68,7 @@ def test_where_nothing_runs_it_stays_where_it_was() -> None:
 
 def test_a_host_that_a_mission_has_no_more_is_told() -> None:
     reach = HostLocator(party("m-1", "a", "alpha"), lambda: [])
-    with pytest.raises(AddressError, match="has no such host any more"):
+    with pytest.raises(AddressError, match="no longer has such a host"):
         found(reach, "gamma")
 
 

@@ -70,7 +70,7 @@ class Story:
 def test_a_host_that_was_never_heard_says_so() -> None:
     story = Story()
     alpha = story.seen.hosts["alpha"]
-    assert (alpha.age, alpha.linked, alpha.trouble) == (None, False, "not heard yet")
+    assert (alpha.age, alpha.linked, alpha.trouble) == (None, False, "no contact yet")
     assert story.seen.vehicles["one"].place is None
     assert not story.seen.vehicles["one"].fresh
 
@@ -262,7 +262,7 @@ def test_a_stop_shows_who_has_confirmed_and_who_has_not() -> None:
     stop = story.seen.stop
     assert (stop.stands, stop.complete, stop.by, stop.reason) == (True, False, "anna", "a child")
     assert stop.unconfirmed == {"one.fc": "its safe state is not confirmed yet"}
-    assert stop.unreached == {"beta": "it has not said that it has stopped"}
+    assert stop.unreached == {"beta": "the host has not confirmed the stop"}
     story.tell("alpha", SafeStateConfirmed("one.fc", "land", "a child"))
     story.tell("beta", EmergencyStopChanged("anna", "a child"))
     story.picture.on_answer(0, "beta", EmergencyStopResult({"two.fc": "its port is gone"}))
@@ -359,7 +359,7 @@ def test_another_run_of_the_mission_begins_anew(by_snapshot: bool) -> None:
         story.tell(to, MigrationArrived("boss", 2, sequence, of, 900))
     story.tell("alpha", AgentFinished("boss", 2, "done", ""))
     for host in story.hosts:
-        story.picture.on_unlinked(host, "it has closed the link")
+        story.picture.on_unlinked(host, "the host closed the link")
     story.hosts = {"alpha": ScriptedHost(INCARNATION + 10), "beta": ScriptedHost(INCARNATION + 11)}
     story.now += 20.0
     if by_snapshot:
@@ -566,7 +566,7 @@ def test_what_was_not_told_is_a_line_at_its_place_and_counted_whoever_looks_sinc
     ]
     story.tell("alpha", EventsDropped("printed", 2), LineLogged("b"))
     story.picture.start_log([("alpha", INCARNATION, event) for event in past], story.now, 1.7e9)
-    forty, two = (f"{count} lines were not told: they came too often" for count in (40, 2))
+    forty, two = (f"{count} lines left out: too frequent" for count in (40, 2))
     assert [line.text for line in story.seen.log] == ["a", forty, two, "b"]
     assert story.seen.hosts["alpha"].lost == {"printed": 42, "left": 2}
 

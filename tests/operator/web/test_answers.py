@@ -32,7 +32,7 @@ def test_offers_have_units_and_refusals_their_reasons():
     assert (first["hosts"], second["hosts"]) == (["bravo"], ["alpha"])
     assert second["parts"] == ["arm1 at alpha: Grip"]
     assert lift["refusals"] == "rover: payload 0.2 < 2.0"
-    assert told["unheard"] == {"charlie": "nobody listens"}
+    assert told["unreachable"] == {"charlie": "nobody listens"}
 
 
 def primitive() -> Primitive:

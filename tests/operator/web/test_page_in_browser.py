@@ -75,11 +75,11 @@ def test_no_stop_is_complete_while_a_host_has_not_answered(browser, page_of):
     page.do("hang bravo")
     browser.open(page.link)
     browser.thing("stop").click()
-    browser.says("asked-bravo", "bravo is asked, and has not answered yet")
+    browser.says("asked-bravo", "bravo has not answered yet")
     browser.says("confirmed-lead.fc", "safe, at rest")
     assert "Stopped: 1 not confirmed" in browser.text("halt")
     assert "every device" not in browser.text("halt")
-    assert "bravo asked, no answer yet" in browser.text("state")
+    assert "bravo not answered yet" in browser.text("state")
 
 
 def test_lifting_and_resuming_ask_once_more(browser, page_of):
@@ -122,7 +122,7 @@ def test_a_host_that_dies_stays_as_it_was_last_known(browser, page_of):
     page.do("kill bravo")
     browser.says("host-bravo", "nobody listens there")
     browser.wait(lambda: "old" in browser.thing("vehicle-wing").get_attribute("class"))
-    browser.says("host-bravo", "last heard")
+    browser.says("host-bravo", "last contact")
     place, age = browser.text("place-wing"), browser.text("vehicle-wing")
     browser.wait(lambda: browser.text("vehicle-wing") != age)
     assert browser.text("place-wing") == place
@@ -170,8 +170,8 @@ def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
     browser.thing("stop").click()
     browser.says("halt", "every device is safe and at rest")
     page.do("kill bravo")
-    browser.says("halt", "Stopped at alpha; not heard: bravo")
-    browser.says("before-bravo", "s ago it had stopped, wing.fc safe")
+    browser.says("halt", "Stopped at alpha; unreachable: bravo")
+    browser.says("before-bravo", "s ago, wing.fc safe")
     assert "old" in browser.thing("before-bravo").get_attribute("class")
     assert browser.all("confirmed-wing.fc") == []
     browser.says("latch-wing-fc", "was safe")
@@ -183,7 +183,7 @@ def test_what_was_known_of_a_dead_host_is_grey_after_a_lift(browser, page_of):
     browser.says("order-lift", "done at alpha")
     browser.wait(lambda: "STOPPED" not in browser.text("state"))
     assert "alpha NOT REACHED" not in browser.text("halt")
-    browser.says("halt", "No stop stands where somebody is heard")
+    browser.says("halt", "No stop is active on the linked hosts")
 
 
 @pytest.mark.few(0)
@@ -194,12 +194,12 @@ def test_a_press_shows_at_once_on_a_server_that_does_not_answer(browser, page_of
     os.kill(page.process.pid, signal.SIGSTOP)
     try:
         browser.thing("stop").click()
-        browser.says("asking-stop", "STOP was pressed: asking the hosts")
-        browser.says("trouble", "what it shows is old")
-        browser.says("failed", "STOP has perhaps not been done")
+        browser.says("asking-stop", "STOP pressed: waiting for the hosts")
+        browser.says("trouble", "last known values")
+        browser.says("failed", "STOP possibly not executed")
         assert browser.all("asking-stop") == []
         browser.thing("stop").click()
-        browser.says("asking-stop", "STOP was pressed: asking the hosts")
+        browser.says("asking-stop", "STOP pressed: waiting for the hosts")
     finally:
         os.kill(page.process.pid, signal.SIGCONT)
     assert page.line() == "pressed stop"
@@ -215,7 +215,7 @@ def test_a_stop_that_the_page_has_given_up_is_done_late_and_says_so(browser, pag
     os.kill(page.process.pid, signal.SIGSTOP)
     try:
         browser.thing("stop").click()
-        browser.says("failed", "STOP has perhaps not been done")
+        browser.says("failed", "STOP possibly not executed")
     finally:
         os.kill(page.process.pid, signal.SIGCONT)
     assert page.line() == "pressed stop"
@@ -236,10 +236,10 @@ def test_what_releases_is_not_done_once_the_page_has_given_it_up(browser, page_o
     try:
         browser.thing(order).click()
         browser.thing("yes").click()
-        browser.says("failed", "has perhaps not been done")
+        browser.says("failed", "possibly not executed")
     finally:
         os.kill(page.process.pid, signal.SIGCONT)
-    browser.says("failed", "has not been done: it did not reach the server in time; look, and press it again")
+    browser.says("failed", "not executed: it did not reach the server in time; check the state")
     browser.says("halt", "Stopped")
     browser.thing(order).click()
     browser.thing("yes").click()
@@ -374,7 +374,7 @@ def test_an_answer_grows_old_and_whose_host_is_gone_is_grey_in_it(browser, page_
     browser.says("answer", "Lift, asked 1.")
     assert "old" not in (browser.thing("offer-wing").get_attribute("class") or "")
     page.do("kill bravo")
-    browser.says("offer-wing", "bravo not heard any more")
+    browser.says("offer-wing", "bravo unreachable now")
     assert "old" in browser.thing("offer-wing").get_attribute("class")
     assert "old" not in (browser.thing("offer-lead").get_attribute("class") or "")
 
@@ -494,8 +494,8 @@ def test_a_page_that_has_lost_its_server_says_so(browser, page_of):
     page = page_of()
     browser.open(page.link)
     page.close()
-    browser.says("trouble", "what it shows is old")
-    browser.says("state", "last look")
+    browser.says("trouble", "last known values")
+    browser.says("state", "updated")
     browser.thing("stop").click()
     browser.says("failed", "lfield estop")
 
@@ -517,7 +517,7 @@ def test_a_page_that_was_asleep_catches_up(browser, page_of):
     browser.says("host-bravo", "nobody listens there")
     assert len(browser.thing("log").parts("time", bool)) == MAX_LOG_LINES
     browser.says("log-gap", "missing here")
-    browser.wait(lambda: "last look" not in browser.text("state"))
+    browser.wait(lambda: "updated" not in browser.text("state"))
 
 
 def test_what_would_load_the_page_anew_is_off(browser, page_of):

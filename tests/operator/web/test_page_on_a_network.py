@@ -269,12 +269,12 @@ def unknown(*words: object, **more: object) -> list[object]:
 
 
 def test_what_is_no_address_of_this_computer_is_told(keys: WebKeys, monkeypatch) -> None:
-    with pytest.raises(AddressError, match="it is no address of this computer"):
+    with pytest.raises(AddressError, match="not an address of this computer"):
         site_at("10.99.99.99", keys)
     for address in ("fe80::1", "fe80::1%eth0"):
-        with pytest.raises(AddressError, match="no browser opens a page at a link-local address of IPv6"):
+        with pytest.raises(AddressError, match="browsers do not open link-local IPv6 addresses"):
             site_at(address, keys)
-    with pytest.raises(AddressError, match="which no other computer reaches; give the address"):
+    with pytest.raises(AddressError, match="which other computers cannot reach; give the address"):
         site_at("localhost", keys)
     monkeypatch.setattr(socket, "getaddrinfo", unknown)
     with pytest.raises(AddressError, match="unknown host name"):
@@ -283,5 +283,5 @@ def test_what_is_no_address_of_this_computer_is_told(keys: WebKeys, monkeypatch)
 
 def test_keys_that_openssl_cannot_use_are_told(keys: WebKeys) -> None:
     broken = WebKeys(keys.names, keys.valid_from, keys.valid_until, keys.certificate, b"")
-    with pytest.raises(KeysError, match="the page's keys cannot be used"):
+    with pytest.raises(KeysError, match="the keys of the page cannot be used"):
         site_at(ADDRESS, broken)

@@ -102,7 +102,7 @@ def test_of_many_zooms_those_count_that_a_map_has(tmp_path):
 
 
 def test_a_folder_is_no_file(tmp_path):
-    with pytest.raises(InputFileError, match="it is no file; an MBTiles file is meant"):
+    with pytest.raises(InputFileError, match="not a file; expected an MBTiles file"):
         MbtilesSource(tmp_path)
 
 
@@ -110,5 +110,5 @@ def test_a_folder_is_no_file(tmp_path):
     "make", [no_file, text, empty, other_database, no_rows, vectors, words_for_numbers, lambda f: f]
 )
 def test_a_file_that_is_none_is_refused_with_a_sentence(tmp_path, make):
-    with pytest.raises(InputFileError, match=r"(no such file|is no file|not an MBTiles file)"):
+    with pytest.raises(InputFileError, match=r"(no such file|not a file|not an MBTiles file)"):
         MbtilesSource(make(tmp_path))

@@ -58,7 +58,7 @@ def test_a_press_is_dated_by_the_clock_of_the_looks(page) -> None:
     assert client.presses("resume", at - 2 * MAX_DELAY)[0] == 409
     status, why = client.presses("lift", at - 31.0)
     assert status == 409
-    assert "after it was pressed, which is too late; look, and press it again" in why
+    assert "after the press, which is too late; check the state, and press it again" in why
     assert client.presses("lift", None)[0] == 409
     assert client.presses("pause", at - 31.0)[0] == 200
     assert page.line() == "pressed pause"
@@ -66,7 +66,7 @@ def test_a_press_is_dated_by_the_clock_of_the_looks(page) -> None:
     assert page.line() == "pressed stop"
     while not (reason := client.look["look"]["stop"]["reason"]):
         pass
-    assert float(re.search(r"it came ([\d.]+)", reason)[1]) >= 31.0
+    assert float(re.search(r"it arrived ([\d.]+)", reason)[1]) >= 31.0
     assert client.presses("lift", client.look["at"])[0] == 200
     assert page.line() == "pressed lift"
 

@@ -126,7 +126,7 @@ class Deaf(Mobility):
 
 
 def test_a_host_that_comes_back_and_does_not_listen_is_found_out():
-    """A restarted host runs what its disk has, whatever it receives about a recovery."""
+    """A restarted host resumes the copy on its disk and ignores messages about a failover."""
     with pytest.raises(AssertionError, match="side by side"):
         explored(Declared, Deaf, examples=400, shrink=False)
 

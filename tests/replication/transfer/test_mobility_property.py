@@ -174,7 +174,7 @@ def test_never_two_live_copies_and_none_vanishes():
 
 
 class Hasty(Mobility):
-    """Appendix I as printed: no sign of the receiver, so the call throws and the coordinator goes on."""
+    """Appendix I as printed: without an answer the call throws, and the coordinator continues."""
 
     def tick(self, now):
         effects = []
@@ -185,7 +185,7 @@ class Hasty(Mobility):
 
 
 class Repeating(Mobility):
-    """Injects whatever comes."""
+    """Admits every transfer, also a repeated one."""
 
     def on_transfer(self, host, header, block, inject):
         copy = self._copies.find(header.agent, header.generation)

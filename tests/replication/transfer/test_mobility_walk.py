@@ -112,7 +112,7 @@ def test_walks(start):
 
 
 class Forgetful(Mobility):
-    """Says 'never arrived' and does not remember having said so."""
+    """Answers 'never arrived' and does not store the answer."""
 
     def on_message(self, host, message, now):
         if isinstance(message, TransferQuery):
@@ -126,7 +126,7 @@ class Forgetful(Mobility):
 
 
 class Trusting(Mobility):
-    """Believes that a restarted receiver can speak for its earlier life."""
+    """Accepts the answer of a restarted receiver about its earlier incarnation."""
 
     def on_linked(self, peer):
         for copy in self._copies:

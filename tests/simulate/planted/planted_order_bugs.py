@@ -108,28 +108,36 @@ def _bug(plant: Any, broken: str, found: str, seed: int, draws: Any = ordered) -
 
 ORDER_BUGS = [
     _bug(
-        a_stop_is_forgotten_by_a_restart, "a host that was started again lets programs release", "stop", 201
+        a_stop_is_forgotten_by_a_restart,
+        "a restarted host forgets the emergency stop, and programs can release",
+        "stop",
+        201,
     ),
-    _bug(a_pause_is_forgotten_by_a_restart, "a host that was started again runs its agents", "pause", 1),
-    _bug(a_stop_bars_nobody, "a program releases what a person has stopped", "stop", 13),
-    _bug(a_pause_leaves_devices_alone, "a device goes on with its last setpoint", "pause", 9),
+    _bug(
+        a_pause_is_forgotten_by_a_restart,
+        "a restarted host forgets the pause and runs its agents",
+        "pause",
+        1,
+    ),
+    _bug(a_stop_bars_nobody, "a program can release a device during an emergency stop", "stop", 13),
+    _bug(a_pause_leaves_devices_alone, "a pause does not put devices into their safe states", "pause", 9),
     _bug(
         an_order_that_comes_late_ends_a_newer_stop,
-        "a stop that was pressed after it was given ends by it",
+        "a delayed lift ends a newer emergency stop",
         "stop",
         0,
         hasty,
     ),
     _bug(
         a_coordinator_that_was_given_up_continues,
-        "a person has declared it lost, and it runs",
+        "a coordinator continues after 'lfield forget'",
         "forget",
         1,
         wrecked,
     ),
     _bug(
         only_neighbours_are_called,
-        "a coordinator never comes to a host with which there is no link",
+        "transfers are not relayed: a coordinator never reaches a host without a direct link",
         "reach",
         1,
         crowd,

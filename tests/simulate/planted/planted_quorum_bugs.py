@@ -136,33 +136,33 @@ def _bug(plant: Any, broken: str, seed: int, draws: DrawScenario = doubted) -> B
 QUORUM_BUGS = [
     _bug(
         an_acknowledgement_without_the_fence,
-        "a host that nobody heard for a while is given a lease by those who have barred what runs there",
+        "acknowledgements omit the fence: a host keeps its lease although its coordinator is fenced",
         361,
     ),
     _bug(
         no_wait_after_the_promises,
-        "whoever has promised has given a lease a moment ago, and may not know that it still holds",
+        "a failover does not wait for leases that its voters have granted before",
         12,
     ),
-    _bug(a_wait_that_is_shorter_than_the_lease, "what is left of a lease after the wait is too much", 12),
-    _bug(the_promises_of_a_minority, "who is cut off promises itself whatever it likes", 31),
+    _bug(a_wait_that_is_shorter_than_the_lease, "a failover waits less than a lease", 12),
+    _bug(the_promises_of_a_minority, "the promises of a minority are enough for a failover", 31),
     _bug(
         the_first_acknowledgement_is_enough,
-        "of more than three members a minority that hears itself keeps its lease",
+        "one acknowledgement renews a lease, also in a team of more than three members",
         74,
         split,
     ),
-    _bug(running_without_a_lease, "who is cut off works on while others go on", 101),
+    _bug(running_without_a_lease, "a coordinator runs without a lease, beside its recovered copy", 101),
     _bug(
         fences_told_once_and_lost_with_their_link,
-        "the one acknowledgement that carried the fence was lost with its link",
+        "a fence is sent only once and is lost with the link",
         10,
         interrupted,
     ),
     # Greetings and acknowledgements would tell whoever forgot: it is found where those who know never meet.
     _bug(
         the_fence_is_not_on_disk,
-        "whoever has promised is started again, and gives a lease to what it has barred",
+        "a restarted voter forgets its fence and grants a lease to the fenced start",
         12,
         parted,
     ),

@@ -79,24 +79,39 @@ def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
 RESERVE_BUGS = [
     _bug(
         a_number_is_told_before_it_is_kept,
-        "a host that was started again gives the same number to somebody else",
+        "a reservation number is granted before it is on disk: a restarted host grants it again",
         "given",
         0,
     ),
     _bug(
         no_wait_after_a_restart,
-        "somebody has what a host gives away that has just been started again",
+        "a restarted host grants a resource without waiting for the lease of its holder",
         "reserved robbed",
         19,
     ),
     _bug(
         a_stale_holder_renews,
-        "who was cut off for long becomes the holder again beside the one that has it since",
+        "an expired holder can renew its reservation although another one holds it",
         "reserved robbed stale",
         13,
     ),
-    _bug(numbers_begin_again, "a number of an earlier life is given once more", "number robbed", 1),
-    _bug(any_number_will_do, "who has lost what it had acts on", "stale reserved", 28),
-    _bug(it_is_given_while_others_are_at_work, "a holder is not alone with what it has", "busy", 1),
-    _bug(who_only_calls_need_not_ask, "a portal begins for others while somebody has it", "reserved", 1),
+    _bug(numbers_begin_again, "reservation numbers restart at 1 after a restart", "number robbed", 1),
+    _bug(
+        any_number_will_do,
+        "the reservation number of a call is not checked: a former holder can call",
+        "stale reserved",
+        28,
+    ),
+    _bug(
+        it_is_given_while_others_are_at_work,
+        "a reservation is granted while calls of other coordinators are running",
+        "busy",
+        1,
+    ),
+    _bug(
+        who_only_calls_need_not_ask,
+        "a call without a reservation starts while another coordinator holds one",
+        "reserved",
+        1,
+    ),
 ]

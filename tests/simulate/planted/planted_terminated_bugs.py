@@ -76,16 +76,14 @@ TERMINATED_BUGS = [
     ),
     _bug(
         a_promise_in_spite_of_a_known_end,
-        "a host that is asked for a promise does not check for a termination",
+        "a vote for a failover ignores a known termination",
         99,
         calm,
     ),
-    _bug(
-        an_end_is_told_before_it_is_on_disk, "it goes on from that disk, and others have its end", 7, slowly
-    ),
+    _bug(an_end_is_told_before_it_is_on_disk, "a termination is sent before it is on disk", 7, slowly),
     _bug(
         an_end_is_written_down_in_spite_of_a_promise,
-        "a majority has the end on disk while the recovery that one of it has promised begins",
+        "a termination is stored although a failover has been promised",
         31,
     ),
 ]

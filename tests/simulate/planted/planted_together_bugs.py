@@ -59,37 +59,37 @@ def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
 TOGETHER_BUGS = [
     _bug(
         a_result_is_told_before_it_is_kept,
-        "a coordinator goes on with what its host forgets when it dies a moment later",
+        "a result is returned before its record is on disk",
         "told",
         0,
     ),
     _bug(
         what_is_begun_is_not_on_disk,
-        "a host that was started again knows nothing of what it has begun",
+        "the start of a call is not on disk: a restarted host does not know that it was running",
         "begun told I5",
         0,
     ),
     _bug(
         a_fence_cancels_nothing,
-        "what a start has begun that is barred works on beside its successor",
+        "a fence does not cancel the calls of the fenced start",
         "outlives",
         4,
     ),
     _bug(
         a_result_goes_before_its_coordinators_page,
-        "a coordinator that goes back to its fetch finds nothing there",
+        "a result is deleted before the checkpoint of its coordinator is on disk",
         "result",
         6,
     ),
     _bug(
         who_may_have_begun_begins_again,
-        "what was begun before its host died is begun once more",
+        "a call that was running when its host failed is started again",
         "I4",
         12,
     ),
     _bug(
         a_begun_call_knows_no_time_limit,
-        "a call on a host that cannot be reached works on when its block was left long ago",
+        "a started call has no time limit: it continues on an unreachable host after its 'within' has ended",
         "outlives",
         83,
     ),

@@ -1,4 +1,4 @@
-"""`together`, `within`, `reserve`: which calls are begun at one time, where results go, for how long."""
+"""Checks of `together`, `within` and `reserve`: concurrent calls, targets of results, time limits."""
 
 from lfield.lang.checker.together.block_rules import (
     check_coordinator_block,

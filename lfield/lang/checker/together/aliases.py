@@ -1,7 +1,6 @@
-"""Names of arrays: which of them may be names of one array, or of arrays one inside the other.
+"""Alias analysis of array variables: which may refer to the same array, or to nested arrays.
 
-Those that one method gives are seen: whatever it assigns anywhere counts, in whichever order. What other
-methods do with an array is not seen.
+Flow-insensitive within one method: every assignment counts, in any order. Other methods are not analysed.
 """
 
 from __future__ import annotations
@@ -77,7 +76,7 @@ class Aliases:
         return name
 
     def related(self, name: Named) -> set[Named]:
-        """The representatives of its array, of the arrays inside it and of those around it."""
+        """The representatives of its array, of the arrays in it and of those that contain it."""
         one = self.of(name)
         return _reached(one, self._around) | _reached(one, self._within)
 
@@ -104,7 +103,7 @@ class Aliases:
 
 
 def _reached(start: Named, ways: Mapping[Named, set[Named]]) -> set[Named]:
-    """All that can be reached, the start too."""
+    """The reachable nodes, including the start."""
     found: set[Named] = set()
     waiting = [start]
     while waiting:

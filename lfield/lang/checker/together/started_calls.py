@@ -48,9 +48,9 @@ class _CallSite:
 
 
 def mark_started_calls(symbols: Symbols, body: list[Stmt], *, whole: bool) -> None:
-    """Make the calls of every together in a body to `StartCall`s; what cannot be begun is reported.
+    """Convert the calls of every together in a body to `StartCall`s; report those that cannot be started.
 
-    A body that is not `whole` has mistakes: calls may be missing.
+    A body that is not `whole` has errors: calls may be missing.
     """
     blocks = [one for one in all_statements(body) if isinstance(one, Together)]
     aliases = Aliases(body if blocks else [])

@@ -94,7 +94,7 @@ class EventFollower:
         """
         watching = self._links.get(host)
         if watching is None:
-            raise AddressError(host, "there is no connection with it")
+            raise AddressError(host, "not connected")
         return await watching.order(message)
 
     async def _follow(self, host: str) -> None:
@@ -210,7 +210,7 @@ class EventLink(ObserverLink):
         """See `EventFollower.order`. An order that lifts one names no epoch: the host reports its own
         first."""
         if self._link is None:
-            raise AddressError(self._host, "there is no connection with it")
+            raise AddressError(self._host, "not connected")
         epoch = self._epochs.hold if message.kind in HOLDS else UNKNOWN_EPOCH
         given = _SentOrder(replace(message, epoch=epoch), asyncio.get_running_loop().create_future())
         self._orders[message.id] = given
@@ -265,8 +265,7 @@ class EventLink(ObserverLink):
         self._timer = asyncio.get_running_loop().call_later(CHECK_INTERVAL, self._check_silence)
 
     def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """The link is closed."""
-        why = str(error) if error is not None else "it has closed the link"
+        why = str(error) if error is not None else "the host closed the link"
         self._finish(why)
         self._fail_orders(error if isinstance(error, HandshakeError) else AddressError(self._host, why))
 
@@ -277,6 +276,6 @@ class EventLink(ObserverLink):
     def end(self) -> None:
         """End the link: it is not needed any more."""
         self.closed.cancel()
-        self._fail_orders(AddressError(self._host, "the connection with it has ended"))
+        self._fail_orders(AddressError(self._host, "the connection has ended"))
         if self._timer is not None:
             self._timer.cancel()

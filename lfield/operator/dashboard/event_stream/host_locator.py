@@ -1,7 +1,7 @@
 """Locates the hosts of a mission, also after a restart in another run with other sockets.
 
-A run on this computer has its own directory with its own sockets, so a restarted one is in another place. A
-host over a network stays where its deployment, or `--map`, says.
+A run on this computer has its own directory with its own sockets, so a restart changes them. The address of a
+host on a network is that of its deployment or of `--map`.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class HostLocator:
                 self._choose(await asyncio.to_thread(self._found))
         address = self._team.addresses.get(host)
         if address is None:
-            raise AddressError(host, "the mission that runs here has no such host any more")
+            raise AddressError(host, "the running mission no longer has such a host")
         return address
 
     def _found(self) -> Sequence[TargetTeam]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from lfield.hybrid_clock import milliseconds_of
 from lfield.wire.events import Event, MigrationArrived, MigrationConfirmed, MigrationStarted
 
-#: So many hops are remembered.
+#: Maximum number of hops to remember.
 MAX_HOPS = 1 << 16
 
 HopKey = tuple[str, int, int]
@@ -36,7 +36,7 @@ class Cause(NamedTuple):
 
 
 class DatedEvent(NamedTuple):
-    """An event in its place, with its `cause`, which is None where none is known."""
+    """An event with its host and `cause` (None: unknown)."""
 
     host: str
     incarnation: int

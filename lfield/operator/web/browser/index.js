@@ -1,4 +1,4 @@
-// The page of `lfield watch`: what it shows is one look at the team (page_snapshots.py), asked for again and again.
+// The page of `lfield watch`. It polls snapshots of the team (page_snapshots.py) and draws the newest.
 export { default as TeamMap } from "./map.js";
 export { default as Halt } from "./halt.js";
 export { default as TeamLog } from "./log.js";

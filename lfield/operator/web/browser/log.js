@@ -10,7 +10,7 @@ export default {
   template: `
     <div ref="lines" class="lines" data-testid="log" role="log" tabindex="0" @scroll="scrolled">
       <template v-for="line in log" :key="line.serial">
-        <p v-if="line.missing" class="bad" data-testid="log-gap">{{ line.missing }} line{{ line.missing === 1 ? " is" : "s are" }} missing here: nobody looked</p>
+        <p v-if="line.missing" class="bad" data-testid="log-gap">{{ line.missing }} line{{ line.missing === 1 ? " is" : "s are" }} missing here: the page was inactive</p>
         <p><time>{{ clock(line.at) }}</time><b>{{ line.host }}</b><span>{{ said(line) }}</span></p>
       </template>
     </div>`,
@@ -20,19 +20,19 @@ export default {
   },
   methods: {
     clock: words.clock,
-    // Many programs say who speaks.
+    // Many programs print the name of their agent themselves.
     said({ agent, text }) {
       return agent && !text.startsWith(`${agent}:`) ? `${agent}: ${text}` : text;
     },
     take(fresh) {
       if (!fresh.length) return;
-      // The server keeps as many as a page: what a page has slept through for longer is gone.
+      // The server keeps as many lines as the page; older ones are lost when the page was inactive.
       const missing = this.last ? fresh[0].serial - this.last - 1 : 0;
       this.last = fresh.at(-1).serial;
       const added = fresh.map((line, n) => (n || !missing ? line : { ...line, missing }));
       const all = [...this.log, ...added].sort(inOrder);
       const cut = all.splice(0, Math.max(0, all.length - this.most));
-      // What was missing among the lines that go is missing before those that stay.
+      // Gaps among the removed lines move to the first line that stays.
       const lost = cut.reduce((sum, line) => sum + (line.missing ?? 0), all[0].missing ?? 0);
       if (lost) all[0] = { ...all[0], missing: lost };
       this.log = all;

@@ -1,16 +1,16 @@
-// The map: Leaflet moves and zooms, and has the background if there is one; vehicles and hops are drawn above
-// it. No layer of it asks anybody but our own server.
+// The map: Leaflet moves, zooms and draws the background, if there is one; vehicles and hops are drawn above it. Every
+// layer comes from the page's own server.
 import { leaflet as L } from "nicegui-leaflet";
 import * as words from "./words.js";
 
-// A hop is drawn for so long, in seconds, paler and paler.
+// A hop is drawn for this time (s), and fades.
 const HOP_SHOWN = 20;
 const GRID_AT_LEAST = 48;
-// Lines of latitude and longitude are further apart: each says which it is.
+// Lines of latitude and longitude are further apart, because each has a label.
 const DEGREES_AT_LEAST = 96;
-// What stands at the left edge is right of the buttons for the zoom.
-const BESIDE_ZOOM = 56;
-// A coordinator is drawn so far below its anchor, in pixels, and the next one below that; half of it is this.
+// Labels at the left edge are drawn to the right of the zoom buttons.
+const RIGHT_OF_ZOOM = 56;
+// Distance of a coordinator below its anchor, of the next one below it, and half its height (pixels).
 const BELOW = 14;
 const EACH_BELOW = 13;
 const HALF = 7;
@@ -31,7 +31,7 @@ function roundStep(metres) {
   return [1, 2, 5, 10].map((step) => step * power).find((step) => step >= metres) ?? 10 * power;
 }
 
-// Names that would lie on others are left out, but for that of the vehicle that is looked at.
+// Hides names that would overlap others, except that of the selected vehicle.
 function unhidden(vehicles, selected) {
   const taken = [];
   const free = (v) => taken.every((t) => Math.abs(t.x - v.x) > 64 || Math.abs(t.y - v.y) > 27);
@@ -47,7 +47,7 @@ export default {
   props: { look: Object, tiles: Object, selected: String, resources: String },
   emits: ["select"],
   template: `
-    <div class="map" role="img" aria-label="Map of the team; the table beside it says the same in words">
+    <div class="map" role="img" aria-label="Map of the team; the table has the same data as text">
       <div ref="ground" class="ground" data-testid="map"></div>
       <svg class="sky" aria-hidden="true">
         <defs>
@@ -79,7 +79,7 @@ export default {
         </g>
       </svg>
       <button type="button" class="fit-all" @click="refit" title="Show all vehicles">Fit</button>
-      <p v-if="!placed.length" class="nowhere">No vehicle has said where it is.</p>
+      <p v-if="!placed.length" class="nowhere">No vehicle has reported a position.</p>
     </div>`,
   data: () => ({ moved: 0, follows: true }),
   computed: {
@@ -151,9 +151,9 @@ export default {
       const path = rows.map(across).join("") + columns.map(up).join("");
       if (!this.earth) return { path, axes: across(0) + up(0), labels: [] };
       const places = Math.max(0, -Math.floor(Math.log10(step)));
-      const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: BESIDE_ZOOM, y: this.pixel([n, low.lng]).y - 3 });
+      const north = (n) => ({ text: words.degrees(n, places, "N", "S"), x: RIGHT_OF_ZOOM, y: this.pixel([n, low.lng]).y - 3 });
       const east = (e) => ({ text: words.degrees(e, places, "E", "W"), x: this.pixel([low.lat, e]).x + 3, y: size.y - 4 });
-      // In that corner is the scale.
+      // The scale is in that corner.
       const labels = [...rows.map(north), ...columns.map(east).filter((label) => label.x < size.x - 160)];
       return { path, axes: "", labels };
     },
@@ -177,12 +177,12 @@ export default {
       const point = this.map.latLngToContainerPoint(at);
       return { x: Math.round(point.x * 10) / 10, y: Math.round(point.y * 10) / 10 };
     },
-    // So many pixels below a host are taken by what is drawn at it.
+    // The height in pixels of the coordinators drawn below a host.
     below(host) {
       const guests = this.guests[host] ?? 0;
       return guests ? BELOW + EACH_BELOW * guests + HALF : 0;
     },
-    // From one to the other in a bow, so that there and back are two lines.
+    // An arc, so that the two directions are two lines.
     bow(a, b) {
       const [dx, dy] = [b.x - a.x, b.y - a.y];
       const length = Math.hypot(dx, dy) || 1;
@@ -211,7 +211,7 @@ export default {
       const zooms = { minNativeZoom: this.tiles.least, maxNativeZoom: this.tiles.most, maxZoom: 24 };
       L.tileLayer("tiles/{z}/{x}/{y}", zooms).addTo(this.map);
       const credit = L.control.attribution({ prefix: false, position: "bottomleft" });
-      // Its text is of a file: it is shown as it is, and never as HTML.
+      // The text comes from a file: shown as plain text, never as HTML.
       const plain = document.createElement("i");
       plain.textContent = this.tiles.credit;
       if (this.tiles.credit) credit.addAttribution(plain.innerHTML).addTo(this.map);
@@ -224,14 +224,14 @@ export default {
       this.follows = true;
       this.fit();
     },
-    // Everybody is in sight, with the coordinators below them; it moves only when somebody would not be, or there is far too much room.
+    // Shows all vehicles and the coordinators below them. Moves only when one would be outside, or the margin is far too large.
     fit() {
       const spots = this.look.vehicles.map((v) => this.spot(v)).filter(Boolean);
       if (!this.map || !spots.length) return;
       const team = L.latLngBounds(spots);
       const reach = this.earth ? 4e-5 : 3;
       const least = L.latLngBounds(spots).extend([team.getNorth() + reach, team.getEast() + reach]).extend([team.getSouth() - reach, team.getWest() - reach]);
-      // Below whoever has coordinators there is room for them.
+      // Space for the coordinators below the vehicles.
       const below = Math.max(0, ...this.look.vehicles.filter((v) => this.spot(v)).map((v) => this.below(v.host)));
       const size = this.map.getSize();
       const seen = L.latLngBounds(this.map.containerPointToLatLng([0, size.y - below]), this.map.containerPointToLatLng([size.x, 0]));

@@ -1,9 +1,9 @@
-// Battery, height, link age and hops per minute of the last minutes, by ECharts. Nothing is asked for while the
+// Battery, height, link age and hops per minute of the last ten minutes, with ECharts. Nothing is requested while the
 // plots are closed.
 import { echarts } from "nicegui-echart";
 import { rest, samples } from "./server.js";
 
-// Milliseconds between two looks at them: they show minutes.
+// Milliseconds between two requests.
 const INTERVAL = 4000;
 
 const KINDS = {
@@ -15,7 +15,7 @@ const KINDS = {
 
 const COLOURS = ["#2f6690", "#c8553d", "#588157", "#8d6a9f", "#b08968", "#3a7d7c", "#a3333d", "#5f6c7b"];
 
-// The n-th colour: those that go together first, and then any that are apart.
+// The n-th colour: first from the palette, then distinct hues.
 const colour = (n) => COLOURS[n] ?? `hsl(${Math.round(n * 137.508) % 360} 45% 47%)`;
 
 function options(kind, curves, inks) {
@@ -35,7 +35,7 @@ function options(kind, curves, inks) {
       showSymbol: curve.points.length === 1,
       lineStyle: { width: 1.5, color: inks[curve.of] },
       itemStyle: { color: inks[curve.of] },
-      // Points have ages, and time goes to the right.
+      // Points have ages; the time axis goes to the right.
       data: curve.points.map(([age, value]) => [-age, value * kind.scale]),
     })),
   };
@@ -76,7 +76,7 @@ export default {
         vehicles: names(curves.filter((curve) => curve.what !== "hops")),
         hops: names(curves.filter((curve) => curve.what === "hops")),
       };
-      // Whoever has a colour keeps it, in all charts.
+      // A name keeps its colour in all charts.
       for (const name of Object.values(this.legends).flat()) this.inks[name] ??= colour(Object.keys(this.inks).length);
       for (const [what, kind] of Object.entries(KINDS)) {
         const chart = (this.charts[what] ??= echarts.init(this.$refs[what][0]));

@@ -1,38 +1,37 @@
-// What the page asks of its server.
+// Requests of the page to its server.
 
-// Milliseconds between two looks, also while nobody sees them; and how long one may take before the page says
-// that it is not up to date.
+// Milliseconds between two snapshots, the same in a hidden page, and the time-out of a request.
 const INTERVAL = 200;
 const HIDDEN = 2000;
 const PATIENCE = 3000;
-// Devices take their time to confirm what a button wants.
+// Time-out of an order: devices need time to confirm it.
 const LONG_PATIENCE = 20000;
 
 async function answerOf(path, options, patience) {
   const answer = await fetch(path, { cache: "no-store", signal: AbortSignal.timeout(patience), ...options });
   if (!answer.ok) {
     const error = new Error((await answer.text()) || `the server answers ${answer.status}`);
-    // It has understood, and has not done it.
+    // The server has understood the request and refused it.
     error.refused = answer.status >= 400 && answer.status < 500;
     throw error;
   }
   return answer.json();
 }
 
-function post(path, says) {
+function post(path, body) {
   const headers = { "Content-Type": "application/json" };
-  return answerOf(path, { method: "POST", headers, body: JSON.stringify(says) }, LONG_PATIENCE);
+  return answerOf(path, { method: "POST", headers, body: JSON.stringify(body) }, LONG_PATIENCE);
 }
 
-// Whoever presses a button hears what came of it; nothing is kept and sent later. `pressed` is when that was, by
-// the server's clock (button_orders.py): what is too old by then is refused, but for what makes a team safer.
+// Sends an order and returns its result; nothing is stored and sent later. `pressed` is the time of the press by the
+// server's clock. The server refuses a late order, except one that makes the team safer (button_orders.py).
 export const act = (action, pressed) => post("act", { action, pressed });
 
 export const ask = (text) => post("query", { text });
 
 export const samples = () => answerOf("plots", {}, PATIENCE);
 
-// So many milliseconds, more while nobody sees the page, and no more once somebody does.
+// Waits for some milliseconds, longer while the page is hidden; ends when the page becomes visible.
 export function rest(milliseconds) {
   return new Promise((resolve) => {
     const timer = setTimeout(over, document.hidden ? Math.max(milliseconds, HIDDEN) : milliseconds);
@@ -45,9 +44,8 @@ export function rest(milliseconds) {
   });
 }
 
-// Calls `take` with a look, again and again, and `fail` with why there is none; returns what ends that. The
-// next is asked for when one has been drawn. So nothing queues up for a page that sleeps, and when it wakes it
-// is up to date with one.
+// Polls snapshots: calls `take` with each, or `fail` with an error; returns a function that ends the polling. The next
+// one is requested after drawing, so nothing queues up for an inactive page, and one snapshot brings it up to date.
 export function looks(take, fail) {
   let ended = false;
   let line = 0;

@@ -1,19 +1,19 @@
-// The whole page: STOP and the other buttons, what stands of a stop, map, vehicles, coordinators, hosts, log,
-// questions, plots. It draws the last look, and says so when that is old.
+// The whole page: STOP and the other buttons, state of the stop, map, vehicles, coordinators, hosts, log, queries,
+// plots. It draws the last snapshot and marks an old one.
 import { Halt, Plots, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
 
-// Looks that are older than this, in milliseconds, are told to be old.
+// A snapshot older than this (ms) is marked as old.
 const OLD = 2000;
 
 const QUESTIONS = {
   lift: "Lift the stop? Programs may then release their devices, and vehicles may move.",
-  resume: "Resume the mission? Agents go on, and vehicles may move.",
+  resume: "Resume the mission? Agents continue, and vehicles may move.",
 };
 
-// What lets vehicles move again: late, it is refused (button_orders.py).
+// Orders that let vehicles move again: refused when late (button_orders.py).
 const RELEASES = ["lift", "resume"];
 
-// What undoes one another.
+// Orders that undo each other.
 const PAIRS = [["stop", "lift"], ["pause", "resume"]];
 const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
 const without = (table, names) => Object.fromEntries(Object.entries(table).filter(([name]) => !names.includes(name)));
@@ -80,7 +80,7 @@ export default {
           <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
           <p class="hops"><span v-if="c.hops !== null" class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
         </article>
-        <p v-if="!look.coordinators.length" class="none">No coordinator was heard of yet.</p>
+        <p v-if="!look.coordinators.length" class="none">No coordinator known yet.</p>
       </section>
       <section class="panel hosts" aria-label="Hosts">
         <h2>Hosts</h2>
@@ -99,10 +99,10 @@ export default {
         <div v-if="answer" class="answer" data-testid="answer" role="status">
           <p class="why">{{ answer.question }}, asked {{ age(Math.max(0, now - answer.taken) / 1000) }} ago</p>
           <pre v-if="answer.mistakes" class="bad">{{ answer.mistakes }}</pre>
-          <p v-for="(why, host) in answer.unheard" :key="host" class="bad">{{ host }}: {{ why }}</p>
+          <p v-for="(why, host) in answer.unreachable" :key="host" class="bad">{{ host }}: {{ why }}</p>
           <template v-for="found in answer.found" :key="found.primitive">
             <h3>{{ found.primitive }}<small>{{ found.offers.length ? found.count + " can" : "no agent can" }}</small></h3>
-            <ol v-if="found.offers.length"><li v-for="offer in found.offers" :class="{old: silentOf(offer).length}" :data-testid="'offer-' + offer.agent"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small><template v-if="silentOf(offer).length"> {{ silentOf(offer).join(", ") }} not heard any more</template></li></ol>
+            <ol v-if="found.offers.length"><li v-for="offer in found.offers" :class="{old: silentOf(offer).length}" :data-testid="'offer-' + offer.agent"><b>{{ offer.agent }}</b> at {{ offer.host }}, {{ offer.how }}, score {{ offer.score.toFixed(3) }}<small>{{ [...offer.facts, ...offer.parts].join(", ") }}</small><template v-if="silentOf(offer).length"> {{ silentOf(offer).join(", ") }} unreachable now</template></li></ol>
             <p v-for="note in found.notes">{{ note }}</p>
             <pre v-if="found.refusals" class="why">{{ found.refusals }}</pre>
           </template>
@@ -114,11 +114,11 @@ export default {
       </div>
       <plots :stale="stale"/>
     </main>
-    <p v-else-if="!trouble" class="none">Waiting for the first look at the team.</p>
+    <p v-else-if="!trouble" class="none">Waiting for the state of the team.</p>
     <dialog ref="sure" @close="sureClosed">
       <form method="dialog">
         <p>{{ sureWords }}</p>
-        <button value="" data-testid="no" autofocus>No, leave it</button>
+        <button value="" data-testid="no" autofocus>Cancel</button>
         <button value="yes" data-testid="yes">Yes, {{ sure }}</button>
       </form>
     </dialog>
@@ -149,10 +149,10 @@ export default {
       const { hosts, unreached, asked } = this.look.stop;
       const missing = Object.keys(unreached);
       if (hosts.length) said.push(hosts.length === linked && !asked.length ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
-      if (asked.length) said.push(`STOP: ${asked.join(", ")} asked, no answer yet`);
+      if (asked.length) said.push(`STOP: ${asked.join(", ")} not answered yet`);
       if (missing.length) said.push(`STOP has NOT REACHED ${missing.join(", ")}`);
       if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
-      if (this.stale) said.push(`last look ${words.age((this.now - this.taken) / 1000)} ago`);
+      if (this.stale) said.push(`updated ${words.age((this.now - this.taken) / 1000)} ago`);
       return said.join(" · ");
     },
     sureWords() {
@@ -163,7 +163,7 @@ export default {
     },
     losses() {
       const kinds = (host) => Object.entries(host.lost).map(([kind, count]) => `${count} ${kind}`).join(", ");
-      return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: lost on the way: ${kinds(host)}`);
+      return this.look.hosts.filter((host) => Object.keys(host.lost).length).map((host) => `${host.host}: events lost: ${kinds(host)}`);
     },
   },
   methods: {
@@ -186,7 +186,7 @@ export default {
     },
     hostWords(host) {
       const parts = [];
-      if (!host.linked) parts.push(host.age === null ? "not heard yet" : `last heard ${words.age(host.age)} ago`);
+      if (!host.linked) parts.push(host.age === null ? "no contact yet" : `last contact ${words.age(host.age)} ago`);
       if (host.ending) parts.push(`ended: ${host.ending}`);
       else if (host.trouble) parts.push(host.trouble);
       const reached = Object.entries(host.links).map(([other, link]) => {
@@ -194,7 +194,7 @@ export default {
         return measured ? `${other} (${measured})` : other;
       });
       if (host.linked) parts.push(reached.length ? `linked with ${reached.join(", ")}` : "linked");
-      for (const [other, seconds] of Object.entries(host.away)) parts.push(`misses ${other} for ${words.age(seconds)}`);
+      for (const [other, seconds] of Object.entries(host.away)) parts.push(`no contact with ${other} for ${words.age(seconds)}`);
       if (host.bundle) parts.push(`bundle ${host.bundle}`);
       if (host.waits_for.length) parts.push(`start waits for ${host.waits_for.join(", ")}`);
       if (host.start_held) parts.push(`start held: ${host.start_held}`);
@@ -205,8 +205,8 @@ export default {
       return parts.join(" · ");
     },
     take({ at, look, log }) {
-      // NiceGUI's own connection would load the page anew where it times out, and what was known last, and STOP,
-      // would be gone. Nothing here needs it.
+      // NiceGUI's own connection reloads the page when it times out; the last known state and STOP would be gone.
+      // The page does not need that connection.
       window.socket?.disconnect();
       this.look = look;
       this.at = at;
@@ -229,27 +229,27 @@ export default {
       }
       if (this.pending[order]?.since === press.since) this.pending = without(this.pending, [order]);
     },
-    // The number of the last order of these kinds of which the server has told.
+    // The number of the last order of these kinds that the server has reported.
     newest(kinds) {
       const numbers = this.look?.orders.filter((order) => kinds.includes(order.order)).map((order) => order.number) ?? [];
       return Math.max(0, ...numbers);
     },
-    // Of what the server has heard of all the same, the look says what came; what it has not heard of in time it
-    // refuses.
+    // A failed request may have reached the server all the same: then the snapshot has its result. A release that has
+    // not arrived in time is refused.
     known() {
-      const heard = Object.entries(this.failures).filter(([order, failure]) => this.newest(pairOf(order)) > failure.after);
-      if (heard.length) this.failures = without(this.failures, heard.map(([order]) => order));
+      const received = Object.entries(this.failures).filter(([order, failure]) => this.newest(pairOf(order)) > failure.after);
+      if (received.length) this.failures = without(this.failures, received.map(([order]) => order));
       for (const order of RELEASES) {
         const failure = this.failures[order];
         if (!failure || failure.refused || failure.pressed === null || this.at <= failure.pressed + this.look.prompt) continue;
-        const why = "it did not reach the server in time; look, and press it again";
+        const why = "it did not reach the server in time; check the state, and press it again";
         this.failures = { ...this.failures, [order]: { ...failure, why, refused: true } };
       }
     },
-    // The hosts of an offer that nobody hears any more.
+    // The hosts of an offer that are unreachable now.
     silentOf(offer) {
-      const heard = this.look.hosts.filter((host) => host.linked).map((host) => host.host);
-      return offer.hosts.filter((host) => !heard.includes(host));
+      const linked = this.look.hosts.filter((host) => host.linked).map((host) => host.host);
+      return offer.hosts.filter((host) => !linked.includes(host));
     },
     confirm(order) {
       this.sure = order;
@@ -265,7 +265,7 @@ export default {
       try {
         this.answer = { ...(await ask(question)), taken: performance.now() };
       } catch (error) {
-        this.answer = { question, mistakes: error.message, unheard: {}, found: [], taken: performance.now() };
+        this.answer = { question, mistakes: error.message, unreachable: {}, found: [], taken: performance.now() };
       }
       this.asking = false;
     },
@@ -278,7 +278,7 @@ export default {
     document.head.append(sheet);
     this.end = looks(this.take, (error) => {
       this.now = performance.now();
-      this.trouble = `The page has lost its server, what it shows is old: ${error.message}`;
+      this.trouble = `No connection to the server of this page; last known values: ${error.message}`;
     });
     this.tick = setInterval(() => (this.now = performance.now()), 500);
   },

@@ -1,4 +1,4 @@
-// Numbers in words, as an instrument shows them: short, of constant width, "–" for what is not known.
+// Numbers as text: short, of constant width, "–" for unknown values.
 
 export const NOT_KNOWN = "–";
 
@@ -31,7 +31,7 @@ export function bytes(count) {
   return count < 1e6 ? `${(count / 1e3).toFixed(1)} kB` : `${(count / 1e6).toFixed(1)} MB`;
 }
 
-// What is measured of a link: "214 ms, 4.8 % lost, 12.3 kB sent, 9.1 kB received".
+// The measurements of a link: "214 ms, 4.8 % lost, 12.3 kB sent, 9.1 kB received".
 export function link({ round_trip, loss, sent, received }) {
   const parts = [];
   if (round_trip !== null) parts.push(duration(round_trip));
@@ -41,10 +41,10 @@ export function link({ round_trip, loss, sent, received }) {
   return parts.join(", ");
 }
 
-// Whether places are told in degrees: when everybody who is anywhere knows where on the Earth.
+// Whether positions are shown in degrees: every vehicle with a position has a global one.
 export function geographic(vehicles) {
-  const somewhere = vehicles.filter((v) => v.place || v.earth);
-  return somewhere.length > 0 && somewhere.every((v) => v.earth);
+  const located = vehicles.filter((v) => v.place || v.earth);
+  return located.length > 0 && located.every((v) => v.earth);
 }
 
 export function place({ place, earth }, inDegrees) {
@@ -53,7 +53,7 @@ export function place({ place, earth }, inDegrees) {
   return "no position";
 }
 
-// The same in the frame of the team.
+// The position in the frame of the team.
 export function local({ place }) {
   return place ? `${place[1].toFixed(1)} m east, ${place[0].toFixed(1)} m north in the frame of the team` : "";
 }

@@ -138,7 +138,6 @@ class _Function:
         self.labels = 0
 
     def text(self, symbol: str) -> str:
-        """The whole function."""
         for statement in self.node.body:
             self.statement(statement)
         arguments = [a.arg for a in self.node.args.args]

@@ -62,7 +62,6 @@ class LocalSlots:
         )
 
     def value(self, slot: int) -> str:
-        """The value of a slot."""
         return f"(local.get $s{slot})"
 
     def target(self, slot: int) -> str:
@@ -119,7 +118,6 @@ class FrameSlots:
         self.sent, self.received = "", ""
 
     def value(self, slot: int) -> str:
-        """The value of a slot."""
         return _load("$frame", slot, self.types[slot])
 
     def target(self, slot: int) -> str:
