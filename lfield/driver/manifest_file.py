@@ -42,6 +42,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from typing import cast
 
 from lfield.driver.binding import OptionValue
@@ -63,6 +64,10 @@ from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlList, YamlNode, YamlScalar, decode
 from lfield.units import is_unit, suggestion
 
+#: Number of parsed manifests that are kept. A command looks for drivers several times, and parsing their
+#: manifests takes most of that.
+MAX_CACHED = 64
+
 #: L types of options; a path is relative to the folder of the devices file.
 OPTION_TYPES = ("boolean", "int", "real", "string", "path", "int[]", "string[]")
 
@@ -77,8 +82,9 @@ _CANCEL = (
 _TYPE_NAME = re.compile(r"[A-Z][A-Za-z0-9]*")
 
 
+@lru_cache(MAX_CACHED)
 def load_manifest(name: str, data: bytes) -> Manifest:
-    """Parses a manifest. Raises PluginError with every finding and its source line."""
+    """Parses a manifest; equal bytes only once. Raises PluginError with every finding and its source line."""
     found = Diagnostics()
     node = decode(name, data, found)
     manifest = _manifest(node, found) if node is not None else None

@@ -308,16 +308,23 @@ def compile_file(
     Its capabilities are those of `types`, else those of lfield and of `NAME.capabilities.yaml` in
     its folder. `doubled` are resource types that a test replaces.
     """
-    from lfield.compiler.program_builder import compile_program
-
     known = plugins if plugins is not None else discover()
     checked, capabilities = check_program_file(path, known, types, doubled)
+    return _compiled(checked, capabilities, known, doubled), checked.diagnostics
+
+
+def _compiled(
+    checked: CheckResult, capabilities: RegistryTypes, known: Plugins, doubled: Collection[str] = ()
+) -> Program:
+    """The program of a checked syntax tree. Raises ProgramError with its errors."""
+    from lfield.compiler.program_builder import compile_program
+
     if checked.program is None:
         raise ProgramError(checked.diagnostics)
     program = compile_program(checked.program)
     if mistakes := _registry_misfits(capabilities, program, known, doubled):
         raise ProgramError([*checked.diagnostics, *mistakes])
-    return program, checked.diagnostics
+    return program
 
 
 def mission_problems(deploy: Path) -> list[ReportableFinding]:
@@ -325,21 +332,21 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
 
     An unbound device is not an error: it may be simulated.
     """
-    program = sibling_file(deploy, ".L")
-    if program is None:
+    if (program := sibling_file(deploy, ".L")) is None:
         return []
     found: list[ReportableFinding] = []
-    bound = Bindings()
+    bound, plugins = Bindings(), discover()
     try:
         if (devices := sibling_file(deploy, DEVICES)) is not None:
             complete = load_mission(deploy, simulate=True)
             found += _without_fakes(complete, devices)
             found += [PlainFinding(message, "warning") for message in duplicate_statements(complete)]
-            bound = complete.bindings
-        loaded = compile_file(program)[0]
+            bound, loaded = complete.bindings, complete.program
+        else:
+            loaded = compile_file(program, plugins)[0]
         deployment = read_deployment(deploy, loaded.units)
         team = team_of(deployment.rows, deployment.kinds, deployment.ports)
-        _access(deploy, team, loaded, _registry_types(sibling_file(deploy, CAPABILITIES), deploy, discover()))
+        _access(deploy, team, loaded, _registry_types(sibling_file(deploy, CAPABILITIES), deploy, plugins))
         mission = _check_recovery(
             Mission(printable_argument(deploy.stem), loaded, team, bound, DriverIndex({})), deployment
         )
@@ -374,18 +381,20 @@ def check_file(path: Path) -> Sequence[ReportableFinding]:
     require_file(path)
     program_path = path.with_suffix(".L")
     units: Mapping[str, UnitKind] | None = None
+    checked: CheckResult | None = None
     found: list[ReportableFinding] = []
     if program_path.exists():
+        plugins = discover()
         try:
-            units = compile_file(program_path)[0].units
+            checked, capabilities = check_program_file(program_path, plugins)
+            units = _compiled(checked, capabilities, plugins).units
         except ProgramError as error:
             found = list(error.diagnostics)
     try:
         deployment, warnings = read_with_warnings(path, units)
         found += warnings
-        if units is not None:
-            checked = check_program_file(program_path, discover())[0].program
-            found += argument_findings(checked.units if checked else (), deployment)
+        if units is not None and checked is not None and checked.program is not None:
+            found += argument_findings(checked.program.units, deployment)
     except ProgramError as error:
         found += error.diagnostics
     return found

@@ -8,7 +8,6 @@ everything; the rate limits still apply.
 
 from __future__ import annotations
 
-import ctypes
 import socket
 import struct
 from collections.abc import Iterable
@@ -51,6 +50,9 @@ def flooder_at(host: str, port: int) -> Flooder:
 
 def attach(receiving: socket.socket, flooders: Iterable[Flooder]) -> bool:
     """Attach a filter against non-orders and these senders. Returns whether the kernel accepted it."""
+    # Imported here: a command that opens no port starts sooner.
+    import ctypes
+
     code = program(flooders)
     held = ctypes.create_string_buffer(code)
     prog = struct.pack("HL", len(code) // 8, ctypes.addressof(held))
