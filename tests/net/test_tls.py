@@ -157,13 +157,13 @@ def test_an_older_tls_is_refused():
         TlsIdentity(BRAVO).channel(calls=False),
     )
     ends.settle()
-    assert "no TLS 1.3" in str(ends.told[ends.far])
+    assert "not TLS 1.3" in str(ends.told[ends.far])
 
 
 @pytest.mark.parametrize("data", [b"GET / HTTP/1.1\r\n\r\n", bytes(64), b"\xff", b"\x00\x00\x00\x05\x01"])
 def test_what_is_no_tls_is_known_by_its_first_byte(data):
     channel = TlsIdentity(ALPHA).channel(calls=False)
-    with pytest.raises(WireError, match="no lfield host, or an outdated one"):
+    with pytest.raises(WireError, match="not an lfield host, or an outdated one"):
         list(channel.receive(data))
     assert channel.data_to_send() == b""
 
