@@ -24,7 +24,7 @@ from lfield.vm.memory.layout import (
     W_THREADS,
 )
 from lfield.vm.memory.serialised_results import serialise_built, serialise_object, serialise_word
-from lfield.vm.memory.threads import count, new_thread, only_thread, place_of, threads
+from lfield.vm.memory.threads import count, only_thread, place_of, threads
 from lfield.vm.pending_call import PendingCall
 from lfield.vm.scheduler import Scheduler
 
@@ -188,7 +188,7 @@ def _thread(
         for i, place in zip(references, copies, strict=True):
             into[i] = place
     into[0] = block.w[W_SELF]
-    return new_thread(block, scheduler.templates[method], into, number)
+    return block.new_thread(scheduler.templates[method], into, number)
 
 
 def serve(

@@ -32,7 +32,7 @@ from lfield.vm.memory.layout import (
     Layouts,
 )
 from lfield.vm.memory.serialised_results import serialise_built
-from lfield.vm.memory.threads import new_thread, place_of, thread_template, threads, unlink
+from lfield.vm.memory.threads import place_of, thread_template, threads, unlink
 from lfield.vm.memory.word_codec import new_exception
 from lfield.vm.pending_call import CallKey, PendingCall
 from lfield.vm.run_queue import RunQueue
@@ -136,7 +136,7 @@ class Scheduler:
 
     def spawn(self, agent: Agent, method: int, words: list[int], call: int) -> int:
         """A thread of an agent, not yet queued. Raises HeapFull."""
-        return new_thread(agent.block, self.templates[method], words, call)
+        return agent.block.new_thread(self.templates[method], words, call)
 
     def open(self, agent: Agent) -> None:
         """A resource reached its first pause: start the waiting calls."""

@@ -73,7 +73,7 @@ IN_A_TURN = [
     (Machine, "_done"), (Machine, "_turn"), (Machine, "pack"),
     (ReferenceEngine, "run"), (ReferenceEngine, "complete"), (ReferenceEngine, "throw"),
     (Scheduler, "complete"), (Scheduler, "run_with_collection"), (Scheduler, "open"),
-    (Scheduler, "throw"), (Scheduler, "instruction_of"), (portal_calls, "new_thread"), (Scheduler, "flush"),
+    (Scheduler, "throw"), (Scheduler, "instruction_of"), (Block, "new_thread"), (Scheduler, "flush"),
     (Scheduler, "forget"), (Scheduler, "release_monitor"), (Scheduler, "uncaught"), (Scheduler, "freeze"),
     (HostCallDispatcher, "dispatch"), (HostCallDispatcher, "_yield"), (HostCallDispatcher, "_sleep"),
     (HostCallDispatcher, "_now"),

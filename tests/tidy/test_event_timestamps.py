@@ -9,7 +9,7 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 #: The hybrid clock, and what gives or reads timestamps.
 NAMES = {"hybrid_clock", "_hybrid_clock", "HybridClock", "timestamp_of", "milliseconds_of", "counter_of"}
-#: The fields of messages and events that have them. `Block.stamp` is a method that writes a header.
+#: The fields of messages and events that have them.
 FIELDS = {"stamp", "ahead", "tick"}
 WORDS = (*NAMES, *(f".{name}" for name in FIELDS))
 #: Each file that may, with what it does.
@@ -44,7 +44,7 @@ def uses(text: str) -> Iterator[str]:
             case ast.Name(id=name) | ast.Attribute(attr=name) | ast.alias(name=name) if name in NAMES:
                 yield name
             case ast.Attribute(value=ast.Name(id=owner) | ast.Attribute(attr=owner), attr=name):
-                if name in FIELDS and (owner == "event" or (name == "stamp" and owner != "block")):
+                if name in FIELDS and (owner == "event" or name == "stamp"):
                     yield name
 
 
@@ -60,5 +60,5 @@ def test_only_the_order_of_events_reads_timestamps() -> None:
 
 
 def test_a_use_is_found() -> None:
-    text = "lease = header.stamp\nlimit = self.recorder.hybrid_clock.last\nblock.stamp(1)\n"
+    text = "lease = header.stamp\nlimit = self.recorder.hybrid_clock.last\n"
     assert sorted(uses(text)) == ["hybrid_clock", "stamp"]

@@ -10,7 +10,7 @@ from lfield.testing.golden import compile_text
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import FRAME, FRAME_SLOTS, Layouts
 from lfield.vm.memory.liveness import Liveness
-from lfield.vm.memory.threads import new_thread, thread_template
+from lfield.vm.memory.threads import thread_template
 
 PROGRAM = compile_text(
     """
@@ -58,7 +58,7 @@ def _kept(pc: int) -> set[int]:
     block = Block.empty(PROGRAM.digest, 4096)
     text = block.new_string("here")
     words = [text] * len(record.slots)
-    new_thread(block, thread_template(METHOD, FRAME_SLOTS + len(record.slots), pc), words, 0)
+    block.new_thread(thread_template(METHOD, FRAME_SLOTS + len(record.slots), pc), words, 0)
     Liveness(PROGRAM, layouts).clear_dead(block)
     place = next(
         p for p in range(block.heap, block.top) if block.w[p] & 0xFF == FRAME and block.w[p] >> 32 > 9

@@ -27,7 +27,7 @@ class HeapFull(Exception):
 
 
 def template(kind: int, index: int, words: int) -> memoryview[int]:
-    """The words of a new object of that kind, for `Block.stamp`."""
+    """The words of a new object of that kind, for `Block.place_template`."""
     return memoryview(array("q", [header(kind, index, words), *[0] * (words - 1)]))
 
 
@@ -144,7 +144,7 @@ class Block:
         self.top = end
         return place
 
-    def stamp(self, template: memoryview[int]) -> int:
+    def place_template(self, template: memoryview[int]) -> int:
         """A copy of a template on the heap. Raises HeapFull."""
         place = self.top
         end = place + len(template)
@@ -153,6 +153,31 @@ class Block:
         self.w[place:end] = template
         self.top = end
         return place
+
+    def new_thread(self, template: memoryview[int], words: list[int], call: int) -> int:
+        """A ready thread from a template (`threads.thread_template`), with arguments (the object first);
+        returns its id.
+
+        Raises HeapFull before any write.
+        """
+        frame = self.place_template(template)
+        w = self.w
+        slot = frame + layout.FRAME_SLOTS
+        for word in words:
+            w[slot] = word
+            slot += 1
+        place = frame + (w[frame] >> 32)
+        identity: int = w[layout.W_NEXT_THREAD]
+        w[layout.W_NEXT_THREAD] = identity + 1
+        w[place + layout.THREAD_ID] = identity
+        w[place + layout.THREAD_FRAME] = frame
+        w[place + layout.THREAD_CALL] = call
+        w[place + layout.THREAD_NEXT] = w[layout.W_THREADS]
+        w[layout.W_THREADS] = place
+        if (places := self.places) is not None:
+            places[identity] = place
+            places.ids.append(identity)
+        return identity
 
     def new_string(self, text: str) -> int:
         """A string on the heap; invalid Unicode becomes '?'. Raises HeapFull."""

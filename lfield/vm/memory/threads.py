@@ -15,7 +15,6 @@ from lfield.vm.memory.layout import (
     FRAME,
     FRAME_CALLER,
     FRAME_DEPTH,
-    FRAME_SLOTS,
     THREAD,
     THREAD_CALL,
     THREAD_FRAME,
@@ -29,38 +28,13 @@ from lfield.vm.memory.layout import (
 
 
 def thread_template(method: int, frame_words: int, entry: int) -> memoryview[int]:
-    """A template for `new_thread`: a thread at an instruction of a method, preceded by its frame."""
+    """A template for `Block.new_thread`: a thread at an instruction of a method, preceded by its frame."""
     words = array("q", bytes(8 * (frame_words + THREAD_WORDS)))
     words[0] = header(FRAME, method, frame_words)
     words[FRAME_DEPTH] = 1
     words[frame_words] = header(THREAD, 0, THREAD_WORDS)
     words[frame_words + THREAD_PC] = entry
     return memoryview(words)
-
-
-def new_thread(block: Block, template: memoryview[int], words: list[int], call: int) -> int:
-    """A ready thread from a template, with arguments (the object first); returns its id.
-
-    Raises HeapFull before any write.
-    """
-    frame = block.stamp(template)
-    w = block.w
-    place = frame + (w[frame] >> 32)
-    slot = frame + FRAME_SLOTS
-    for word in words:
-        w[slot] = word
-        slot += 1
-    identity: int = w[layout.W_NEXT_THREAD]
-    w[layout.W_NEXT_THREAD] = identity + 1
-    w[place + THREAD_ID] = identity
-    w[place + THREAD_FRAME] = frame
-    w[place + THREAD_CALL] = call
-    w[place + THREAD_NEXT] = w[layout.W_THREADS]
-    w[layout.W_THREADS] = place
-    if (places := block.places) is not None:
-        places[identity] = place
-        places.ids.append(identity)
-    return identity
 
 
 def threads(block: Block) -> Iterator[int]:

@@ -141,7 +141,7 @@ def call(arguments: list[Argument], method: int, words: int, entry: int, after: 
         depth = w[m.frame + FRAME_DEPTH] + 1
         if depth > m.limits.call_depth:
             raise Trap("LimitException", f"calls are nested deeper than {m.limits.call_depth}")
-        place = block.stamp(blank)
+        place = block.place_template(blank)
         w[place + FRAME_CALLER] = m.frame
         w[place + FRAME_RETURN] = after
         w[place + FRAME_DEPTH] = depth

@@ -116,7 +116,7 @@ def new_object(a: int, record: int, words: int, after: int) -> Step:
     blank = template(OBJECT, record, words)
 
     def step(m: Registers) -> int:
-        m.w[m.slots + a] = m.block.stamp(blank)
+        m.w[m.slots + a] = m.block.place_template(blank)
         return after
 
     return step

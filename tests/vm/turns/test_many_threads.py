@@ -15,7 +15,7 @@ from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import THREAD_ID, Layouts
-from lfield.vm.memory.threads import count, new_thread, place_of, thread_template, threads, unlink
+from lfield.vm.memory.threads import count, place_of, thread_template, threads, unlink
 
 PROGRAM = """
 resource Gate {
@@ -70,7 +70,7 @@ def test_threads_are_found_where_the_list_has_them(seed: int) -> None:
             unlink(block, gone)
             assert place_of(block, gone) == 0
         elif block.top + 256 < block.end:
-            living.append(new_thread(block, template, [], 7))
+            living.append(block.new_thread(template, [], 7))
         assert count(block) == len(living)
         assert [block.w[place + THREAD_ID] for place in threads(block)] == living[::-1]
         assert [place_of(block, thread) for thread in reversed(living)] == [*threads(block)]

@@ -28,7 +28,7 @@ from lfield.vm.machine import Machine
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import ARRAY, FRAME_SLOTS, OBJECT, THREAD_FRAME, THREAD_ID
-from lfield.vm.memory.threads import new_thread, place_of, thread_template
+from lfield.vm.memory.threads import place_of, thread_template
 from lfield.vm.reference import ReferenceEngine as Reference
 from switching_engine import NEEDED, SwitchingEngine, switching
 
@@ -77,7 +77,7 @@ def thread_of(
     record = program.core.methods[method]
     own = block.allocate(OBJECT, record.owner, engine.layouts.class_words[record.owner])
     template = thread_template(method, engine.layouts.frame_words[method], record.entry + 1)
-    identity = new_thread(block, template, [own, 0], 0)
+    identity = block.new_thread(template, [own, 0], 0)
     return block, place_of(block, identity)
 
 
