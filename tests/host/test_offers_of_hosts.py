@@ -263,23 +263,23 @@ def far_report(*facts, agent=3, unknown=()):
         (far_report(unknown=[(999, "no")]), f"attribute 999 of far, and there are {len(NAMES)}"),
         (
             far_report(AttributeUpdate(ARMED, 1.0, 0.0, True)),
-            "says 1.0 for armed of far, which is no boolean",
+            "says 1.0 for armed of far, whose type is boolean",
         ),
         (
             far_report(AttributeUpdate(BATTERY, True, 0.0, True)),
-            "says True for battery of far, which is no real",
+            "says True for battery of far, whose type is real",
         ),
         (
             far_report(AttributeUpdate(BATTERY, "full", 0.0, True)),
-            "says 'full' for battery of far, which is no real",
+            "says 'full' for battery of far, whose type is real",
         ),
         (
             far_report(AttributeUpdate(BATTERY, float("nan"), 0.0, True)),
-            "says nan for battery of far, which is no real",
+            "says nan for battery of far, whose type is real",
         ),
         (
             far_report(AttributeUpdate(BATTERY, float("inf"), 0.0, True)),
-            "says inf for battery of far, which is no real",
+            "says inf for battery of far, whose type is real",
         ),
     ],
 )

@@ -107,4 +107,6 @@ def _value(agent: str, attribute: Attribute, value: FactValue) -> Value:
             return value
         case "set" if isinstance(value, list):
             return frozenset(value)
-    raise WireError(f"a report says {value!r} for {attribute.name} of {agent}, which is not {attribute.type}")
+    raise WireError(
+        f"a report says {value!r} for {attribute.name} of {agent}, whose type is {attribute.type}"
+    )
