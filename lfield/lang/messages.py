@@ -418,7 +418,7 @@ DEPLOY_WITNESS = _message(
 MISSING_ARGUMENT = _message(
     "L716",
     "{agent} has {count}, and its init reads arg[{index}] on line {line} of the program",
-    "give it {needed} arguments: ?first&second",
+    "end its line with ?{given}",
 )
 
 # --- L8xx: together, within and reserve -----------------------------------------------------------------

@@ -224,7 +224,7 @@ def _character_hint(text: str) -> str | None:
         return "write the minus sign -"
     if character == "#":
         if re.match(r"#\s*include\b", text):
-            return 'write include "file.L"; without the #; headers of C and C++ have no use in L'
+            return 'leave out the # and end with ; as in include "file.L"; (L has no headers of C and C++)'
         if re.match(r"#\s*(define|pragma|ifdef|ifndef|if|else|endif|undef)\b", text):
             return "L has no preprocessor; leave the line out. A comment begins with //"
         return "a comment begins with //"

@@ -206,10 +206,10 @@ class Handshake:
     def _check_recovery(self, hello: Hello) -> None:
         """Majorities of different member sets need not intersect."""
         if "observer" not in (self.own.role, hello.role) and self.own.recovery != hello.recovery:
-            ours, theirs = self.own.recovery or "nobody", hello.recovery or "nobody"
+            ours, theirs = self.own.recovery or "no host", hello.recovery or "no host"
             self._refuse(
-                f"{self.own.host} recovers coordinators by {ours} and {hello.host} by {theirs}; give both "
-                "the same 'recovery' in their devices files"
+                f"on {self.own.host} coordinators are recovered by {ours} and on {hello.host} by {theirs}; "
+                "give both the same 'recovery' in their devices files"
             )
 
     def _check_origin(self, hello: Hello) -> None:

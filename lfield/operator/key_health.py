@@ -104,6 +104,7 @@ def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
 def _details(who: Identity, revoked: RevocationList) -> Iterator[str]:
     yield f"certificate {who.serial[:12]} of the authority {who.authority[:12]}"
     if who.kind == "person":
-        yield f"may {sorted_rights(who.may) or 'nothing'}"
+        rights = sorted_rights(who.may)
+        yield f"may {rights}" if rights else "has no rights"
     if revoked.number:
         yield f"revoked: {revoked}"

@@ -18,7 +18,9 @@ PAGE = Path(__file__).resolve().parents[2] / "lfield" / "docs" / "cli.md"
 _HEAD = """\
 # Commands
 
-`lfield COMMAND --help` prints the same. [Exit statuses](exit-statuses.md) are on a page of their own, and
+`lfield COMMAND --help` prints the same. The most frequent exit statuses are 0 (done), 64 (wrong
+command line), 65 (unusable file) and 69 (no mission is running, or a port, device or host is
+unavailable); [one table](exit-statuses.md) has all, and
 [operations](operations.md) explains how the commands are used. This page is generated:
 `python tests/docs/cli_page.py --write`.
 

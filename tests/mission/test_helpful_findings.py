@@ -68,6 +68,24 @@ def test_an_argument_under_a_condition_may_be_missing(tmp_path: Path) -> None:
     assert ("error", "L716", 2) not in found(mission(tmp_path))
 
 
+@pytest.mark.parametrize(
+    ("line", "is_found"),
+    [
+        ("try { print(arg[3]); } finally { }", True),
+        ("try { } finally { print(arg[3]); }", True),
+        ("try { print(arg[3]); } catch (Exception e) { }", False),
+        ("while (true) { print(arg[3]); }", True),
+        ("while (arg[3] == arg[1]) { }", True),
+        ("while (arg[1] == arg[2]) { print(arg[3]); }", False),
+    ],
+)
+def test_an_argument_in_a_block_that_is_always_entered(tmp_path: Path, line: str, is_found: bool) -> None:
+    path = mission(tmp_path, DEPLOYMENT.replace("?rover1&b&c", "?rover1&b"))
+    program = path.with_suffix(".L")
+    program.write_text(program.read_text().replace("print(arg[3]);", line))
+    assert (("error", "L716", 2) in found(path)) == is_found
+
+
 def test_an_argument_that_should_be_the_id_of_an_agent(tmp_path: Path) -> None:
     path = mission(tmp_path, DEPLOYMENT.replace("?rover1", "?rovr1"))
     finding = check_file(path)[0]

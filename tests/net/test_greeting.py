@@ -294,8 +294,8 @@ def test_two_majorities_of_different_members_need_not_meet():
             HandshakeError, match="give both the same 'recovery' in their devices files"
         ) as told:
             machine.receive(hello(recovery=yours))
-        assert f"a recovers coordinators by {mine or 'nobody'}" in str(told.value)
-        assert f"b by {yours or 'nobody'}" in str(told.value)
+        assert f"on a coordinators are recovered by {mine or 'no host'}" in str(told.value)
+        assert f"on b by {yours or 'no host'}" in str(told.value)
     Handshake(hello("a", recovery=ours), host("b"), hosts=HOSTS).receive(hello(recovery=ours))
     Handshake(hello("a", recovery=ours), host("b"), hosts=HOSTS).receive(hello("ps", role="observer"))
     Handshake(hello("ps", role="observer"), host("b")).receive(hello(recovery=theirs))

@@ -59,7 +59,7 @@ def test_all_keys_of_this_computer_are_looked_at(
     mine = tmp_path / "home" / "lfield" / "keys" / "me"
     folders.write_keys(mine, folders.read_keys(made.folder, "person"))
     (found,) = local_keys_health({}, AT, tmp_path / "none")
-    assert (found.state, found.details[1]) == ("ok", "may nothing")
+    assert (found.state, found.details[1]) == ("ok", "has no rights")
 
 
 @pytest.mark.process

@@ -47,8 +47,8 @@ def run(args: argparse.Namespace) -> int:
 def _nothing_released(agent: str, *, answers: bool) -> str:
     """Why no host has given anything up: the state may have changed since the snapshot."""
     if not answers:
-        return f"no host has answered: nothing of {agent} is known to be given up"
+        return f"no host has answered: it is unknown whether a copy of {agent} was given up"
     return (
-        f"nothing of {agent} was given up: no host that answers has it in doubt, lost or parked any more; "
+        f"no copy of {agent} was given up: no host that answers has it in doubt, lost or parked any more; "
         "'lfield ps' shows where it is"
     )

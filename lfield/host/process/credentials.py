@@ -19,7 +19,7 @@ from lfield.clock import Clock
 from lfield.errors import KeysError, UsageError
 from lfield.host.process.crl_store import CrlStore, newest_crl
 from lfield.journal.records import BundleRecord, Record
-from lfield.mission.access.signed_bundle import FROM_FILES, Acceptance, BundleId, accept_bundle
+from lfield.mission.access.signed_bundle import FROM_FILES, Acceptance, BundleId, accept_bundle, signing_time
 from lfield.mission.mission import Mission
 from lfield.net.tls import OnVerified, TlsIdentity
 
@@ -54,12 +54,13 @@ def admission_for(
     clock: Clock,
     times: Collection[float],
     on_verified: OnVerified = lambda certificate, who: None,
+    signed: float = 0.0,
 ) -> tuple[TlsIdentity, CertificateAdmission]:
     """The transport of a host's links, and its admission policy.
 
     `times` are those in its journal: lower bounds of the current time. A time after the expiry of the keys is
     due to a wrong clock, or the keys will turn out to be expired. `on_verified` receives certificates as in
-    `TlsIdentity`.
+    `TlsIdentity`. `signed` is the time of the bundle's signature, 0.0 without one.
 
     Raises KeysError for keys of another host, revoked keys, and keys that expire too soon.
     """
@@ -73,7 +74,7 @@ def admission_for(
     time = TrustedClock(clock, max((at for at in times if at < own.valid_until), default=0.0))
     store = CrlStore(credentials.folders).store
     admission = CertificateAdmission(credentials.keys, own, time, revoked, data, store)
-    _require_valid(own, revoked, time.now(), credentials.min_lifetime)
+    _require_valid(own, revoked, time.now(), credentials.min_lifetime, signed)
     return tls, admission
 
 
@@ -105,18 +106,24 @@ def validate_startup(mission: Mission, host: str, credentials: HostCredentials |
     if credentials is None:
         require_credentials(host, mission.team.hosts)
         return
-    require_signature(mission, credentials, admission_for(credentials, host, clock, ())[1], ())
+    signed = signing_time(mission.release, credentials.keys.authority)
+    require_signature(mission, credentials, admission_for(credentials, host, clock, (), signed=signed)[1], ())
 
 
-def _require_valid(own: Identity, revoked: RevocationList, now: float, lasts: float) -> None:
+def _require_valid(own: Identity, revoked: RevocationList, now: float, lasts: float, signed: float) -> None:
     if own.serial in revoked.serials:
         raise KeysError(
             f"the keys of {own} are revoked (list {revoked.number}): make new ones with 'lfield keys {own}'"
         )
+    if own.valid_until <= now and signed:
+        raise KeysError(
+            f"the certificate of {own} expired {format_time(own.valid_until)}: the clock here shows "
+            f"{format_time(now)}, and the bundle was signed {format_time(signed)}; set the clock if it is "
+            f"wrong, else renew the keys with 'lfield keys renew {own}'"
+        )
     if own.valid_until < now + lasts:
         raise KeysError(
             f"the certificate of {own} ends {format_time(own.valid_until)}, and the mission may last "
-            f"{lasts:.10g} s from "
-            f"{format_time(now)} on: renew it with 'lfield keys renew {own}', or say with --lasts how long "
-            "it takes"
+            f"{lasts:.10g} s from {format_time(now)} (the clock here) on: renew it with "
+            f"'lfield keys renew {own}', or say with --lasts how long it takes"
         )

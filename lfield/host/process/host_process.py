@@ -31,6 +31,7 @@ from lfield.host.process.mission_completion import wait_until_done
 from lfield.host.process.parent_pipe import ParentPipe
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
 from lfield.journal.journal import Journal
+from lfield.mission.access.signed_bundle import signing_time
 from lfield.mission.mission import Mission
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.tls import TlsIdentity
@@ -138,7 +139,9 @@ def _identity(
 
     certificates = CertificateCache(credentials.keys.authority)
     times = journal.times.values() if journal else ()
-    tls, admission = admission_for(credentials, name, SystemClock(), times, certificates.on_tls_verified)
+    signed = signing_time(mission.release, credentials.keys.authority)
+    verified = certificates.on_tls_verified
+    tls, admission = admission_for(credentials, name, SystemClock(), times, verified, signed)
     release, doubt = require_signature(mission, credentials, admission, journal.records() if journal else ())
     if doubt:
         logbook.note(log_messages.BUNDLE_KEPT.line(bundle=release.short, reason=doubt))

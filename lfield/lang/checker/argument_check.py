@@ -65,11 +65,22 @@ def _findings(
         number = len(agent.arguments)
         count = f"{number} argument{'s' if number != 1 else ''}"
         yield messages.MISSING_ARGUMENT.at(
-            agent.span, agent=agent.id, count=count, index=index, line=line, needed=max(missing)
+            agent.span,
+            agent=agent.id,
+            count=count,
+            index=index,
+            line=line,
+            given="&".join(_complete(agent, max(missing))),
         )
     for index, resource in own.finds.items():
         if index < len(given):
             yield from _unknown_id(agent.span, given[index], resource, ids)
+
+
+def _complete(agent: DeployedAgent, needed: int) -> list[str]:
+    """The arguments of an agent, with placeholders for those that are missing."""
+    missing = range(len(agent.arguments) + 1, needed + 1)
+    return [*agent.arguments, *(f"ARGUMENT{number}" for number in missing)]
 
 
 def argument_uses(unit: tree.Unit) -> ArgumentUses:
@@ -109,7 +120,13 @@ def _evaluated(node: object) -> Iterator[object]:
             waiting.append(here.left)
         elif isinstance(here, tree.If):
             waiting.append(here.condition)
-        elif isinstance(here, tree.Stmt | tree.Expr) and not isinstance(here, tree.Loop | tree.Try):
+        elif isinstance(here, tree.Loop):
+            is_endless = isinstance(here.condition, tree.Literal_) and here.condition.value is True
+            waiting.extend([here.condition, *(here.body if is_endless else ())])
+        elif isinstance(here, tree.Try):
+            # A body with a catch may read an optional argument.
+            waiting.extend([*(() if here.catches else here.body), *(here.last or ())])
+        elif isinstance(here, tree.Stmt | tree.Expr):
             waiting.extend(_parts(here))
 
 

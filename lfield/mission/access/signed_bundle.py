@@ -91,5 +91,15 @@ def accept_bundle(
     return Acceptance(replace(bundle, by=str(who), at=signed_at), verdict.why)
 
 
+def signing_time(bundle: BundleId, authority: bytes) -> float:
+    """The verified time of its signature in seconds since 1970 UTC; 0.0 without a valid one."""
+    from lfield.authority.bundle_signature import verify_bundle
+
+    try:
+        return verify_bundle(bundle.digest, bundle.signature, authority).at if bundle.signature else 0.0
+    except SignatureError:
+        return 0.0
+
+
 def _refused(bundle: BundleId, why: str) -> SignatureError:
     return SignatureError(f"bundle {bundle.short} does not run here: {why}")

@@ -65,7 +65,7 @@ def test_that_nothing_was_given_up_is_said(monkeypatch, capsys, other):
     error, out, _ = run(monkeypatch, capsys, IN_DOUBT, {ALPHA: ForgetResponse([]), BRAVO: other})
     assert (error.exit_status, out) == (69, "")
     assert str(error) == (
-        "nothing of tom was given up: no host that answers has it in doubt, lost or parked any more; "
+        "no copy of tom was given up: no host that answers has it in doubt, lost or parked any more; "
         "'lfield ps' shows where it is"
     )
 
@@ -73,5 +73,5 @@ def test_that_nothing_was_given_up_is_said(monkeypatch, capsys, other):
 def test_where_nobody_answers_nothing_is_claimed(monkeypatch, capsys):
     nobody = {ALPHA: SILENT, BRAVO: SILENT}
     error, out, said = run(monkeypatch, capsys, nobody, nobody)
-    assert (str(error), out) == ("no host has answered: nothing of tom is known to be given up", "")
+    assert (str(error), out) == ("no host has answered: it is unknown whether a copy of tom was given up", "")
     assert said.count("no answer; a copy of tom there would continue") == 2

@@ -65,6 +65,16 @@ def test_keys_that_end_before_the_mission_does_are_not(ring):
         judged(HostCredentials(keys), now(3601.0))
 
 
+def test_a_clock_after_the_keys_is_compared_with_the_time_of_the_signature(ring):
+    keys = HostCredentials(ring.made("host", "alpha", lasts=3600.0))
+    signed = time.time()
+    admission_for(keys, "alpha", now(), (), signed=signed)
+    with pytest.raises(
+        KeysError, match=r"the clock here shows .*the bundle was signed .*set the clock if it is wrong"
+    ):
+        admission_for(keys, "alpha", now(3601.0), (), signed=signed)
+
+
 def test_a_clock_before_the_certificate_is_not_believed(ring):
     admission = judged(
         HostCredentials(ring.made("host", "alpha"), min_lifetime=VALIDITY - 3600.0), ManualClock(0.0)
