@@ -137,7 +137,7 @@ HOLES = (
     Hole(
         "expired or revoked keys are accepted",
         "host/process/credentials.py",
-        "    _require_valid(own, revoked, time.now(), credentials.min_lifetime)\n",
+        "    _require_valid(own, revoked, time.now(), credentials.min_lifetime, signed)\n",
         "",
         "with_keys",
     ),
