@@ -6,8 +6,9 @@ several hosts does not start.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from lfield.authority.admission_policy import CertificateAdmission
@@ -54,13 +55,14 @@ def admission_for(
     clock: Clock,
     times: Collection[float],
     on_verified: OnVerified = lambda certificate, who: None,
-    signed: float = 0.0,
+    signed: Callable[[], float] = lambda: 0.0,
 ) -> tuple[TlsIdentity, CertificateAdmission]:
     """The transport of a host's links, and its admission policy.
 
     `times` are those in its journal: lower bounds of the current time. A time after the expiry of the keys is
     due to a wrong clock, or the keys will turn out to be expired. `on_verified` receives certificates as in
-    `TlsIdentity`. `signed` is the time of the bundle's signature, 0.0 without one.
+    `TlsIdentity`. `signed` returns the time of the bundle's signature, 0.0 without one; called
+    for expired keys only.
 
     Raises KeysError for keys of another host, revoked keys, and keys that expire too soon.
     """
@@ -106,19 +108,21 @@ def validate_startup(mission: Mission, host: str, credentials: HostCredentials |
     if credentials is None:
         require_credentials(host, mission.team.hosts)
         return
-    signed = signing_time(mission.release, credentials.keys.authority)
+    signed = partial(signing_time, mission.release, credentials.keys.authority)
     require_signature(mission, credentials, admission_for(credentials, host, clock, (), signed=signed)[1], ())
 
 
-def _require_valid(own: Identity, revoked: RevocationList, now: float, lasts: float, signed: float) -> None:
+def _require_valid(
+    own: Identity, revoked: RevocationList, now: float, lasts: float, signed: Callable[[], float]
+) -> None:
     if own.serial in revoked.serials:
         raise KeysError(
             f"the keys of {own} are revoked (list {revoked.number}): make new ones with 'lfield keys {own}'"
         )
-    if own.valid_until <= now and signed:
+    if own.valid_until <= now and (at := signed()):
         raise KeysError(
             f"the certificate of {own} expired {format_time(own.valid_until)}: the clock here shows "
-            f"{format_time(now)}, and the bundle was signed {format_time(signed)}; set the clock if it is "
+            f"{format_time(now)}, and the bundle was signed {format_time(at)}; set the clock if it is "
             f"wrong, else renew the keys with 'lfield keys renew {own}'"
         )
     if own.valid_until < now + lasts:

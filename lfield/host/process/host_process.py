@@ -139,7 +139,7 @@ def _identity(
 
     certificates = CertificateCache(credentials.keys.authority)
     times = journal.times.values() if journal else ()
-    signed = signing_time(mission.release, credentials.keys.authority)
+    signed = partial(signing_time, mission.release, credentials.keys.authority)
     verified = certificates.on_tls_verified
     tls, admission = admission_for(credentials, name, SystemClock(), times, verified, signed)
     release, doubt = require_signature(mission, credentials, admission, journal.records() if journal else ())

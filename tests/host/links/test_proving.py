@@ -68,11 +68,11 @@ def test_keys_that_end_before_the_mission_does_are_not(ring):
 def test_a_clock_after_the_keys_is_compared_with_the_time_of_the_signature(ring):
     keys = HostCredentials(ring.made("host", "alpha", lasts=3600.0))
     signed = time.time()
-    admission_for(keys, "alpha", now(), (), signed=signed)
+    admission_for(keys, "alpha", now(), (), signed=lambda: signed)
     with pytest.raises(
         KeysError, match=r"the clock here shows .*the bundle was signed .*set the clock if it is wrong"
     ):
-        admission_for(keys, "alpha", now(3601.0), (), signed=signed)
+        admission_for(keys, "alpha", now(3601.0), (), signed=lambda: signed)
 
 
 def test_a_clock_before_the_certificate_is_not_believed(ring):
