@@ -7,11 +7,15 @@ exception during an import would print a traceback, or crash in a C module. Pyth
 
 # Not `signal`, which imports `enum`: that takes longer than this whole module.
 import _signal  # type: ignore[import-not-found]
+import gc
 import sys
 
 
 def main() -> int:
     """Run the command line of this process; returns the exit status."""
+    # Modules are no garbage: the collector would scan them many times while they are imported. The command
+    # enables it.
+    gc.disable()
     # The parent may have set SIGINT to be ignored, as a shell does for background jobs.
     is_default = _signal.getsignal(_signal.SIGINT) is _signal.default_int_handler
     if is_default:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import argparse
 import gc
 import io
-import json
 import os
 import re
 import signal
@@ -169,6 +168,8 @@ def _report(error: LfieldError, words: Sequence[str]) -> int:
     if type(error) is LfieldError:
         _print_error(f"lfield: {error.remedy}")
     if "--json" in words:
+        import json
+
         try:
             print(json.dumps({**error.as_data(), "exit_status": error.exit_status}), flush=True)
         except OSError:
@@ -238,16 +239,19 @@ def _dispatch(arguments: list[str]) -> int:
     if args.command in INTERRUPTIBLE and signal.getsignal(signal.SIGINT) is signal.SIG_DFL:
         _import_all(INTERRUPTIBLE[args.command])
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    _enable_gc()
     return command.run(args)
 
 
 def _import_all(modules: Iterable[str]) -> None:
-    """Import modules of lfield without Python's collector, which finds no garbage in modules."""
-    gc.disable()
-    try:
-        for module in modules:
-            import_module(f"lfield.{module}")
-    finally:
+    for module in modules:
+        import_module(f"lfield.{module}")
+
+
+def _enable_gc() -> None:
+    """Enable Python's garbage collector, which `lfield/__main__.py` disables, for new objects."""
+    if not gc.isenabled():
+        gc.freeze()
         gc.enable()
 
 
