@@ -68,8 +68,8 @@ class _Race(Generic[Resolved]):
         )
         if not done and not self._remaining:
             oldest = self._now() - ATTEMPT_TIMEOUT
-            for task, (_, began) in self._tasks.items():
-                if began <= oldest:
+            for task, (_, started) in self._tasks.items():
+                if started <= oldest:
                     task.cancel()
             self._remaining.extend(dict.fromkeys(found for found, _ in self._tasks.values()))
         return list(done)

@@ -188,10 +188,10 @@ def _read(text: str) -> MeasurementUnit | None:
 def _product(text: str, symbols: dict[str, MeasurementUnit]) -> MeasurementUnit | None:
     """`N m/s2`: words are multiplied; in the last of them everything after a `/` divides."""
     whole: MeasurementUnit | None = ONE
-    words = text.split()
-    for index, word in enumerate(words):
-        over, *under = word.split("/")
-        if under and index < len(words) - 1:
+    factors = text.split()
+    for index, factor in enumerate(factors):
+        over, *under = factor.split("/")
+        if under and index < len(factors) - 1:
             return None  # `J/kg K`: nobody can tell on which side the K is
         whole = _times(whole, _factor(over, symbols), 1)
         for divisor in under:

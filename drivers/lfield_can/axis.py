@@ -96,18 +96,18 @@ class CanAxis(Device):
 
     async def watch(self) -> None:
         """Logs loss and recovery of the device, stops it after a recovery, and polls it."""
-        told = ""
+        reported = ""
         while True:
             await asyncio.sleep(WATCH_INTERVAL)
             if not self._opened:
                 continue
             try:
                 await self._check_presence()
-                told = ""
+                reported = ""
             except DeviceError as error:
-                if error.reason != told:
+                if error.reason != reported:
                     self.note(log_messages.SETUP_FAILED.line(reason=error.reason))
-                told = error.reason
+                reported = error.reason
                 await asyncio.sleep(POLL_INTERVAL)
 
     async def _check_presence(self) -> None:
@@ -150,13 +150,13 @@ class CanAxis(Device):
         """Two devices with one id both follow every command: logged once, and stopped."""
         if self.protocol.needs_setup:
             return  # the set-up reports it
-        conflict, told = self.protocol.conflict, self._reported_conflict
+        conflict, reported = self.protocol.conflict, self._reported_conflict
         self._reported_conflict = conflict
-        if conflict and not told:
+        if conflict and not reported:
             self.note(log_messages.ID_CONFLICT.line(reason=conflict))
             if self.protocol.state.enabled:
                 await self._make_safe(self.safe_state)
-        elif told and not conflict:
+        elif reported and not conflict:
             self.note(log_messages.ID_UNIQUE.line())
 
     async def _open(self) -> str:
@@ -194,13 +194,13 @@ class CanAxis(Device):
         return await self.protocol.set_watchdog(longest)
 
     async def _make_safe(self, state: str) -> None:
-        begun = self.clock.monotonic()
+        start = self.clock.monotonic()
         # An earlier velocity may be outdated.
         self.protocol.state.velocity = None
 
         def is_safe() -> bool:
-            heard = self._last_contact is not None and self._last_contact > begun
-            return heard and self.protocol.is_safe(state, self._still)
+            has_contact = self._last_contact is not None and self._last_contact > start
+            return has_contact and self.protocol.is_safe(state, self._still)
 
         while True:
             await self.protocol.command_safe(state)
@@ -211,7 +211,7 @@ class CanAxis(Device):
                     # It was requested, but not published yet.
                     self.publish(velocity=self.protocol.state.velocity)
                 return
-            if self.clock.monotonic() >= begun + SAFE_TIMEOUT or self._silence() > self.protocol.silence:
+            if self.clock.monotonic() >= start + SAFE_TIMEOUT or self._silence() > self.protocol.silence:
                 break
         self._check_contact()
         raise self.error(f"the safe state {state} is not confirmed ({self._state_text()})")

@@ -127,13 +127,13 @@ class CanSignals(Device):
 
     def _report_problem(self, name: str, problem: str) -> None:
         """Logs every kind of invalid frame once."""
-        told = self._problems.setdefault(name, [])
-        if problem in told:
-            told.remove(problem)
-        elif len(told) < MAX_PROBLEMS:
+        reported = self._problems.setdefault(name, [])
+        if problem in reported:
+            reported.remove(problem)
+        elif len(reported) < MAX_PROBLEMS:
             self.note(log_messages.INVALID_FRAME.line(message=name, reason=problem))
-        told.insert(0, problem)
-        del told[MAX_PROBLEMS:]
+        reported.insert(0, problem)
+        del reported[MAX_PROBLEMS:]
 
     async def watch(self) -> None:
         """Logs loss and recovery of the device."""
@@ -170,17 +170,19 @@ class CanSignals(Device):
         if not await self._changes.wait_for(lambda: bool(self._received), patience):
             if not self.binding.waives(NO_CONFIRMATION):
                 others = self._unknown_ids()
-                came = f" (other ids were received: {others}; are those of the file right?)" if others else ""
+                other_ids = (
+                    f" (other ids were received: {others}; are those of the file right?)" if others else ""
+                )
                 raise self.error(
                     f"none of the messages of its DBC file was received at {self.binding.endpoint} within "
-                    f"{patience:g} s{came}; check its power, the wires, the bit rate and the file",
+                    f"{patience:g} s{other_ids}; check its power, the wires, the bit rate and the file",
                     timeout=True,
                 )
             self.note(log_messages.NOTHING_RECEIVED.line())
         self.publish(online=self._silence() <= self._patience, malformed=self._malformed)
         self._opened = True
-        heard = sorted(name for name in self._received if "." not in name)
-        return f"DBC device, received {', '.join(heard) or 'nothing'}"
+        received = sorted(name for name in self._received if "." not in name)
+        return f"DBC device, received {', '.join(received) or 'nothing'}"
 
     def _touched(self) -> bool:
         """Opening only listens."""
@@ -225,8 +227,8 @@ class CanSignals(Device):
             _, values = self._received.get(f"{term.message}.{term.signal}", (0.0, {}))
             if not self._fits(term, since):
                 lacks = self._is_missing(term.message, term.signal)
-                unheard = f"absent ({self._problems[term.message][0]})" if lacks else "no message"
-                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, unheard)}")
+                missing = f"absent ({self._problems[term.message][0]})" if lacks else "no message"
+                wrong.append(f"{term.message}.{term.signal} is {values.get(term.signal, missing)}")
         return wrong
 
     def _moving(self) -> str:

@@ -87,8 +87,8 @@ class MovingMembers(Members):
 
     async def _confirm(self, servo: Servo, write: tuple[int, bytes]) -> None:
         address, data = write
-        seen = await self.chain.read(servo.node, address, len(data))
-        if seen.data != data:
+        observed = await self.chain.read(servo.node, address, len(data))
+        if observed.data != data:
             await self.chain.write(servo.node, address, data)
 
     async def _await_arrival(self, what: str, angles: Angles) -> None:
@@ -96,18 +96,18 @@ class MovingMembers(Members):
         tolerance: float = self.binding.option("tolerance")
         best, best_at = math.inf, self.clock.monotonic()
         while True:
-            seen = await self.observe()
-            self.publish_readings(seen)
-            self._check_present(angles, seen)
-            if any(value.alert for value in seen.values()):
+            observed = await self.observe()
+            self.publish_readings(observed)
+            self._check_present(angles, observed)
+            if any(value.alert for value in observed.values()):
                 await self.check_shut_down(what)
-            short = {number: abs(angle - seen[number].position) for number, angle in angles.items()}
-            if max(short.values()) <= tolerance and all(abs(v.velocity) <= STILL for v in seen.values()):
+            short = {number: abs(angle - observed[number].position) for number, angle in angles.items()}
+            if max(short.values()) <= tolerance and all(abs(v.velocity) <= STILL for v in observed.values()):
                 return
             if sum(short.values()) < best - MIN_PROGRESS:
                 best, best_at = sum(short.values()), self.clock.monotonic()
             if self.clock.monotonic() - best_at > STUCK_TIME:
-                await self._stop_stalled(what, short, tolerance, seen)
+                await self._stop_stalled(what, short, tolerance, observed)
             await asyncio.sleep(POLL_INTERVAL)
 
     async def _stop_stalled(self, what: str, short: Angles, tolerance: float, readings: Readings) -> None:
@@ -117,9 +117,9 @@ class MovingMembers(Members):
         await self.for_each(
             [self.servos[n] for n in hanging], lambda s: s.write_hold_goal(readings[s.node.number])
         )
-        told = ", ".join(f"servo {number} stopped {short[number]:.3f} rad short" for number in hanging)
+        stalled = ", ".join(f"servo {number} stopped {short[number]:.3f} rad short" for number in hanging)
         raise self.error(
-            f"{what}: {told or 'it does not come to rest'}; something is in the way or too heavy"
+            f"{what}: {stalled or 'it does not come to rest'}; something is in the way or too heavy"
         )
 
     # -- checks -----------------------------------------------------------------------------------------
@@ -240,12 +240,12 @@ class Dynamixel(MovingMembers):
         number, tolerance = self.servo.node.number, self.binding.option("tolerance")
         moved_at, pushes_since = self.clock.monotonic(), math.inf
         while True:
-            seen = await self.observe()
-            self.publish_readings(seen)
-            self._check_present({number: angle}, seen)
-            if seen[number].alert:
+            observed = await self.observe()
+            self.publish_readings(observed)
+            self._check_present({number: angle}, observed)
+            if observed[number].alert:
                 await self.check_shut_down("moveUntil")
-            value, now = seen[number], self.clock.monotonic()
+            value, now = observed[number], self.clock.monotonic()
             rests = abs(value.velocity) <= STILL
             if rests and abs(angle - value.position) <= tolerance:
                 return
@@ -256,7 +256,9 @@ class Dynamixel(MovingMembers):
                 return
             moved_at = moved_at if rests else now
             if now - moved_at > STUCK_TIME:
-                await self._stop_stalled("moveUntil", {number: abs(angle - value.position)}, tolerance, seen)
+                await self._stop_stalled(
+                    "moveUntil", {number: abs(angle - value.position)}, tolerance, observed
+                )
             await asyncio.sleep(POLL_INTERVAL)
 
     async def do_set_position(self, angle: float) -> None:
@@ -303,13 +305,13 @@ class Dynamixel(MovingMembers):
         if not math.isfinite(angle):
             raise self.error(f"calibrate requires a finite angle, not {angle}")
         servo, offset = self.servo, await self.servo.read_item("homing_offset")
-        wanted = offset + servo.model.to_counts(angle) - (await servo.present()).counts
-        await servo.write_eeprom(homing_offset=wanted)
-        seen = (await servo.present()).position
-        if abs(seen - angle) > self.binding.option("tolerance"):
+        offset_counts = offset + servo.model.to_counts(angle) - (await servo.present()).counts
+        await servo.write_eeprom(homing_offset=offset_counts)
+        observed = (await servo.present()).position
+        if abs(observed - angle) > self.binding.option("tolerance"):
             await servo.write_eeprom(homing_offset=offset)
             raise self.error(
-                f"calibrate({angle:g}): it would report {seen:.3f} rad, so its old homing offset was "
+                f"calibrate({angle:g}): it would report {observed:.3f} rad, so its old homing offset was "
                 "restored; in position mode an offset is at most a quarter turn"
             )
 
@@ -354,10 +356,10 @@ class DynamixelGroup(MovingMembers):
 
     async def do_set_positions(self, angles: list[float]) -> None:
         """A setpoint for all in one packet without confirmation; a missing member is an error."""
-        wanted = self._by_id("setPositions", angles)
-        self.check_angles("setPositions", wanted)
+        goals = self._by_id("setPositions", angles)
+        self.check_angles("setPositions", goals)
         self.check_ready("setPositions", POSITION_MODES)
-        await self.send(self.goals(wanted, self.last_readings), COMMAND)
+        await self.send(self.goals(goals, self.last_readings), COMMAND)
 
     def _by_id(self, what: str, angles: list[float]) -> dict[int, float]:
         if len(angles) != len(self.servos):

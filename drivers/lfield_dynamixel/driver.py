@@ -63,13 +63,13 @@ class DynamixelDriver(Driver):
         return [device for device in self.devices.values() if isinstance(device, Members)]
 
     async def _open(self) -> None:
-        taken: dict[int, Members] = {}
+        users: dict[int, Members] = {}
         for device in self._members:
             for number in device.numbers:
-                if number in taken:
-                    other = taken[number].binding.name
+                if number in users:
+                    other = users[number].binding.name
                     raise device.error(f"servo {number} on {self.endpoint} already belongs to {other}")
-                taken[number] = device
+                users[number] = device
         self._bus.open()
         self.spawn(self._poll())
 

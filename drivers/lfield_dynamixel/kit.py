@@ -76,15 +76,15 @@ async def turns(bench: Bench) -> str:
     """moveTo returns on arrival."""
     await _get_ready(bench)
     start = _angles(bench)
-    seen = []
+    errors = []
     for way in (_inwards(start), [0.0] * len(start)):
         goal = [angle + turn for angle, turn in zip(start, way, strict=True)]
         await bench.call("moveTo", goal if _is_group(bench) else goal[0])
-        off = max(abs(now - wanted) for now, wanted in zip(_angles(bench), goal, strict=True))
+        off = max(abs(now - target) for now, target in zip(_angles(bench), goal, strict=True))
         if off > NEAR:
             raise CheckFailed(f"moveTo() returned {off:.3f} rad short")
-        seen.append(f"{off:.3f}")
-    return f"within {' and '.join(seen)} rad"
+        errors.append(f"{off:.3f}")
+    return f"within {' and '.join(errors)} rad"
 
 
 @KIT.check("a cancelled motion stops", moves=True)
@@ -93,16 +93,16 @@ async def cancels(bench: Bench) -> str:
     await _get_ready(bench)
     start = _angles(bench)
     goal = [angle + turn for angle, turn in zip(start, _inwards(start), strict=True)]
-    begun = partial(_is_off, bench, start)
-    told = await cancelled(bench, begun, "moveTo", goal if _is_group(bench) else goal[0])
+    has_started = partial(_is_off, bench, start)
+    outcome = await cancelled(bench, has_started, "moveTo", goal if _is_group(bench) else goal[0])
     stood = _angles(bench)
     await asyncio.sleep(LATE)
     moved = max(abs(now - then) for now, then in zip(_angles(bench), stood, strict=True))
     if moved > NEAR or not bench.query("torqueOn"):
-        raise CheckFailed(f"{told}, but then it moved by {moved:.3f} rad, or is limp")
+        raise CheckFailed(f"{outcome}, but then it moved by {moved:.3f} rad, or is limp")
     await bench.call("moveTo", start if _is_group(bench) else start[0])
-    left = max(abs(wanted - then) for wanted, then in zip(goal, stood, strict=True))
-    return f"{told}, {left:.2f} rad from its goal; then back"
+    left = max(abs(target - then) for target, then in zip(goal, stood, strict=True))
+    return f"{outcome}, {left:.2f} rad from its goal; then back"
 
 
 @KIT.check("angles outside its bounds are refused", moves=True)
@@ -154,16 +154,16 @@ async def watchdog(bench: Bench) -> str:
     if bench.binding.waives(WATCHDOG):
         raise NotTried("waived by its binding")
     await bench.call("torque", True)
-    told = len(bench.notes)
+    note_count = len(bench.notes)
     # The guard may try to confirm the safe state for so long before it mutes the bus.
     await bench.fall_silent(bench.quiet_after + 2.0 * bench.binding.ttl + LATE)
     if not bench.latched:
         raise CheckFailed("its guard did not notice it while the host was silent")
-    await bench.until(lambda: bool(_stopped(bench, told)), 5.0, "it to stop by itself and to report it")
+    await bench.until(lambda: bool(_stopped(bench, note_count)), 5.0, "it to stop by itself and to report it")
     await held(bench, 0.0)
     await bench.call("torque", True)
     await bench.call("moveTo", _goal(bench, 0.0))
-    return _stopped(bench, told)
+    return _stopped(bench, note_count)
 
 
 @KIT.check("torque off at the end", moves=True)

@@ -27,7 +27,7 @@ from lfield_dynamixel.servo import (
 #: Polls per reading of the conditions.
 CONDITIONS_EVERY = 10
 #: Polls per id check of one member, in turn.
-ROLL_CALL_EVERY = 20
+ID_CHECK_EVERY = 20
 #: Seconds between two requests to a member that does not answer.
 PROBE = 0.5
 #: rad/s below which a servo is at rest, and seconds for a stop.
@@ -154,28 +154,28 @@ class Members(Device):
 
     async def poll(self) -> None:
         """Polls the members once and publishes it; failures are logged, not raised."""
-        seen = await self.observe(urgency=POLL)
-        self.publish_readings(seen)
+        observed = await self.observe(urgency=POLL)
+        self.publish_readings(observed)
         self._polls += 1
-        if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in seen.values()):
+        if self._polls % CONDITIONS_EVERY == 0 or any(value.alert for value in observed.values()):
             await self.read_conditions()
-        if self._polls % ROLL_CALL_EVERY == 0 and (there := self._there()):
-            await self._check_for_double(there[self._polls // ROLL_CALL_EVERY % len(there)])
+        if self._polls % ID_CHECK_EVERY == 0 and (there := self._there()):
+            await self._check_for_double(there[self._polls // ID_CHECK_EVERY % len(there)])
 
     async def observe(self, *, urgency: int = COMMAND, alone: bool = True) -> Readings:
         """The readings of members that answer. Silent ones are tried only now and then."""
         asked = await self._present_members(urgency) if alone else list(self.servos.values())
         answers = await self._read(asked, "present", urgency, alone=alone)
-        seen = {n: present(self.servos[n].model, status) for n, status in answers.items()}
+        observed = {n: present(self.servos[n].model, status) for n, status in answers.items()}
         now = self.clock.monotonic()
-        self._readings.update({number: (now, value) for number, value in seen.items()})
+        self._readings.update({number: (now, value) for number, value in observed.items()})
         if alone:
             for servo in asked:
-                if servo.node.number not in seen:
+                if servo.node.number not in observed:
                     self._on_missing(servo)
-        if seen:
+        if observed:
             self.heard()
-        return seen
+        return observed
 
     async def _read(
         self, servos: list[Servo], area: str, urgency: int, *, alone: bool = True
@@ -280,12 +280,12 @@ class Members(Device):
     # -- safe states ------------------------------------------------------------------------------------
 
     async def _make_safe(self, state: str) -> None:
-        begun = self.clock.monotonic()
+        start = self.clock.monotonic()
         await self._stop(state)
         if state == "torque_off":
             await self.observe(urgency=SAFETY, alone=False)
             # Earlier readings may be outdated.
-            self._readings = {number: seen for number, seen in self._readings.items() if seen[0] >= begun}
+            self._readings = {n: reading for n, reading in self._readings.items() if reading[0] >= start}
             return
         await self.for_each(self.servos.values(), self._await_still)
 
@@ -294,25 +294,27 @@ class Members(Device):
         if (state or self.safe_state) == "torque_off":
             await self.release_torque(SAFETY)
             return
-        seen = await self.observe(urgency=SAFETY, alone=False)
-        await self.send({servo: _stay(servo, place) for servo, place in self._places(seen).items()})
+        observed = await self.observe(urgency=SAFETY, alone=False)
+        await self.send({servo: _stay(servo, place) for servo, place in self._places(observed).items()})
 
     def _moving(self) -> str:
-        told = {number: self._motion_of(number) for number in self.servos}
+        motions = {number: self._motion_of(number) for number in self.servos}
         alone = len(self.servos) == 1
-        return ", ".join(words if alone else f"servo {n} {words}" for n, words in told.items() if words)
+        return ", ".join(
+            motion if alone else f"servo {n} {motion}" for n, motion in motions.items() if motion
+        )
 
     def _motion_of(self, number: int) -> str:
         """How one member still moves in the safe state; '' when it is at rest."""
-        at, seen = self._readings.get(number, (0.0, None))
-        if seen is None:
+        at, observed = self._readings.get(number, (0.0, None))
+        if observed is None:
             return "does not answer"
-        turns = f"turning at {abs(seen.velocity):.1f} rad/s"
+        turns = f"turning at {abs(observed.velocity):.1f} rad/s"
         silence = self.clock.monotonic() - at
         if number in self._probe_at or silence > SILENT:
-            last = f", last seen {turns}" if abs(seen.velocity) > STILL else ""
+            last = f", last seen {turns}" if abs(observed.velocity) > STILL else ""
             return f"no message for {silence:.1f} s{last}"
-        if abs(seen.velocity) > STILL:
+        if abs(observed.velocity) > STILL:
             return turns
         known = self.conditions.get(number)
         if self.safe_state == "torque_off" and known is not None and known.torque:
@@ -368,11 +370,11 @@ class Members(Device):
                 await servo.write_item(name, place, urgency=SAFETY)
         deadline, still = self.clock.monotonic() + STOP, 0
         while still < 2:
-            seen = await servo.present(urgency=SAFETY)
-            self._readings[servo.node.number] = (self.clock.monotonic(), seen)
-            still = still + 1 if abs(seen.velocity) <= STILL else 0
+            observed = await servo.present(urgency=SAFETY)
+            self._readings[servo.node.number] = (self.clock.monotonic(), observed)
+            still = still + 1 if abs(observed.velocity) <= STILL else 0
             if not still and self.clock.monotonic() > deadline:
-                raise servo.error(f"still turns, at {seen.velocity:.2f} rad/s")
+                raise servo.error(f"still turns, at {observed.velocity:.2f} rad/s")
             await asyncio.sleep(POLL_INTERVAL)
 
     # -- parts ------------------------------------------------------------------------------------------

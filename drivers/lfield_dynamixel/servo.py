@@ -182,9 +182,9 @@ class Servo:
         """Writes an item and reads it back. Raises DeviceError."""
         item = self.item(name)
         await self.chain.write(self.node, item.address, item.encode(counts), urgency=urgency)
-        seen = await self.read_item(name, urgency=urgency)
-        if seen != counts:
-            raise self.error(f"has {seen} as its {name.replace('_', ' ')} after {counts} was written")
+        observed = await self.read_item(name, urgency=urgency)
+        if observed != counts:
+            raise self.error(f"has {observed} as its {name.replace('_', ' ')} after {counts} was written")
 
     async def write_eeprom(self, **values: int) -> None:
         """Writes items that need the torque off, and confirms them. Restores the torque without motion."""
@@ -305,10 +305,10 @@ class Servo:
 
         A limp one gets no goal, which may switch the torque on, depending on its drive mode.
         """
-        seen, torque = await self.present(), (await self.condition()).torque
+        observed, torque = await self.present(), (await self.condition()).torque
         await self.chain.write(self.node, self.item("bus_watchdog").address, b"\0")
         if torque:
-            await self.write_hold_goal(seen)
+            await self.write_hold_goal(observed)
 
     @property
     def cure(self) -> str:

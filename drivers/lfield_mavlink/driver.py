@@ -142,14 +142,14 @@ class MavlinkDriver(Driver):
 
     async def _open_later(self, name: str, link: Link, reason: str) -> None:
         """Opens a link as soon as possible; logs each reason for a failure once."""
-        told = {reason}
+        reported = {reason}
         for attempt in count(2):
             await asyncio.sleep(AGAIN)
             try:
                 await link.open()
             except DeviceError as error:
-                if error.reason not in told:
-                    told.add(error.reason)
+                if error.reason not in reported:
+                    reported.add(error.reason)
                     self._note(log_messages.LINK_STILL_UNOPENED.line(reason=error.reason, attempt=attempt))
                 continue
             self._note(log_messages.LINK_OPENED.line(link=name, attempts=attempt))

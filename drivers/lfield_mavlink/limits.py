@@ -84,8 +84,10 @@ class LimitWatch:
             self._correction = _Correction(now, now, excess)
             return None
         correction.sample(excess, now)
-        in_vain = now - correction.less_at >= self.time or now - correction.started_at >= LONGEST * self.time
-        if not in_vain:
+        has_failed = (
+            now - correction.less_at >= self.time or now - correction.started_at >= LONGEST * self.time
+        )
+        if not has_failed:
             return None
         self._correction = _Correction(now, now, excess)
         return Verdict.HELPLESS

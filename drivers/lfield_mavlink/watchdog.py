@@ -225,16 +225,16 @@ class Watchdog:
     async def _compare(self, longest: float) -> tuple[list[Setting], float]:
         needs = list(self._needs())
         # A missing one is detected by a time-out: request all at once.
-        told = await asyncio.gather(*map(self._read, needs))
+        parameters = await asyncio.gather(*map(self._read, needs))
         settings, clocks = list[Setting](), dict[str, float]()
-        for need, (name, present) in zip(needs, told, strict=True):
+        for need, (name, present) in zip(needs, parameters, strict=True):
             left = longest - clocks.get(need.clock, 0.0)
-            wanted = need.otherwise
+            required = need.otherwise
             if present is not None:
-                wanted = need.required_value(name, present, self._vehicle.binding, left)
-                settings.append(Setting(name, present, wanted, need.why))
+                required = need.required_value(name, present, self._vehicle.binding, left)
+                settings.append(Setting(name, present, required, need.why))
             if need.clock:
-                clocks[need.clock] = clocks.get(need.clock, 0.0) + wanted
+                clocks[need.clock] = clocks.get(need.clock, 0.0) + required
         return settings, max(clocks.values()) if self._moves_by_itself else clocks["setpoint"]
 
     @property

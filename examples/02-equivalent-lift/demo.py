@@ -96,8 +96,8 @@ class Team:
         """Starts a host, with the fakes of its devices."""
         # No host waits for the cart's, which comes later, and nothing is stored beyond the run.
         options = ("--sim", "--volatile", "--first-start", "--until-done", "--lost-after", "900")
-        words = ("up", str(self._mission), "--host", host, *options, *self._maps, *self._keys)
-        command = [sys.executable, "-m", "lfield", *words]
+        arguments = ("up", str(self._mission), "--host", host, *options, *self._maps, *self._keys)
+        command = [sys.executable, "-m", "lfield", *arguments]
         process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
         reader = threading.Thread(target=self._read, args=(host, process), daemon=True)
         self._hosts[host] = Host(process, reader)
@@ -114,13 +114,13 @@ class Team:
             host.reader.join()
         return exit_status.most_severe(host.process.returncode for host in self._hosts.values())
 
-    def wait_for(self, words: str) -> None:
+    def wait_for(self, text: str) -> None:
         """Waits for a text of the foreman. Raises Failed."""
         end = time.monotonic() + PATIENCE
         with self._said:
-            while not any(words in line for line in self.lines):
+            while not any(text in line for line in self.lines):
                 if time.monotonic() > end or any(h.process.poll() is not None for h in self._hosts.values()):
-                    raise Failed(f"the foreman has not printed: {words}")
+                    raise Failed(f"the foreman has not printed: {text}")
                 self._said.wait(0.2)
 
     def best(self) -> str | None:
@@ -160,12 +160,12 @@ def free_port() -> int:
 
 def run(mission: Path, number: int) -> None:
     """One run. Raises Failed unless the expected lift was used."""
-    wanted = LIFTS[number]
+    expected = LIFTS[number]
     with Team(mission) as team:
         team.wait_for("the parcel is coming")
         fail(FAILURES[1 : number + 1])
         end = time.monotonic() + PATIENCE
-        while (best := team.best()) != wanted:
+        while (best := team.best()) != expected:
             if time.monotonic() > end:
                 raise Failed(f"the hosts have not noticed the failures: {best or 'nobody'} would lift")
             time.sleep(0.2)
@@ -174,11 +174,11 @@ def run(mission: Path, number: int) -> None:
     # The safe state of a failed device cannot be confirmed, even if the mission succeeded.
     if status != (exit_status.UNSAFE if number else exit_status.DONE):
         raise Failed(f"the mission ended with {status}")
-    if complaint := wrong(team.lines, wanted):
+    if complaint := wrong(team.lines, expected):
         raise Failed(complaint)
 
 
-def wrong(said: list[str], wanted: str) -> str:
+def wrong(said: list[str], expected: str) -> str:
     """What is wrong with the lift according to the foreman, '' for nothing."""
     tried, lifted = "", []
     for line in said:
@@ -186,19 +186,19 @@ def wrong(said: list[str], wanted: str) -> str:
             tried = found[1]
         elif line.startswith("foreman: the parcel went up"):
             lifted.append(tried)
-    if lifted == ([wanted] if wanted else []):
+    if lifted == ([expected] if expected else []):
         return ""
-    return f"{' and '.join(lifted) or 'nobody'} has lifted the parcel, not {wanted or 'nobody'}"
+    return f"{' and '.join(lifted) or 'nobody'} has lifted the parcel, not {expected or 'nobody'}"
 
 
 def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
     """Sets the faults of the fakes."""
-    for device, fault, words in failures:
-        with open(os.devnull, "w") as nowhere, contextlib.redirect_stdout(nowhere):
+    for device, fault, description in failures:
+        with open(os.devnull, "w") as null_device, contextlib.redirect_stdout(null_device):
             status = lfield(["sim", "fault", device, fault])
         if status:
             raise Failed(f"{device} did not accept {fault}")
-        print(f"      | ({words})", flush=True)
+        print(f"      | ({description})", flush=True)
 
 
 def main() -> int:
@@ -210,8 +210,8 @@ def main() -> int:
             check=True,
             capture_output=True,
         )
-        for number, (_, _, words) in enumerate(FAILURES):
-            print(f"\nRun {number + 1}: {words}", flush=True)
+        for number, (_, _, description) in enumerate(FAILURES):
+            print(f"\nRun {number + 1}: {description}", flush=True)
             try:
                 run(mission, number)
             except Failed as failed:

@@ -44,7 +44,7 @@ class Report:
     """The report about one mission: what happened, with times."""
 
     def __init__(self, team: Team) -> None:
-        self._team, self._began = team, time.monotonic()
+        self._team, self._started_at = team, time.monotonic()
         self._rows: list[tuple[float, str, str]] = []
 
     def row(self, at: float, what: str, text: str) -> None:
@@ -53,20 +53,22 @@ class Report:
 
     def after(self, at: float) -> str:
         """A time, in words."""
-        return f"after {at - self._began:.1f} s"
+        return f"after {at - self._started_at:.1f} s"
 
     @property
     def lines(self) -> list[str]:
         """All events, and all exceptions of the program, in order."""
-        told = [(x.at, "told", x.text.split(": ", 2)[2]) for x in self._team.lines if ": told at" in x.text]
-        return [f"{what:8} {text}" for _, what, text in sorted([*self._rows, *told])]
+        reported = [
+            (x.at, "told", x.text.split(": ", 2)[2]) for x in self._team.lines if ": told at" in x.text
+        ]
+        return [f"{what:8} {text}" for _, what, text in sorted([*self._rows, *reported])]
 
 
 def started_again(team: Team, report: Report) -> None:
     """Each killed host is restarted, and resumes from its journal."""
     said = 0.0
-    for words, seconds, host, what in KILLS:
-        said = team.wait_for(words, said).at
+    for text, seconds, host, what in KILLS:
+        said = team.wait_for(text, said).at
         time.sleep(seconds)
         killed = team.kill(host, what)
         report.row(killed, "killed", f"{host} {report.after(killed)}: {what}")

@@ -50,7 +50,9 @@ class Team:
 
     def begin(self, fakes: Mapping[str, str]) -> None:
         """Starts a fake for each endpoint of the devices file, and the hosts with these endpoints."""
-        self._fakes = [popen("sim", *words.split(), "--until-stdin-closes") for words in fakes.values()]
+        self._fakes = [
+            popen("sim", *arguments.split(), "--until-stdin-closes") for arguments in fakes.values()
+        ]
         bindings = self._deployment.with_suffix(".devices.yaml").read_text()
         for endpoint, fake in zip(fakes, self._fakes, strict=True):
             assert fake.stdout is not None
@@ -58,8 +60,8 @@ class Team:
         devices = self._folder / f"{self._bundle.stem}.devices.yaml"
         # As with `up --sim`: on a busy desk a host may be late for longer than the default of 0.2 s.
         devices.write_text(f"silence: 2.0\n{bindings}")
-        words = ("build", str(self._deployment), "--devices", str(devices), "--output", str(self._bundle))
-        built = subprocess.run([sys.executable, "-m", "lfield", *words], capture_output=True, text=True)
+        arguments = ("build", str(self._deployment), "--devices", str(devices), "--output", str(self._bundle))
+        built = subprocess.run([sys.executable, "-m", "lfield", *arguments], capture_output=True, text=True)
         if built.returncode:
             raise Failed(built.stderr)
         # Hosts with keys accept signed bundles only, as by `lfield sign`.
@@ -70,8 +72,17 @@ class Team:
     def start(self, host: str) -> None:
         """Starts a host, as systemd does; its journal is in the folder."""
         maps = [f"--map={name}=127.0.0.1:{port}" for name, port in self._ports.items()]
-        words = ("up", str(self._bundle), "--host", host, "--state", str(self._folder), *maps, *self._keys)
-        process = self._hosts[host] = popen(*words)
+        arguments = (
+            "up",
+            str(self._bundle),
+            "--host",
+            host,
+            "--state",
+            str(self._folder),
+            *maps,
+            *self._keys,
+        )
+        process = self._hosts[host] = popen(*arguments)
         threading.Thread(target=self._read, args=(host, process), daemon=True).start()
 
     def kill(self, host: str, what: str) -> float:
@@ -80,15 +91,15 @@ class Team:
         self._show("", f"({host} is killed: {what})\n")
         return time.monotonic()
 
-    def wait_for(self, words: str, since: float = 0.0) -> Line:
+    def wait_for(self, text: str, since: float = 0.0) -> Line:
         """The first line with this text after a time. Raises Failed."""
         end = time.monotonic() + PATIENCE
         with self._said:
-            while not (found := [x for x in self.lines if words in x.text and x.at > since]):
+            while not (found := [x for x in self.lines if text in x.text and x.at > since]):
                 ended = [host for host, process in self._hosts.items() if process.poll() is not None]
                 if ended or time.monotonic() > end:
                     why = self._last_of(ended[0]) if ended else f"it did not come within {PATIENCE:.0f} s"
-                    raise Failed(f"{self._policy}: no {words!r}: {why}")
+                    raise Failed(f"{self._policy}: no {text!r}: {why}")
                 self._said.wait(0.2)
         return found[0]
 
@@ -120,10 +131,10 @@ class Team:
         print(f"{self._policy:6} {host:9} | {text}", end="", flush=True)
 
 
-def popen(*words: str) -> subprocess.Popen[str]:
+def popen(*arguments: str) -> subprocess.Popen[str]:
     """Runs a command of lfield."""
     pipe, merged = subprocess.PIPE, subprocess.STDOUT
-    command = [sys.executable, "-m", "lfield", *words]
+    command = [sys.executable, "-m", "lfield", *arguments]
     return subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=merged, text=True)
 
 

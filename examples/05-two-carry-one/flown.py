@@ -115,9 +115,9 @@ def beam(west: Point, east: Point) -> str:
     return f'<path d="{ends}" stroke="{BEAM}" stroke-width="{wide}"/>'
 
 
-def text(point: Point, words: str, colour: str) -> str:
+def text(point: Point, label: str, colour: str) -> str:
     """Text beside a point."""
-    return f'<text x="{x(point) + 9:.1f}" y="{y(point) + 16:.1f}" fill="{colour}">{words}</text>'
+    return f'<text x="{x(point) + 9:.1f}" y="{y(point) + 16:.1f}" fill="{colour}">{label}</text>'
 
 
 def _east(point: Point) -> float:

@@ -29,17 +29,17 @@ def at_home(team, who):
 
 def carriers(team):
     """The pairs that were asked to carry the beam, in order."""
-    taken = [line.text for line in team.log if "take the beam" in line.text]
-    return [re.match(r"beam: (\w+)\+(\w+) take", text).groups() for text in taken]
+    lines = [line.text for line in team.log if "take the beam" in line.text]
+    return [re.match(r"beam: (\w+)\+(\w+) take", text).groups() for text in lines]
 
 
-def bears(team, begin, end, pair):
+def bears(team, start, end, pair):
     """The carriers keep the beam's length as distance, and the same height."""
     west, east = (team.tracks[f"{who}.fc"] for who in pair)
     apart = [
         (math.dist(a[1:3], b[1:3]), abs(a.up - b.up))
         for a, b in zip(west, east, strict=True)
-        if begin < a.at < end
+        if start < a.at < end
     ]
     assert apart
     assert all(abs(far - LENGTH) < OFF and higher < 2.5 for far, higher in apart)
@@ -52,9 +52,9 @@ def lies(team):
     return (west.north + east.north) / 2, (west.east + east.east) / 2
 
 
-def shows(picture):
+def shows(svg):
     """The lines of a picture, with start and end, to 20 pixels."""
-    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', picture)]
+    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', svg)]
     return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
 
 

@@ -22,11 +22,11 @@ def test_each_rover_gets_what_it_asked_for_from_the_fullest_shelf(lfield_mission
     for host, rover in (("north", "red"), ("south", "blue")):
         delivered = [line for line in lines[host] if "has delivered" in line]
         assert delivered == [f"{rover} has delivered {n}" for n in _sums(yard, rover)]
-    taken = [re.fullmatch(r"(red|blue) takes (\d+) from shelf ([012])", line) for line in yard]
-    assert [m[1] for m in taken].count("red") == 3
-    assert [m[1] for m in taken].count("blue") == 2
+    matches = [re.fullmatch(r"(red|blue) takes (\d+) from shelf ([012])", line) for line in yard]
+    assert [m[1] for m in matches].count("red") == 3
+    assert [m[1] for m in matches].count("blue") == 2
     stock = [7, 12, 5]
-    for match in taken:
+    for match in matches:
         assert stock[int(match[3])] == max(stock), "the fullest shelf gives"
         stock[int(match[3])] -= int(match[2])
     assert min(stock) >= 0

@@ -105,9 +105,9 @@ def y(host: str) -> float:
     return ROW * HOSTS.index(host) + 44.0
 
 
-def text(left: float, base: float, words: str, colour: str) -> str:
+def text(left: float, base: float, label: str, colour: str) -> str:
     """Text, not bold."""
-    return f'<text x="{left:.1f}" y="{base:.1f}" fill="{colour}">{escape(words)}</text>'
+    return f'<text x="{left:.1f}" y="{base:.1f}" fill="{colour}">{escape(label)}</text>'
 
 
 if __name__ == "__main__":

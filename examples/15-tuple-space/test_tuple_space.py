@@ -70,8 +70,8 @@ def assert_weeded(team) -> None:
     """Every weed that was found is pulled once, and every row was inspected once."""
     written = [tuple_ for _, tuple_ in deeds(team, "writes")]
     pulled = Counter(re.findall(r'\("pulled", (\d+, [\d.]+), ', "\n".join(written)))
-    seen = Counter(re.findall(r'\("weed", ([1-9]\d*, [\d.]+), ', "\n".join(written)))
-    assert pulled == seen
+    counted = Counter(re.findall(r'\("weed", ([1-9]\d*, [\d.]+), ', "\n".join(written)))
+    assert pulled == counted
     assert len(pulled) == WEEDS
     assert set(pulled.values()) == {1}
     assert team.said(f"farmer: {WEEDS} weeds are pulled", "farm") == 1
@@ -96,15 +96,15 @@ def test_every_weed_is_pulled_once_and_everybody_goes_home(field):
 def test_the_page_tells_of_the_hops_of_this_run_and_of_what_broadcast_would_need(field):
     field.run(until_done=True)
     hosts = len(field.mission.team.hosts)
-    writes, takes = len(deeds(field, "writes")), len(deeds(field, "takes"))
-    told = (
+    writes, removals = len(deeds(field, "writes")), len(deeds(field, "takes"))
+    rows = (
         f"| messages that carry the mission: hops | {len(field.hops)} |",
-        f"| agreements: tuples written {writes}, taken {takes} | {writes + takes} |",
+        f"| agreements: tuples written {writes}, taken {removals} | {writes + removals} |",
         f"| messages of broadcast, N(N - 1) = {hosts * (hosts - 1)} for each "
-        f"| {(writes + takes) * hosts * (hosts - 1)} |",
+        f"| {(writes + removals) * hosts * (hosts - 1)} |",
     )
     page = (HERE / "README.md").read_text()
-    assert [line for line in told if line not in page] == []
+    assert [line for line in rows if line not in page] == []
 
 
 def test_waiting_needs_no_radio(clients):
@@ -287,12 +287,14 @@ def test_templates_match_tuples_of_their_number_types_and_values(clients):
     team = clients("//Asker:asker@shed", program=f"coordinator Asker {{ init(string[] arg) {{ {asked} }} }}")
     team.run(until_done=True)
     said = [line.text for line in team.log if line.text in ("asker: true", "asker: false")]
-    wrong = [form for form, told in zip(FORMS, said, strict=True) if told != f"asker: {str(form[2]).lower()}"]
+    wrong = [
+        form for form, answer in zip(FORMS, said, strict=True) if answer != f"asker: {str(form[2]).lower()}"
+    ]
     assert wrong == []
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("statement", "problem"),
     [
         ('space.out(new Tuple("part").any("int"));', '("part", ?int) is a template; only tuples are written'),
         ('new Tuple("part").with(1).text(1);', 'field 1 of ("part", 1) is no string'),
@@ -301,13 +303,13 @@ def test_templates_match_tuples_of_their_number_types_and_values(clients):
         ("string none; new Tuple().with(none);", "NullException"),
     ],
 )
-def test_what_cannot_be_is_told(clients, words, told):
-    door = 'Space space = new Space(findTupleServer("space"), "bad");'
-    program = f"coordinator Bad {{ init(string[] arg) {{ {door} {words} }} }}"
+def test_what_cannot_be_is_told(clients, statement, problem):
+    declaration = 'Space space = new Space(findTupleServer("space"), "bad");'
+    program = f"coordinator Bad {{ init(string[] arg) {{ {declaration} {statement} }} }}"
     team = clients("//Bad:bad@shed", program=program)
     team.run(until_done=True)
     assert team.ended == {"bad": "died"}
-    assert team.said(told) == 1
+    assert team.said(problem) == 1
 
 
 # --- the picture --------------------------------------------------------------------------------------
@@ -319,7 +321,7 @@ def test_the_picture_shows_the_run_of_the_page(field):
     assert deeds(field, "gives back")
     assert drawn.count("<rect") - 1 == 5 + WEEDS + 1, "the weed that was given back is worked on twice"
 
-    def shows(picture: str) -> list[str]:
-        return sorted(re.findall(r"<text[^>]*>([^<]*)<", picture))
+    def shows(svg: str) -> list[str]:
+        return sorted(re.findall(r"<text[^>]*>([^<]*)<", svg))
 
     assert shows(drawn) == shows((HERE / "tracks.svg").read_text()), "run carried.py"

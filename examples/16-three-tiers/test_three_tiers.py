@@ -15,19 +15,19 @@ SITES = {"gate", "mast", "pump", "tank", "well", "yard"}
 OBSTACLE, RADIUS = (30.0, 12.0), 3.0
 
 
-PICTURE = (Path(__file__).parent / "tracks.svg").read_text(encoding="utf-8")
+DRAWING = (Path(__file__).parent / "tracks.svg").read_text(encoding="utf-8")
 
 
-def shows(picture):
+def shows(svg):
     """The lines of a picture, with start and end, to 20 pixels."""
-    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', picture)]
+    lines = [re.findall(r"[0-9.]+", line) for line in re.findall(r'd="(M[^"]*)"', svg)]
     return [[round(float(number) / 20.0) for number in (*line[:2], *line[-2:])] for line in lines]
 
 
 def inspected(team):
     """Who has inspected what, in order."""
-    words = (line.text.split() for line in team.log)
-    return [(said[0], said[2]) for said in words if said[1:2] == ["inspects"]]
+    lines = (line.text.split() for line in team.log)
+    return [(said[0], said[2]) for said in lines if said[1:2] == ["inspects"]]
 
 
 def nearest(team, device="rover.fc"):
@@ -52,7 +52,7 @@ def test_what_the_rover_cannot_come_to_the_copter_takes(lfield_mission):
     assert team.said("rover did not come to mast: something is in the way") == 1
     assert RADIUS + 2.0 < nearest(team) < RADIUS + 9.0
     assert at_home(team)
-    assert shows(draw(team.tracks, "three tiers", team.marks)) == shows(PICTURE), "draw it again"
+    assert shows(draw(team.tracks, "three tiers", team.marks)) == shows(DRAWING), "draw it again"
     # All hosts agree on the observations and the next step: once before the first step, and after each.
     hosts = {hop.target for hop in team.hops}
     agreements = 1 + sum(call.portal == "learn" for call in team.calls)
@@ -107,18 +107,18 @@ def test_when_the_wind_drains_the_battery_there_is_a_new_plan(lfield_mission):
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "problem"),
     [
         ("fails=MemoryError", "no plan: planner: it failed: MemoryError"),
         ("nonsense=repeated", "no plan: planner: its plan is invalid: it visits a site twice: [0, 0]"),
         ("slow=1e6", "no plan in time: "),
     ],
 )
-def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfield_mission, fault, told):
+def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfield_mission, fault, problem):
     team = lfield_mission("mission.dL")
     team.run(until="rover can go")
     team.fake("strategist.planner").set(fault)
-    team.run(until=told)
+    team.run(until=problem)
     team.fake("strategist.planner").set("fails=", "nonsense=", "slow=0")
     team.run(until="rover inspects pump")
     team.fake("rover.fc").set("battery=0.38")
@@ -127,18 +127,18 @@ def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfi
 
 
 @pytest.mark.parametrize(
-    ("fault", "told"),
+    ("fault", "problem"),
     [
         ("nonsense=unknown", "no plan: planner: its plan is invalid: there is no site 6"),
         ("nonsense=long", "no plan: planner: its plan is invalid: it is 177 m long, more than 84 m"),
         ("nonsense=42", "no plan: planner: its answer is invalid: '42'"),
     ],
 )
-def test_without_any_plan_nobody_goes_anywhere(lfield_mission, fault, told):
+def test_without_any_plan_nobody_goes_anywhere(lfield_mission, fault, problem):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": [fault]})
     team.run(until_done=True)
     assert team.ended == {"sequencer": "done"}
-    assert team.said(told) == 1
+    assert team.said(problem) == 1
     assert inspected(team) == []
     assert not team.has_moved
 

@@ -75,9 +75,9 @@ def disc(point: Point, colour: str) -> str:
     return f'<circle cx="{x(point):.1f}" cy="{y(point):.1f}" r="6" fill="{colour}"/>'
 
 
-def text(point: Point, words: str, colour: str) -> str:
+def text(point: Point, label: str, colour: str) -> str:
     """Text beside a point."""
-    return f'<text x="{x(point) + 9:.1f}" y="{y(point) - 9:.1f}" fill="{colour}">{words}</text>'
+    return f'<text x="{x(point) + 9:.1f}" y="{y(point) - 9:.1f}" fill="{colour}">{label}</text>'
 
 
 if __name__ == "__main__":

@@ -63,8 +63,8 @@ def agreements(team):
 
 def keeps_step(team):
     """During the march nobody is farther from the others than half a step allows."""
-    begin, end = told(team, "wedge")[1] + 10.0, told(team, "column")[1]
-    for tenth in range(int(begin * 10), int(end * 10)):
+    start, end = told(team, "wedge")[1] + 10.0, told(team, "column")[1]
+    for tenth in range(int(start * 10), int(end * 10)):
         column = sorted(at(team, who, tenth / 10).east for who in HOSTS)
         assert column[-1] - column[0] < 4 * SPACING + 6.0, "a step is 6 m"
 

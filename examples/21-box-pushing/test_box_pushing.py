@@ -12,8 +12,8 @@ GOAL, NEAR, STRAIGHT = (3.0, 1.0, 0.5), 0.05, 0.05
 
 def pose(team):
     """The final pose of the box, as a rover sees it."""
-    looks = [call for call in team.calls if call.portal in ("look", "driveTo") and call.result is not None]
-    return looks[-1].result.target
+    calls = [call for call in team.calls if call.portal in ("look", "driveTo") and call.result is not None]
+    return calls[-1].result.target
 
 
 def arrived(team):

@@ -85,10 +85,10 @@ def test_in_processes_all_are_on_one_plane():
     assert "hunt: caught by 4" in done.stderr + done.stdout
 
 
-def line_of(words):
+def line_of(phrase):
     """The line of the mission that contains these words."""
     text = (Path(__file__).parent / "mission.L").read_text().splitlines()
-    (number,) = [number for number, line in enumerate(text, 1) if words in line]
+    (number,) = [number for number, line in enumerate(text, 1) if phrase in line]
     return f"mission.L:{number}"
 
 

@@ -57,7 +57,7 @@ class Opcode:
 
 
 def _quad(code: int, name: str, operands: str, sentence: str) -> Opcode:
-    parsed = (word.partition(":") for word in operands.split())
+    parsed = (operand.partition(":") for operand in operands.split())
     return Opcode(code, name, tuple(Operand(role, kind) for role, _, kind in parsed), sentence)  # type: ignore[arg-type]  # literals of the table; a test checks them
 
 
@@ -71,7 +71,7 @@ def _head(code: int, name: str, types: str, sentence: str, operands: str = "", e
 def _family(first: int, suffix: str, kind: str) -> tuple[Opcode, ...]:
     """The six comparisons of one kind of value, as in table J.8."""
     operands = f"D:boolean S:{kind} S:{kind}"
-    words = (
+    phrases = (
         ("eq", "equal to"),
         ("sle", "less than or equal to"),
         ("sge", "greater than or equal to"),
@@ -81,7 +81,7 @@ def _family(first: int, suffix: str, kind: str) -> tuple[Opcode, ...]:
     )
     return tuple(
         _quad(first + i, name + suffix, operands, f"Sets 1 to whether {kind} 2 is {phrase} {kind} 3.")
-        for i, (name, phrase) in enumerate(words)
+        for i, (name, phrase) in enumerate(phrases)
     )
 
 

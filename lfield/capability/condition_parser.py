@@ -142,10 +142,10 @@ def _is_descending(s: TokenStream) -> bool:
 
 
 def _limit(s: TokenStream) -> int:
-    word, token = s.advance(), s.advance()
+    keyword, token = s.advance(), s.advance()
     if token.kind is TokenKind.INT and isinstance(token.value, int) and 1 <= token.value <= MAX_LIMIT:
         return token.value
-    place = word.span if token.kind is TokenKind.END else token.span
+    place = keyword.span if token.kind is TokenKind.END else token.span
     raise _ConditionError(place, f"a limit is a whole number from 1 to {MAX_LIMIT}", "such as limit 100")
 
 

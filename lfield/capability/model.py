@@ -29,7 +29,7 @@ Value = float | int | bool | str | frozenset[str]
 
 
 #: The place of what was not read from a file here: a bundle has no places.
-NOWHERE = Span(Source("", ""), 0, 0)
+NO_SPAN = Span(Source("", ""), 0, 0)
 
 
 class Expression:
@@ -88,7 +88,7 @@ class TaxonomyTerm:
     id: str
     name: str
     meaning: str
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     aliases: tuple[str, ...] = ()
     deprecated: str = ""
 
@@ -104,7 +104,7 @@ class Attribute:
 
     name: str
     type: AttributeType
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     unit: str = ""
     better: Better = "none"
     typical: float = 1.0
@@ -146,7 +146,7 @@ class Primitive:
     name: str
     id: str
     portals: Mapping[str, Portal]
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     meaning: str = ""
 
 
@@ -175,7 +175,7 @@ class PortalMap:
     portal: str
     target: str
     arguments: tuple[Argument, ...]
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     result: Argument | None = None
 
 
@@ -192,7 +192,7 @@ class LiveAttribute:
     attribute: str
     device: str
     quantity: str
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     factor: float = 1.0
     offset: float = 0.0
     index: int | None = None
@@ -216,7 +216,7 @@ class ServedPrimitive:
 
     primitive: str
     portals: Mapping[str, PortalMap]
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     attributes: Mapping[str, Value] = field(default_factory=dict)
     when: Expression | None = None
     nominal: frozenset[str] = frozenset()
@@ -228,7 +228,7 @@ class Provider:
 
     type: str
     serves: Mapping[str, ServedPrimitive]
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     include: str = ""
     meaning: str = ""
     attributes: Mapping[str, Value] = field(default_factory=dict)
@@ -248,7 +248,7 @@ class Equivalence:
     serves: str
     by: str
     portals: Mapping[str, PortalMap]
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     when: Expression | None = None
     loss: float = 0.0
     meaning: str = ""
@@ -260,7 +260,7 @@ class Need:
 
     name: str
     primitive: str
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     when: Expression | None = None
 
 
@@ -279,7 +279,7 @@ class Composition:
     needs: Mapping[str, Need]
     through: str
     source: Path
-    span: Span = NOWHERE
+    span: Span = NO_SPAN
     where: tuple[Expression, ...] = ()
     distinct: tuple[str, ...] = ()
     attributes: Mapping[str, Expression] = field(default_factory=dict)

@@ -69,7 +69,7 @@ _PACKAGES = {
     "device": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of each subcommand.
-MODULES = {name: f"lfield.cli.{room}.{name}" for room, names in _PACKAGES.items() for name in names}
+MODULES = {name: f"lfield.cli.{package}.{name}" for package, names in _PACKAGES.items() for name in names}
 
 
 #: The commands that end in order after a Ctrl-C, and their imports before that: msgspec crashes when a
@@ -127,14 +127,14 @@ class _Parser(argparse.ArgumentParser):
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run a command line; returns the exit status."""
-    words = list(sys.argv[1:] if argv is None else argv)
+    arguments = list(sys.argv[1:] if argv is None else argv)
     _fill_streams()
     try:
-        status = _dispatch(words)
+        status = _dispatch(arguments)
         sys.stdout.flush()
         return status
     except LfieldError as error:
-        return _report(error, words)
+        return _report(error, arguments)
     except KeyboardInterrupt:
         return exit_status.INTERRUPTED
     except BrokenPipeError:
@@ -143,14 +143,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return exit_status.INPUT_OUTPUT
     except OSError as error:
         _flush_streams()
-        return _report(system_refusal(error), words)
+        return _report(system_refusal(error), arguments)
     except Exception as error:
         if os.environ.get("LFIELD_TRACEBACK"):
             raise
-        return _report(LfieldError(f"bug in lfield: {type(error).__name__}: {error}"), words)
+        return _report(LfieldError(f"bug in lfield: {type(error).__name__}: {error}"), arguments)
 
 
-def _report(error: LfieldError, words: Sequence[str]) -> int:
+def _report(error: LfieldError, arguments: Sequence[str]) -> int:
     """Print an error, with --json also as an object on stdout; returns the exit status."""
     match error:
         case ProgramError():
@@ -167,7 +167,7 @@ def _report(error: LfieldError, words: Sequence[str]) -> int:
     _print_error(f"lfield: {summary}")
     if type(error) is LfieldError:
         _print_error(f"lfield: {error.remedy}")
-    if "--json" in words:
+    if "--json" in arguments:
         import json
 
         try:
@@ -209,8 +209,8 @@ def _print_error(text: str) -> None:
 
 def _refuse_empty(arguments: list[str]) -> None:
     """Refuse empty arguments, which would mean all, or this directory. Raises UsageError."""
-    for before, word in zip(["", *arguments], arguments, strict=False):
-        option = before if not word else word[:-1] if re.fullmatch(r"--[a-z-]+=", word) else None
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        option = before if not argument else argument[:-1] if re.fullmatch(r"--[a-z-]+=", argument) else None
         if option is None or option == REASON:
             continue
         what = f"the value of {option}" if option.startswith("-") else "an argument"
@@ -223,7 +223,7 @@ def _dispatch(arguments: list[str]) -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
-    chosen = next((word for word in arguments if not word.startswith("-")), "")
+    chosen = next((argument for argument in arguments if not argument.startswith("-")), "")
     for name, purpose in COMMANDS.items():
         subparser = commands.add_parser(name, help=purpose, description=purpose.capitalize() + ".")
         # Only the chosen command is imported, so that small commands start fast.
@@ -271,7 +271,9 @@ def _command(name: str) -> Command:
     return import_module(MODULES[name])
 
 
-_STATUSES = "exit statuses:\n" + "\n".join(f"  {n:>4}  {words}" for n, words in exit_status.MEANINGS.items())
+_STATUSES = "exit statuses:\n" + "\n".join(
+    f"  {n:>4}  {meaning}" for n, meaning in exit_status.MEANINGS.items()
+)
 
 
 if __name__ == "__main__":

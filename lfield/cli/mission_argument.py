@@ -79,9 +79,9 @@ def mission_path(args: argparse.Namespace) -> Path:
 
 def setup_command(path: Path, host: str = "", devices: Path | None = None) -> str:
     """The command that sets up the devices of a mission, or of one of its hosts."""
-    words = ["lfield", "setup", "--deploy", str(path)]
-    words += ["--devices", str(devices)] if devices is not None else []
-    return shlex.join([*words, *(["--host", host] if host else [])])
+    command = ["lfield", "setup", "--deploy", str(path)]
+    command += ["--devices", str(devices)] if devices is not None else []
+    return shlex.join([*command, *(["--host", host] if host else [])])
 
 
 def named_mission(args: argparse.Namespace) -> Path | None:

@@ -78,8 +78,8 @@ class LiveBench:
     @property
     def moving(self) -> str | None:
         """How it still moves in its safe state; '' when it is at rest, None when unknown."""
-        told = self._guard.latched_devices.moving.get(self.binding.name)
-        return told if told != UNCONFIRMED else None
+        motion = self._guard.latched_devices.moving.get(self.binding.name)
+        return motion if motion != UNCONFIRMED else None
 
     async def call(self, instruction: str, *arguments: object) -> Any:
         """Executes an instruction and returns its result. Raises DeviceError."""

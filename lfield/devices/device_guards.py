@@ -271,7 +271,9 @@ class DeviceGuards:
     @property
     def moving(self) -> Mapping[str, str]:
         """How latched devices still move in their safe states, by device name; '' for one at rest."""
-        return {name: words for guard in self._guards for name, words in guard.latched_devices.moving.items()}
+        return {
+            name: motion for guard in self._guards for name, motion in guard.latched_devices.moving.items()
+        }
 
     @property
     def last_contact(self) -> Mapping[str, float]:

@@ -111,11 +111,13 @@ class _Bus:
             return [f"{names}: {error}"]
         except Exception as error:  # a driver is third-party code: report whatever it raises
             return [f"{names}: the driver failed to open: {error!r}"]
-        looked = await asyncio.gather(*map(_inspect, self._driver.devices.values()), return_exceptions=True)
-        self.found = [each for each in looked if isinstance(each, FoundDevice)]
+        inspected = await asyncio.gather(
+            *map(_inspect, self._driver.devices.values()), return_exceptions=True
+        )
+        self.found = [each for each in inspected if isinstance(each, FoundDevice)]
         return [
             _problem(binding.name, each)
-            for binding, each in zip(self._bindings, looked, strict=True)
+            for binding, each in zip(self._bindings, inspected, strict=True)
             if isinstance(each, BaseException)
         ]
 
@@ -155,7 +157,7 @@ async def open_devices(
     try:
         problems = await asyncio.gather(*(bus.open() for bus in buses))
         if any(problems):
-            raise DevicesError([problem for told in problems for problem in told])
+            raise DevicesError([problem for reported in problems for problem in reported])
         found = {each.name: each for bus in buses for each in bus.found}
         yield [found[device.name] for device in devices]
     finally:

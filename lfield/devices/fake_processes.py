@@ -72,17 +72,17 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
     )
     assert process.stdout is not None
     assert process.stderr is not None
-    words = FakeOutput(process.stderr)
+    output = FakeOutput(process.stderr)
     try:
         async with asyncio.timeout(READY_TIMEOUT):
             line = (await process.stdout.readline()).decode("utf-8", "replace")
     except TimeoutError:
         line = ""
-    fake = FakeProcess(next(iter(line.split()[1:2]), ""), process, words)
+    fake = FakeProcess(next(iter(line.split()[1:2]), ""), process, output)
     if not line.startswith("ready ") or not fake.endpoint:
         await fake.stop()
-        raise PluginError(words.exit_reason(f"{names}: the fake '{sim.name}' did not start", line))
-    words.flush()
+        raise PluginError(output.exit_reason(f"{names}: the fake '{sim.name}' did not start", line))
+    output.flush()
     return fake
 
 

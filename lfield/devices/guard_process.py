@@ -177,8 +177,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
             return self._unsafe
         if not self.identities:
             return dict.fromkeys(self.actuated_devices, UNFINISHED) if self._has_spoken else {}
-        words = {name: self.latched_devices.moving.get(name, UNCONFIRMED) for name in self.actuated_devices}
-        return {name: f"{said}, and its guard has ended" for name, said in words.items() if said}
+        motions = {name: self.latched_devices.moving.get(name, UNCONFIRMED) for name in self.actuated_devices}
+        return {name: f"{said}, and its guard has ended" for name, said in motions.items() if said}
 
     def kill(self) -> None:
         """Kills the process; the next one makes the devices safe, unless the guard is closing."""
@@ -308,8 +308,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
         self._pipe = cast("asyncio.WriteTransport", self._transport.get_pipe_transport(0))
         # The first message, also when another task stops this guard while `open` waits for the process: a
         # guard that received `Stop` first would end without making its devices safe.
-        devices, taken = list(self._devices.values()), sorted(self.snapshots.received)
-        self._send(OpenDevices(devices, self._open_reason, self._silence, self._driver, taken))
+        devices, foreign_controlled = list(self._devices.values()), sorted(self.snapshots.received)
+        self._send(OpenDevices(devices, self._open_reason, self._silence, self._driver, foreign_controlled))
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
         """Messages of the guard."""
@@ -381,5 +381,5 @@ class GuardProcess(asyncio.SubprocessProtocol):
             if not self.identities:  # A guard that could not be restarted leaves its devices as they are.
                 self._unsafe = {}
             return
-        unset = [told for told, kind in kinds.items() if kind == NOT_SET_UP]
+        unset = [problem for problem, kind in kinds.items() if kind == NOT_SET_UP]
         self._opening.set_exception(DevicesError(list(kinds), unset))

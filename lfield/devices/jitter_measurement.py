@@ -29,8 +29,8 @@ async def measure_jitter(limit: JitterLimit, clock: Clock) -> float:
 
 async def _longest(limit: JitterLimit, clock: Clock) -> float:
     lateness = JitterMonitor(limit)
-    begun = clock.monotonic()
-    while (now := clock.monotonic()) < begun + SPAN:
+    start = clock.monotonic()
+    while (now := clock.monotonic()) < start + SPAN:
         await asyncio.sleep(STEP)
         lateness.sample(now + STEP, clock.monotonic())
     return lateness.longest

@@ -107,9 +107,9 @@ class LatchedDevices:
         self.latched[device] = reason = self.latched.get(device, message.reason) if confirmed else fault
         self._states[device], self.moving[device] = message.state, UNCONFIRMED
         (self.confirmed.add if confirmed else self.confirmed.discard)(device)
-        told = events.SafeStateConfirmed if confirmed else events.DeviceLatched
+        event = events.SafeStateConfirmed if confirmed else events.DeviceLatched
         self.on_event(
-            told(truncate(device, MAX_LABEL), truncate(self.state(device), MAX_LABEL), truncate(reason))
+            event(truncate(device, MAX_LABEL), truncate(self.state(device), MAX_LABEL), truncate(reason))
         )
         if confirmed or not self.stopping:
             kind = log_messages.DEVICE_SAFE if confirmed else log_messages.DEVICE_GOES_SAFE

@@ -107,7 +107,7 @@ class JitterMonitor:
 
     def max_since(self, when: float) -> float:
         """The maximum since `when`, 0 for none; limited to the window."""
-        return next((late for came, late in self._recent if came >= when), 0.0)
+        return next((late for time, late in self._recent if time >= when), 0.0)
 
     def last_minute(self, now: float) -> float:
         """The maximum of the last minute."""

@@ -51,9 +51,9 @@ class Snapshots:
             raise WireError(f"telemetry of '{snapshot.device}', which it does not guard")
         self.last_contact[snapshot.device] = snapshot.last_contact
         (self.received.add if snapshot.is_foreign_controlled else self.received.discard)(snapshot.device)
-        for name, seen in snapshot.values.items():
+        for name, observation in snapshot.values.items():
             key = snapshot.device, name
-            self._observations[key] = Observation(self._conform(key, seen.value), seen.when)
+            self._observations[key] = Observation(self._conform(key, observation.value), observation.when)
             if key in self._readings:
                 self._update(key)
 
@@ -73,14 +73,14 @@ class Snapshots:
             if device not in self.last_contact:
                 raise DeviceError(binding.field, "has not sent anything yet", kind="DeviceTimeoutException")
             return now - self.last_contact[device]
-        seen = self._observations.get((device, quantity))
-        if seen is None:
+        observation = self._observations.get((device, quantity))
+        if observation is None:
             raise DeviceError(binding.field, f"has not reported {quantity}", kind="DeviceTimeoutException")
-        age, longest = now - seen.when, self._quantities[device, quantity].max_age
+        age, longest = now - observation.when, self._quantities[device, quantity].max_age
         if age > longest:
             reason = f"the last {quantity} is {age:.1f} s old (at most {longest:g} s)"
             raise DeviceError(binding.field, reason, kind="DeviceTimeoutException")
-        return seen.value
+        return observation.value
 
     def last(self, device: str, quantity: str) -> Observation | None:
         """The last value of a telemetry quantity of any age; None before the first."""
@@ -111,18 +111,18 @@ class Snapshots:
         return self._readings[device, quantity]
 
     def _update(self, key: tuple[str, str]) -> None:
-        reading, seen = self._readings[key], self._observations[key]
-        value = seen.value
-        word = bits_of_real(value) if isinstance(value, float) else int(cast("int", value))
-        reading.update(word, seen.when + self._quantities[key].max_age)
+        reading, observation = self._readings[key], self._observations[key]
+        value = observation.value
+        bits = bits_of_real(value) if isinstance(value, float) else int(cast("int", value))
+        reading.update(bits, observation.when + self._quantities[key].max_age)
 
     def describe(self, device: str) -> str:
         """The last known condition of a device: `last contact 0.3 s ago: armed yes, mode LAND`."""
         if device not in self.last_contact:
             return "it has sent no message"
         age = self._clock.monotonic() - self.last_contact[device]
-        words = telemetry_text(self.telemetry[device], MAX_DESCRIBED)
-        return f"last contact {age:.1f} s ago{f': {words}' if words else ''}"
+        values = telemetry_text(self.telemetry[device], MAX_DESCRIBED)
+        return f"last contact {age:.1f} s ago{f': {values}' if values else ''}"
 
     @property
     def telemetry(self) -> dict[str, dict[str, DeviceValue]]:

@@ -96,8 +96,8 @@ class GuardCore:
         if device is None or instruction is None:
             return [*effects, _refusal(call, f"there is no {call.device}.{call.instruction}()")]
         if len(call.arguments) != len(instruction.parameters):
-            takes = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
-            return [*effects, _refusal(call, takes)]
+            mismatch = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
+            return [*effects, _refusal(call, mismatch)]
         asks = call_kind(instruction) == "ask"
         if device.latched and not asks:
             first = LIFT_FIRST if device.lock_reason else "call release() first"
@@ -164,8 +164,8 @@ class GuardCore:
             return effects
         if running.cancelled is None:
             return [*effects, Notify(Refused(token, kind, reason))]
-        told = running.failed_answer(f"{running.call.instruction}() failed: {reason}")
-        return [*effects, Notify(told), *self._latch(self._devices[running.call.device], told.reason)]
+        answer = running.failed_answer(f"{running.call.instruction}() failed: {reason}")
+        return [*effects, Notify(answer), *self._latch(self._devices[running.call.device], answer.reason)]
 
     def on_crashed(self, token: int, reason: str) -> list[Effect]:
         """The driver raised an unexpected exception while it executed a call."""
@@ -205,8 +205,8 @@ class GuardCore:
     def on_motion_report(self, name: str, moving: str) -> list[Effect]:
         """How the device still moves in its safe state, as the driver reports; '' when it is at rest."""
         device, now = self._devices[name], self._clock.monotonic()
-        told = self._rest.on_motion_report(name, moving, now)
-        effects: list[Effect] = [Notify(Moving(name, moving))] if told else []
+        is_reported = self._rest.on_motion_report(name, moving, now)
+        effects: list[Effect] = [Notify(Moving(name, moving))] if is_reported else []
         waits = device.making or self._muted or now < device.made_at + REPEAT
         if moving and device.confirmed and not waits:
             effects.append(_make_safe(device))
@@ -364,8 +364,8 @@ class GuardCore:
         running = device.active.pop(channel, None)
         if running is None:
             return []
-        told = running.failed_answer(f"{running.call.instruction}() was {reason}")
-        return [Interrupt(running.call.token), Notify(told)]
+        answer = running.failed_answer(f"{running.call.instruction}() was {reason}")
+        return [Interrupt(running.call.token), Notify(answer)]
 
     def _running(self, token: int) -> RunningCall | None:
         """The running call of a token; None when it was answered."""

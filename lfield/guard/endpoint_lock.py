@@ -112,8 +112,8 @@ async def _lock_name(place: EndpointTarget) -> str:
     elif place.port:
         with suppress(OSError, UnicodeError):
             name = str((await asyncio.get_running_loop().getaddrinfo(name, place.port))[0][4][0])
-    told = repr(place._replace(name=name))
-    return f"\0lfield/{hashlib.sha256(told.encode()).hexdigest()[:32]}"
+    text = repr(place._replace(name=name))
+    return f"\0lfield/{hashlib.sha256(text.encode()).hexdigest()[:32]}"
 
 
 def _answer_holder_query(lock: socket.socket) -> None:

@@ -52,8 +52,8 @@ async def serve(plugin: Plugin, first: bytes, input_fd: int, output_fd: int) -> 
 def first_message(descriptor: int) -> bytes:
     """The first frame of the host, as far as it arrives; b"" when there is none."""
     data = b""
-    while len(data) < (wanted := size_of(data, MAX_PAYLOAD)) and (
-        more := os.read(descriptor, wanted - len(data))
+    while len(data) < (size := size_of(data, MAX_PAYLOAD)) and (
+        more := os.read(descriptor, size - len(data))
     ):
         data += more
     return data

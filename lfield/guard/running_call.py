@@ -59,8 +59,8 @@ class RunningCall:
         """The answer when it failed: a sentence, or the rest of `goTo() was cancelled, and`."""
         if self.cancelled is None:
             return Refused(self.call.token, "DeviceException", reason)
-        told = f"{self.cancelled.instruction}() was cancelled, and {reason}"
-        return Refused(self.cancelled.token, CANCELLED, told)
+        message = f"{self.cancelled.instruction}() was cancelled, and {reason}"
+        return Refused(self.cancelled.token, CANCELLED, message)
 
     def cancelled_answer(self) -> Refused:
         """The answer when waiting ends without a command to the device."""

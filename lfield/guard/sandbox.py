@@ -83,9 +83,9 @@ def _landlock(policy: SandboxPolicy, version: int) -> None:
         | sum(bit for since, bit in _LATER_RIGHTS.items() if version >= since)
     )
     network = _TCP if version >= 4 and policy.ports is not None else 0
-    wanted = struct.pack("=QQQ", handled, network, _SIGNALS if version >= 6 else 0)
+    attributes = struct.pack("=QQQ", handled, network, _SIGNALS if version >= 6 else 0)
     size = 24 if version >= 6 else 16 if version >= 4 else 8
-    rules = _checked(_libc.syscall(_CREATE, wanted, ctypes.c_size_t(size), ctypes.c_uint(0)))
+    rules = _checked(_libc.syscall(_CREATE, attributes, ctypes.c_size_t(size), ctypes.c_uint(0)))
     try:
         runs = _EXECUTE if policy.may_execute else 0
         _add_paths(rules, policy.readable, handled & (_READ | runs))
@@ -140,8 +140,8 @@ def _filter_sockets(processor: int, socket: int) -> None:
         allowed,
     ]
     code = ctypes.create_string_buffer(b"".join(struct.pack("=HBBI", *line) for line in program))
-    told = ctypes.create_string_buffer(struct.pack("@HP", len(program), ctypes.addressof(code)))
-    _checked(_libc.prctl(_SECCOMP, _FILTER, ctypes.addressof(told), 0, 0))
+    filter_program = ctypes.create_string_buffer(struct.pack("@HP", len(program), ctypes.addressof(code)))
+    _checked(_libc.prctl(_SECCOMP, _FILTER, ctypes.addressof(filter_program), 0, 0))
 
 
 def _checked(result: int) -> int:

@@ -350,8 +350,8 @@ class Shell(asyncio.Protocol):
         except ValueError as error:
             self._run(core.on_refused(call.token, "DeviceException", f"{call.instruction}(): {error}"))
         except Exception as error:  # third-party code; the device is made safe
-            told = f"the driver failed in {call.instruction}(): {self._error_text(error)}"
-            self._run(core.on_crashed(call.token, told))
+            problem = f"the driver failed in {call.instruction}(): {self._error_text(error)}"
+            self._run(core.on_crashed(call.token, problem))
         finally:
             self._calls.pop(call.token, None)
 

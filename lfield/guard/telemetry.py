@@ -67,10 +67,10 @@ class Telemetry:
             self._timer.cancel()
             self._timer = None
         for device, latest in self._devices.items():
-            taken = self._is_foreign_controlled(device)
-            if latest.fresh or taken != latest.is_foreign_controlled:
-                self._push(TelemetrySnapshot(device, latest.values, latest.last_contact, taken))
-                latest.values, latest.fresh, latest.is_foreign_controlled = {}, False, taken
+            is_foreign = self._is_foreign_controlled(device)
+            if latest.fresh or is_foreign != latest.is_foreign_controlled:
+                self._push(TelemetrySnapshot(device, latest.values, latest.last_contact, is_foreign))
+                latest.values, latest.fresh, latest.is_foreign_controlled = {}, False, is_foreign
 
     def flush_changes(self) -> None:
         """Pushes only if there is more than contact to report; contact alone waits for the timer."""

@@ -164,9 +164,9 @@ class HostCore:
             reservations.poll_resumed()
         pause = None
         if not waits:
-            began = self._stopwatch()
+            start = self._stopwatch()
             pause = self.machine.run()
-            self.run_seconds += self._stopwatch() - began
+            self.run_seconds += self._stopwatch() - start
         if recorder.detailed:
             recorder.drain()
         if self.machine.opening or self._inits.is_polled:
@@ -203,9 +203,9 @@ class HostCore:
         for the reports of all other hosts.
         """
         self.leases.on_restored()
-        came = set(self.machine.agents)
+        before = set(self.machine.agents)
         self.coordinators.resume_from_journal()
-        for name in self.machine.agents.keys() - came:
+        for name in self.machine.agents.keys() - before:
             self.recorder.on_agent_started(name, self.machine.agents[name].generation, is_restored=True)
         self.pending_calls.on_restored()
         for known in self.mobility.known_states():

@@ -395,5 +395,5 @@ class Host:
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
         up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
-        unkept = self.options.admission.persist_error
-        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, unkept)
+        error = self.options.admission.persist_error
+        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)

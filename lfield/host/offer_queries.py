@@ -99,12 +99,12 @@ class MatchResults:
     def explain_others(self, capability: str, constraint: str | None) -> str:
         """The number of offers, and why the other agents do not match, a line each. Raises
         ConstraintError."""
-        wish = self._compiled(constraint)
-        answer = self._matcher.find(capability, wish)
-        refusals = self._matcher.explain(capability, wish.condition)
+        query = self._compiled(constraint)
+        answer = self._matcher.find(capability, query)
+        refusals = self._matcher.explain(capability, query.condition)
         if not answer.count and not refusals:
             return no_provider_note(capability)
-        agents = self._matcher.agents(capability, wish)
+        agents = self._matcher.agents(capability, query)
         return "\n".join([*answer.summary(agents), *filter(None, [render_refusals(refusals)])])
 
     def _compile(self, constraint: str | None) -> OfferQuery:
@@ -173,7 +173,7 @@ def binding_label(offer: Offer) -> str:
 
 def _component_label(part: Offer, parent: bool) -> str:
     """The component's agent if it has a parent, and how it is realised."""
-    told = [part.agent] if parent else []
+    parts = [part.agent] if parent else []
     if part.kind != "direct":
-        told.append(binding_label(part))
-    return f" ({', '.join(told)})" if told else ""
+        parts.append(binding_label(part))
+    return f" ({', '.join(parts)})" if parts else ""

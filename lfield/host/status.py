@@ -53,7 +53,7 @@ def status_of(
     address: str,
     up: float,
     clock: Clock,
-    unkept: str,
+    persist_error: str,
 ) -> Status:
     """The status of a host that has been `up` for so many seconds, to the millisecond."""
     now = clock.monotonic()
@@ -89,7 +89,7 @@ def status_of(
         ],
         bundle=_bundle(core.mission.release),
         stopped=truncate(core.coordinators.stopped),
-        unkept=truncate(unkept),
+        persist_error=truncate(persist_error),
         refused=core.startup.readiness.refused,
         start=core.startup.status,
         epochs=core.orders.epochs,
@@ -140,12 +140,12 @@ def state_of(agent: Agent, core: HostCore, states: list[int]) -> str:
 
 
 def _devices(guards: DeviceGuards, now: float) -> list[DeviceStatus]:
-    heard, latched, moving = guards.last_contact, guards.latched, guards.moving
+    last_contact, latched, moving = guards.last_contact, guards.latched, guards.moving
     return [
         DeviceStatus(
             truncate(name),
             telemetry_of(values),
-            _since(now - heard[name]) if name in heard else None,
+            _since(now - last_contact[name]) if name in last_contact else None,
             truncate(latched.get(name, "")),
             truncate(moving.get(name, "")),
         )

@@ -84,9 +84,9 @@ class TeamDirectory(Part):
         hello = event.hello
         self._linked[hello.host] = None
         self.directory.on_link_up(hello.host, hello.incarnation)
-        news = self.directory.full_delta()
-        if news is not None:
-            self._out(Send(hello.host, self._report(news)))
+        delta = self.directory.full_delta()
+        if delta is not None:
+            self._out(Send(hello.host, self._report(delta)))
 
     def _on_link_closed(self, event: LinkClosed) -> None:
         self._linked.pop(event.host, None)
@@ -103,9 +103,9 @@ class TeamDirectory(Part):
         """Sample this host's agents, and report the changes."""
         self.due = now + SAMPLE_EVERY
         self.refresh()
-        news = self.directory.next_delta()
-        if news is not None:
-            report = self._report(news)
+        delta = self.directory.next_delta()
+        if delta is not None:
+            report = self._report(delta)
             for host in self._linked:
                 self._out(Send(host, report))
 

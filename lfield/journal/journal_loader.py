@@ -176,7 +176,7 @@ def is_promise_lost(entry: JournalEntry) -> bool:
 def describe_loss(entry: JournalEntry) -> str:
     """The subject and time of a record in words, as far as its key and time can be trusted."""
     kind, name, number = entry.key
-    words = {
+    meanings = {
         "copy": f"the copy of {name}, start {number}",
         "begun": f"call {number} started here by start {str(name).replace(chr(32), ' of ', 1)}",
         "reservation": f"the reservation of {name}",
@@ -187,7 +187,7 @@ def describe_loss(entry: JournalEntry) -> str:
         "fence": f"the fence of {name}",
         "program": f"the program {str(name)[:16]}",
     }.get(kind, f"a page {kind!r}")
-    return f"{words}, stored {format_time(entry.written_at)}"
+    return f"{meanings}, stored {format_time(entry.written_at)}"
 
 
 def format_time(kept: float) -> str:

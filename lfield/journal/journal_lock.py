@@ -24,11 +24,11 @@ def machine_id(root: Path = Path("/")) -> str:
     """The id of this computer, constant across restarts; '' if there is none."""
     for source in _SOURCES:
         with suppress(OSError):
-            told = (root / source).read_bytes().strip(b"\0 \n")
+            content = (root / source).read_bytes().strip(b"\0 \n")
             # Boards without a serial number report 0; an image that was never started reports
             # "uninitialized".
-            if told.strip(b"0") and told != b"uninitialized":
-                return hashlib.sha256(_PURPOSE + told).hexdigest()[:32]
+            if content.strip(b"0") and content != b"uninitialized":
+                return hashlib.sha256(_PURPOSE + content).hexdigest()[:32]
     return ""
 
 

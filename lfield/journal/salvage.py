@@ -63,8 +63,8 @@ def salvage_database(path: Path) -> SalvageResult:
             mended = _merge_wal(copy)
             _replace_first_page(copy)
             found = _read(copy)
-    outrun = mended is False or is_wal_missing(path)
-    return found._replace(is_complete=bool(mended) and found.is_complete, may_be_stale=outrun)
+    is_stale = mended is False or is_wal_missing(path)
+    return found._replace(is_complete=bool(mended) and found.is_complete, may_be_stale=is_stale)
 
 
 def read_both_ends(store: Store) -> dict[int, JournalEntry]:

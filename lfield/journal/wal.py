@@ -137,15 +137,15 @@ def _parse(data: bytes) -> Wal:
     end = max((at + 1 for at, slot in enumerate(slots) if slot[2] == salts), default=0)
     before: Checksums = sums[0], sums[1]
     frames, believed, goes_on = list[WalFrame](), 0, sound
-    for number, size, told, checked, image, found in slots[:end]:
+    for number, size, stored_salts, checked, image, found in slots[:end]:
         fits = (
-            told == salts
+            stored_salts == salts
             and number > 0
             and found == _checksums(image, _checksums(checked, before, order), order)
         )
         frames.append(
             WalFrame(number, size, image, fits)
-            if told == salts
+            if stored_salts == salts
             else WalFrame(0, 0, image, is_checksum_valid=False)
         )
         goes_on = goes_on and fits

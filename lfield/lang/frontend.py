@@ -127,14 +127,14 @@ def _generated(
 ) -> GeneratedClasses:
     """The classes of all capabilities that the files name; the files these bring along are read too."""
     known = {*BUILTIN_TYPES, *devices}
-    wanted: set[str] = set()
+    requested: set[str] = set()
     made = GeneratedClasses({})
-    while unknown := unknown_names(files.files, {*known, *wanted}):
+    while unknown := unknown_names(files.files, {*known, *requested}):
         new = unknown.intersection(capabilities.names())
         if not new:
             break
-        wanted |= new
-        made = capabilities.generate(wanted, files.files)
+        requested |= new
+        made = capabilities.generate(requested, files.files)
         for path in made.files:
             files.read(read_bytes(path, MAX_TEXT), path)
     return made

@@ -62,7 +62,7 @@ EXPECTED_MEMBER = _message(
     "statements belong inside a method, a portal or init",
 )
 EXPECTED_NAME = _message("L203", "expected {what}, found {found}")
-RESERVED_NAME = _message("L204", "'{word}' is a keyword, not a name", "choose another name")
+RESERVED_NAME = _message("L204", "'{keyword}' is a keyword, not a name", "choose another name")
 EXPECTED_EXPRESSION = _message("L205", "expected an expression, found {found}")
 EXPECTED_SYMBOL = _message("L206", "expected {what}, found {found}")
 MISSING_SEMICOLON = _message("L207", "missing ; after this", "every statement and field ends with ;")
@@ -86,8 +86,8 @@ TRY_WITHOUT_CATCH = _message(
     "add catch (Exception e) {{ ... }} or finally {{ ... }}",
 )
 MISSING_MODIFIER = _message("L215", "{what} needs public or private", "write: private {text}")
-UNWANTED_MODIFIER = _message("L216", "'{word}' is not allowed before {what}", "remove it{reason}")
-FOREIGN_KEYWORD = _message("L217", "L has no '{word}'", "{instead}")
+UNWANTED_MODIFIER = _message("L216", "'{keyword}' is not allowed before {what}", "remove it{reason}")
+FOREIGN_KEYWORD = _message("L217", "L has no '{keyword}'", "{instead}")
 FOREIGN_OPERATOR = _message("L218", "L has no operator '{operator}'", "{instead}")
 NO_TERNARY = _message("L219", "L has no ? : expression", "write if (...) x = a; else x = b;")
 CAST = _message(
@@ -104,11 +104,13 @@ NEW_NEEDS = _message(
 ONE_VARIABLE = _message("L223", "a declaration declares one variable", "write two: int a; int b;")
 ARRAY_STYLE = _message("L224", "the [] belongs to the type", "write {type}[] {name}")
 NEEDS_BODY = _message("L225", "{what} needs a body", "write {{ ... }} after it")
-LOOP_ONLY = _message("L226", "'{word}' outside a loop", "it leaves or continues the innermost while or for")
+LOOP_ONLY = _message(
+    "L226", "'{keyword}' outside a loop", "it leaves or continues the innermost while or for"
+)
 INIT_CALLED = _message(
     "L227", "init cannot be called", "it runs once, when the agent starts; move the code into a method"
 )
-MISSPELT_KEYWORD = _message("L229", "'{word}' is not a keyword", "did you mean '{close}'?")
+MISSPELT_KEYWORD = _message("L229", "'{keyword}' is not a keyword", "did you mean '{close}'?")
 VOID_VALUE_TYPE = _message(
     "L230", "void is not a type for {what}", "void is only the result type of a method without a result"
 )
@@ -118,8 +120,8 @@ FINALLY_WITHOUT_TRY = _message(
 )
 LEAVES_FINALLY = _message(
     "L233",
-    "'{word}' would leave this finally and discard a pending exception or result",
-    "set a variable in the finally, and write the {word} after the try",
+    "'{keyword}' would leave this finally and discard a pending exception or result",
+    "set a variable in the finally, and write the {keyword} after the try",
 )
 
 # --- L3xx: names and declarations -----------------------------------------------------------------------
@@ -168,13 +170,13 @@ NOT_A_METHOD = _message("L319", "'{name}' is a variable, not a method", "remove 
 
 # --- L4xx: types ----------------------------------------------------------------------------------------
 
-MISMATCH = _message("L401", "{wanted} expected, this is {given}")
+MISMATCH = _message("L401", "{expected} expected, this is {given}")
 CONDITION = _message(
     "L402", "a condition is boolean, this is {given}", "compare it with something, as in x != 0"
 )
-RETURN_MISMATCH = _message("L403", "{method} returns {wanted}, this is {given}")
+RETURN_MISMATCH = _message("L403", "{method} returns {expected}, this is {given}")
 RETURN_NOTHING = _message("L404", "{method} returns no value", "write return; or give it a result type")
-RETURN_SOMETHING = _message("L405", "{method} must return {wanted}", "write return with a value after it")
+RETURN_SOMETHING = _message("L405", "{method} must return {expected}", "write return with a value after it")
 OPERANDS = _message("L406", "{operator} does not work on {left} and {right}")
 OPERAND = _message("L407", "{operator} does not work on {given}")
 INCOMPARABLE = _message("L408", "{left} and {right} cannot be compared")
@@ -185,8 +187,8 @@ ASSIGNMENT_HERE = _message(
     "L412", "an assignment is not allowed here", "did you mean == ? An assignment is a separate statement"
 )
 NO_EFFECT = _message("L413", "this statement has no effect", "call something or assign the value: x = ...;")
-ARGUMENT_COUNT = _message("L414", "{signature} takes {wanted}, {given} given")
-ARGUMENT_TYPE = _message("L415", "argument {number} of {signature} is {wanted}, this is {given}")
+ARGUMENT_COUNT = _message("L414", "{signature} takes {expected}, {given} given")
+ARGUMENT_TYPE = _message("L415", "argument {number} of {signature} is {expected}, this is {given}")
 NO_OVERLOAD = _message("L416", "no {name} takes ({given})", "the candidates are {candidates}")
 AMBIGUOUS = _message("L417", "{name}({given}) is ambiguous", "the candidates are {candidates}")
 THROW_TYPE = _message(
@@ -201,9 +203,9 @@ NEW_TYPE = _message(
 )
 EACH_ARRAY = _message("L423", "for iterates over an array, this is {given}")
 EACH_ELEMENT = _message(
-    "L424", "the elements are {given}, the variable is {wanted}", "declare the variable with that type"
+    "L424", "the elements are {given}, the variable is {expected}", "declare the variable with that type"
 )
-ELEMENTS = _message("L425", "{{ }} is an array, {wanted} expected")
+ELEMENTS = _message("L425", "{{ }} is an array, {expected} expected")
 ELEMENTS_TYPE = _message(
     "L426", "the type of this array is unknown", "write its type before the elements: new int[] {{1, 2}}"
 )
@@ -425,7 +427,7 @@ MISSING_ARGUMENT = _message(
 
 COORDINATOR_KEYWORD = _message(
     "L801",
-    "'{word}' is not allowed in {viewer}",
+    "'{keyword}' is not allowed in {viewer}",
     "declare it class {unit} coordinator specific {{ ... }}: only coordinators call portals",
 )
 TOGETHER_EMPTY = _message(
@@ -440,8 +442,8 @@ TOGETHER_INSIDE = _message(
 )
 TOGETHER_BARRED = _message(
     "L804",
-    "a portal call of the together is inside a nested {word}",
-    "put the {word} around the together, or write a separate together in the {word}",
+    "a portal call of the together is inside a nested {keyword}",
+    "put the {keyword} around the together, or write a separate together in the {keyword}",
 )
 TOGETHER_DECLARED = _message(
     "L805",
@@ -473,7 +475,7 @@ TOGETHER_ALIAS = _message(
 )
 TOGETHER_TYPE = _message(
     "L811",
-    "the call returns {given}, the variable is {wanted}",
+    "the call returns {given}, the variable is {expected}",
     "in a together both types must be equal: declare {given}, and convert after the block",
 )
 WITHIN_OVER = _message(

@@ -13,7 +13,7 @@ import msgspec
 
 #: Code files are covered by their modules.
 _CODE = (".py", ".pyc", ".so")
-_NOWHERE = ("/proc/", "/sys/", "/dev/")
+_VIRTUAL_ROOTS = ("/proc/", "/sys/", "/dev/")
 
 
 class BuildInputs(msgspec.Struct, frozen=True, array_like=True):
@@ -60,7 +60,7 @@ class InputRecorder:
 
 def _counts(path: str) -> bool:
     """Whether a file is an input. Installed files are covered by their folders."""
-    return not (path.endswith(_CODE) or path.startswith(_NOWHERE) or ".dist-info/" in path)
+    return not (path.endswith(_CODE) or path.startswith(_VIRTUAL_ROOTS) or ".dist-info/" in path)
 
 
 def _code() -> set[str]:

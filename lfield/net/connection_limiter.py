@@ -61,7 +61,7 @@ class ConnectionLimiter(Generic[G]):
         self._sources.on_proven(address)
 
     def _pick_evicted(self) -> G:
-        groups = {guest: (address, self._stage(guest)) for guest, address in self._addresses.items()}
+        groups = {client: (address, self._stage(client)) for client, address in self._addresses.items()}
         counts = Counter(groups.values())
         worst = max((count, self._sources.trust(address)) for (address, _), count in counts.items())
         found = [g for g, group in groups.items() if (counts[group], self._sources.trust(group[0])) == worst]

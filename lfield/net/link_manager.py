@@ -236,14 +236,14 @@ class LinkManager:
         """Dial the needed hosts without a link, and stop the other diallers."""
         self._desired = frozenset(self._owner.desired_hosts())
         self._required_until = {host: until for host, until in self._required_until.items() if until > now}
-        wanted = self._desired | self._required_until.keys()
+        required = self._desired | self._required_until.keys()
         self.down_since = {
             host: self.down_since.get(host, now)
-            for host in sorted(wanted - self._links.keys(), key=self._numbers.__getitem__)
+            for host in sorted(required - self._links.keys(), key=self._numbers.__getitem__)
         }
         for host in self.down_since:
             self._dial(host)
-        for host in sorted(self._diallers.keys() - wanted - self._links.keys()):
+        for host in sorted(self._diallers.keys() - required - self._links.keys()):
             self._diallers.pop(host).cancel()
 
     def _check_link(self, host: str, session: Session, now: float) -> None:
@@ -354,18 +354,18 @@ class LinkManager:
         self.on_dialled(hello.host)
 
     def on_link_closed(self, session: Session) -> None:
-        for guests in (self._ungreeted, self._observers):
-            guests.release(session)
+        for limiter in (self._ungreeted, self._observers):
+            limiter.release(session)
         host = session.hello.host if session.hello else ""
         if self._links.get(host) is session:
             del self._links[host]
             self.monitor.on_unlinked(host)
             self._last_contacts[host] = session.last_received
-            wanted = self.needs_link(host)
-            if wanted:
+            is_required = self.needs_link(host)
+            if is_required:
                 self.down_since[host] = self._clock.monotonic()
-            self._owner.on_unlinked(host, quietly=not wanted)
-            if wanted:
+            self._owner.on_unlinked(host, quietly=not is_required)
+            if is_required:
                 self._dial(host)
 
     def on_message(self, session: Session, message: Control) -> None:

@@ -311,8 +311,8 @@ class Session:
         """Report the dialled host, or the host in its certificate, as refused."""
         host = self.dialled or (self.link.who.name if self.link.who.kind == "host" else "")
         if host and self.connected:
-            told = self._handshake.refusal
-            reason = told.reason if told else self.reason
+            refusal = self._handshake.refusal
+            reason = refusal.reason if refusal else self.reason
             self._owner.refusals.report(host, reason, self._handshake.refused_bundle)
 
     @property

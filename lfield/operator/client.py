@@ -130,13 +130,13 @@ def ask_in_turn(
     with asyncio.Runner() as runner:
         asking = runner.run(_in_loop(lambda: _Requests(transport, asked, request, brings, desk)))
         answers: dict[HostRef, T | LfieldError] = {**failed}
-        told: set[HostRef] = set()
+        queried: set[HostRef] = set()
         complete = False
         while not complete:
             complete = runner.run(asking.believed_within(REPORT_AFTER))
             answers |= asking.answered
-            part = [place for place in places if not place.user and place in answers.keys() - told]
-            told.update(part)
+            part = [place for place in places if not place.user and place in answers.keys() - queried]
+            queried.update(part)
             if part:
                 yield {place: answers[place] for place in part}
         answers |= runner.run(asking.foreign())
@@ -159,9 +159,9 @@ def order_sender(keys: Keys, known: KnownHosts) -> OrderSender:
 def _remember(known: KnownHosts, answers: Mapping[HostRef, T | LfieldError]) -> None:
     """Store the epochs of the answers, so that the next stop needs one round trip."""
     for place, answer in answers.items():
-        told = answer.snapshot if isinstance(answer, EventBatch) else answer
-        if isinstance(told, Status | EmergencyStopResult) and not place.user:
-            known.learn(place.host, epochs=told.epochs)
+        reply = answer.snapshot if isinstance(answer, EventBatch) else answer
+        if isinstance(reply, Status | EmergencyStopResult) and not place.user:
+            known.learn(place.host, epochs=reply.epochs)
     known.save()
 
 
@@ -186,11 +186,11 @@ def unanswered_by_name(
     """The hosts that did not answer by display name; one entry for many hosts of another user's run."""
     found = {place: answer for place, answer in answers.items() if isinstance(answer, LfieldError)}
     counts = Counter(place.run for place in found if place.user)
-    told: dict[str, LfieldError] = {}
+    reasons: dict[str, LfieldError] = {}
     for place, why in found.items():
         count = counts[place.run] if place.user else 0
-        told.setdefault(f"{count} hosts of {place.run}" if count > MAX_LINES else names[place], why)
-    return told
+        reasons.setdefault(f"{count} hosts of {place.run}" if count > MAX_LINES else names[place], why)
+    return reasons
 
 
 def print_unanswered(hosts: Mapping[str, LfieldError], meaning: str = "") -> None:

@@ -66,9 +66,9 @@ def _state(agent: str, host: HostState) -> str:
 
 def doubt_advice(hosts: Mapping[str, HostState]) -> Iterator[str]:
     """A line for each coordinator that no answering host has, and that has not ended."""
-    told = {name: host.report for name, host in hosts.items() if host.linked}
-    agents = {known.agent for report in told.values() for known in report.coordinators}
-    agents |= {one.agent for report in told.values() if report.journal for one in report.journal.parked}
+    reports = {name: host.report for name, host in hosts.items() if host.linked}
+    agents = {known.agent for report in reports.values() for known in report.coordinators}
+    agents |= {one.agent for report in reports.values() if report.journal for one in report.journal.parked}
     for agent in sorted(agents):
         found = [known for _, known in records(agent, hosts)]
         newest = max((known for known in found), key=_age, default=None)
@@ -77,7 +77,7 @@ def doubt_advice(hosts: Mapping[str, HostState]) -> Iterator[str]:
         if any(parked_copies(agent, hosts)):
             yield f"{agent}: start its own mission again, or end it: lfield forget {agent}"
         elif newest and newest.state in ("MOVED", "IN DOUBT"):
-            away = newest.where and newest.where not in told
+            away = newest.where and newest.where not in reports
             first = f"start {newest.where} again; if it is permanently lost, " if away else ""
             if any(k.state in ("MOVED", "IN DOUBT") and not k.unreadable for k in found):
                 first += f"continue without it: lfield recover {agent}, or "

@@ -56,8 +56,8 @@ def plan_reset(host: str, pages: Sequence[Record], others: Mapping[str, HostStat
             away.append(page)
     thrown += parked
     changed += [_ended(page, "lost", RESET_REASON, host) for page in thrown]
-    begun = [BundleRecord(b"") for page in pages if isinstance(page, BundleRecord)]
-    return ResetPlan(thrown, away, [*changed, RunMarker(open=False), *begun], parked)
+    bundle = [BundleRecord(b"") for page in pages if isinstance(page, BundleRecord)]
+    return ResetPlan(thrown, away, [*changed, RunMarker(open=False), *bundle], parked)
 
 
 def _known_outcome(page: CoordinatorRecord, others: Mapping[str, HostState]) -> CoordinatorRecord | None:

@@ -53,14 +53,14 @@ def parse_query(text: str, registry: Registry) -> CapabilityQuery:
     found: list[Diagnostic] = []
     primitives = _primitives(match["what"], Span(source, *match.span("what")), registry, found)
     asked = "where" if match["where"] is not None else "how"
-    wish, mistakes = (
+    offers, mistakes = (
         (ANY_OFFER, []) if match[asked] is None else read_query(match[asked], registry.attributes)
     )
     start = match.start(asked)
     found += [_diagnostic(mistake, start, source) for mistake in mistakes]
     if found:
         raise ProgramError(found)
-    return CapabilityQuery(text.strip(), tuple(primitives), wish or ANY_OFFER)
+    return CapabilityQuery(text.strip(), tuple(primitives), offers or ANY_OFFER)
 
 
 def _primitives(what: str, place: Span, registry: Registry, found: list[Diagnostic]) -> Sequence[Primitive]:

@@ -49,10 +49,10 @@ def best_candidate(agent: str, hosts: _Hosts, names: Mapping[HostRef, str]) -> R
         raise UsageError(f"the copy of {agent} on {where} cannot be read: it cannot be recovered")
     place, newest = left[readable[-1]]
     above = max(known.generation for _, known in found)
-    word = RecoverRequest(agent, newest.generation, newest.sequence, above)
+    request = RecoverRequest(agent, newest.generation, newest.sequence, above)
     first, *more = _lines(place, newest, hosts, names)
     newer = [_newer(names[place], known) for place, known in left[readable[-1] + 1 :]]
-    return RecoveryCandidate(place, word, [first, *newer, *more])
+    return RecoveryCandidate(place, request, [first, *newer, *more])
 
 
 def _newer(host: str, known: CoordinatorState) -> str:
@@ -124,8 +124,8 @@ def _unreachable(hosts: _Hosts, names: Mapping[HostRef, str]) -> dict[HostRef, s
     for place in (place for place, host in hosts.items() if not host.linked):
         away = min((host.away[place.host] for host in linked if place.host in host.away), default=None)
         if any(place.host in host.links for host in linked):
-            heard = "others are linked with it: it is up"
+            contact = "others are linked with it: it is up"
         else:
-            heard = "no contact yet" if away is None else f"last contact {away:.0f} s ago"
-        lines[place] = f"{names[place]} does not answer; {heard}"
+            contact = "no contact yet" if away is None else f"last contact {away:.0f} s ago"
+        lines[place] = f"{names[place]} does not answer; {contact}"
     return lines

@@ -89,8 +89,8 @@ def search_roots() -> Iterator[SearchRoot]:
     group = shared_group_id()
     for user, paths in _dirs_of_others().items():
         # Only root and members of the group can have given a directory to it.
-        if seen := [path for path in paths if _is_root() or _group_of(path) == group]:
-            yield SearchRoot(seen, {user}, is_foreign=user != ROOT)
+        if own_paths := [path for path in paths if _is_root() or _group_of(path) == group]:
+            yield SearchRoot(own_paths, {user}, is_foreign=user != ROOT)
 
 
 def unreadable_hint() -> str:

@@ -78,8 +78,8 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
     seconds since 1970; every device must come to rest within `rest_within` seconds. `addresses` has the
-    "address:port" of every host of the team, `doors` the name of the socket of each that runs here. The owner
-    is that of the file, and every socket is inside its folder.
+    "address:port" of every host of the team, `control_sockets` the name of the socket of
+    each that runs here. The owner is that of the file, and every socket is inside its folder.
     """
 
     mission: Annotated[str, Meta(max_length=4096)]
@@ -91,10 +91,10 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         dict[Name, Annotated[str, Meta(max_length=MAX_LABEL, pattern=r"^(?!unix:|fd:)")]],
         Meta(max_length=_MAX_HOSTS),
     ]
-    doors: Annotated[
+    control_sockets: Annotated[
         dict[Name, Annotated[str, Meta(pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_.+-]{0,40}$")]],
         Meta(max_length=_MAX_HOSTS),
-    ]
+    ] = msgspec.field(name="doors")
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class Run:
 
     def control_socket(self, host: str) -> str:
         """The control socket of a host; '' for a host that is not in this run."""
-        name = self.manifest.doors.get(host)
+        name = self.manifest.control_sockets.get(host)
         return f"{UNIX}{self.folder / name}" if name else ""
 
 
@@ -150,7 +150,7 @@ def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManife
         started=time.time(),
         rest_within=longest_rest(mission.bindings.all),
         addresses=mission.team.addresses_by_host,
-        doors={host: _socket_name(number, host) for number, host in enumerate(here)},
+        control_sockets={host: _socket_name(number, host) for number, host in enumerate(here)},
     )
 
 
@@ -162,7 +162,7 @@ def publish_run(manifest: RunManifest, report: Callable[[str], None]) -> Iterato
     """
     run, lock = _create(manifest, report)
     try:
-        yield ControlSockets({host: run.control_socket(host) for host in run.manifest.doors}, lock)
+        yield ControlSockets({host: run.control_socket(host) for host in run.manifest.control_sockets}, lock)
     finally:
         _remove(run.folder)
         os.close(lock)
@@ -171,15 +171,15 @@ def publish_run(manifest: RunManifest, report: Callable[[str], None]) -> Iterato
 def _create(manifest: RunManifest, report: Callable[[str], None]) -> tuple[Run, int]:
     """Create the directory of a new run in the best place, with its lock."""
     first: OutputFileError | None = None
-    for spot in run_locations():
+    for location in run_locations():
         try:
-            begun = _create_in(spot, manifest)
+            run = _create_in(location, manifest)
         except OutputFileError as error:
             first = first or error
             continue
-        if first is not None and is_shared_with_group() and spot.group < 0:
+        if first is not None and is_shared_with_group() and location.group < 0:
             report(f"members of the group {GROUP} do not find this run: {first}")
-        return begun
+        return run
     reason = first or OutputFileError(str(shared_runtime_dir().parent), "others could remove files in it")
     raise OutputFileError(
         reason.path,
@@ -188,15 +188,15 @@ def _create(manifest: RunManifest, report: Callable[[str], None]) -> tuple[Run, 
     )
 
 
-def _create_in(spot: RunLocation, manifest: RunManifest) -> tuple[Run, int]:
+def _create_in(location: RunLocation, manifest: RunManifest) -> tuple[Run, int]:
     """Create the directory of a new run with its lock, atomically."""
-    base = spot.path
+    base = location.path
     name = re.sub(r"[^A-Za-z0-9_.+-]", "_", Path(manifest.mission).stem)[:24].lstrip(".") or "run"
     run = Run(base / f"{name}-{secrets.token_hex(4)}", manifest)
-    for door in run.manifest.doors:
-        if len(os.fsencode(run.control_socket(door))) > len(UNIX) + _MAX_SOCKET:
+    for host in run.manifest.control_sockets:
+        if len(os.fsencode(run.control_socket(host))) > len(UNIX) + _MAX_SOCKET:
             raise OutputFileError(
-                run.control_socket(door), "the path is too long for a socket; set XDG_RUNTIME_DIR"
+                run.control_socket(host), "the path is too long for a socket; set XDG_RUNTIME_DIR"
             )
     _remove_abandoned(base)
     unfinished = base / f".{secrets.token_hex(8)}"
@@ -206,10 +206,10 @@ def _create_in(spot: RunLocation, manifest: RunManifest) -> tuple[Run, int]:
         write_private(unfinished / _MANIFEST, msgspec.json.encode(run.manifest))
         lock = os.open(unfinished / _MANIFEST, os.O_RDWR | os.O_NOFOLLOW)
         fcntl.fcntl(lock, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, 0, 0, 0, 0))
-        if spot.group >= 0:
+        if location.group >= 0:
             # Not before it is locked: a user who may read it could lock it first.
             for path in (unfinished / _MANIFEST, unfinished, base):
-                grant_group_read(path, spot.group)
+                grant_group_read(path, location.group)
         os.rename(unfinished, run.folder)
     except (OSError, OutputFileError) as error:
         if lock >= 0:

@@ -95,8 +95,8 @@ def targets_of_team(team: Team, runs: Sequence[Run], maps: Sequence[str]) -> lis
     if any(not run.user for run in own):
         return targets_of_runs(own, mapped)
     stated = team.at(mapped).addresses_by_host
-    taken = {(team.deployment.hex(), host, address) for host, address in stated.items()}
-    return [TargetTeam((), stated), *_foreign_targets(own, mapped, taken)]
+    claimed = {(team.deployment.hex(), host, address) for host, address in stated.items()}
+    return [TargetTeam((), stated), *_foreign_targets(own, mapped, claimed)]
 
 
 #: A host of a deployment at an address, over a network.
@@ -105,9 +105,9 @@ _MissionKey = tuple[str, str, str]
 
 def targets_of_runs(runs: Sequence[Run], mapped: Mapping[str, str] | None = None) -> list[TargetTeam]:
     """The teams of these runs. A host that is `mapped`, or that none of them runs, is in the first only."""
-    mapped, taken = mapped or {}, set[_MissionKey]()
-    believed = _trusted_targets([run for run in runs if not run.user], mapped, taken)
-    return believed + _foreign_targets(runs, mapped, taken)
+    mapped, claimed = mapped or {}, set[_MissionKey]()
+    believed = _trusted_targets([run for run in runs if not run.user], mapped, claimed)
+    return believed + _foreign_targets(runs, mapped, claimed)
 
 
 def _foreign_targets(
@@ -127,17 +127,17 @@ def _trusted_targets(
     claimed |= {
         (run.manifest.deployment, host, run.manifest.addresses.get(host, ""))
         for run in runs
-        for host in run.manifest.doors
+        for host in run.manifest.control_sockets
         if host not in mapped
     }
     parties: list[TargetTeam] = []
     for run in runs:
         addresses = {}
         for host, known in run.manifest.addresses.items():
-            door = "" if host in mapped else run.control_socket(host)
+            socket = "" if host in mapped else run.control_socket(host)
             address = mapped.get(host, known)
-            if door or (run.manifest.deployment, host, address) not in claimed:
-                addresses[host] = door or address
+            if socket or (run.manifest.deployment, host, address) not in claimed:
+                addresses[host] = socket or address
                 claimed.add((run.manifest.deployment, host, address))
         _merge_into(TargetTeam((run,), addresses), parties)
     return [party for party in parties if party.addresses]
@@ -188,7 +188,7 @@ def single_target(parties: Sequence[TargetTeam]) -> TargetTeam:
 
 def _are_one_team(parties: Sequence[TargetTeam]) -> bool:
     """Whether all runs are of one mission, and no host runs twice."""
-    hosts = [host for party in parties for run in party.runs for host in run.manifest.doors]
+    hosts = [host for party in parties for run in party.runs for host in run.manifest.control_sockets]
     return len({party.mission for party in parties}) == 1 and len(set(hosts)) == len(hosts)
 
 
@@ -198,7 +198,7 @@ def _merged(parties: Sequence[TargetTeam]) -> TargetTeam:
     for party in reversed(parties):
         addresses |= party.addresses
     for party in parties:
-        own = {host for run in party.runs for host in run.manifest.doors}
+        own = {host for run in party.runs for host in run.manifest.control_sockets}
         addresses |= {host: address for host, address in party.addresses.items() if host in own}
     return TargetTeam(tuple(run for party in parties for run in party.runs), addresses)
 

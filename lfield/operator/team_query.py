@@ -193,9 +193,9 @@ def _view(
     agent: AgentIdentity, views: DirectoryViews, unanswered: Collection[str], at: str
 ) -> DirectoryEntry:
     for host in (at,) if at else dict.fromkeys((agent.host, *views)):
-        told = views.get(host, {}).get(agent.id)
-        if told is not None:
-            return told
+        view = views.get(host, {}).get(agent.id)
+        if view is not None:
+            return view
     why = f"its host {agent.host} does not answer" if agent.host in unanswered else ""
     return DirectoryEntry(agent.id, why, {}, {})
 

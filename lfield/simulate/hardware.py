@@ -193,8 +193,10 @@ def _method(instruction: Instruction) -> Any:
     async def method(device: AnyDevice, *arguments: object) -> DeviceValue:
         return await device.carry_out(instruction, arguments)
 
-    taken = [Parameter(f"p{n}", Parameter.POSITIONAL_ONLY) for n in range(len(instruction.parameters) + 1)]
-    method.__signature__ = Signature(taken)  # type: ignore[attr-defined]
+    parameters = [
+        Parameter(f"p{n}", Parameter.POSITIONAL_ONLY) for n in range(len(instruction.parameters) + 1)
+    ]
+    method.__signature__ = Signature(parameters)  # type: ignore[attr-defined]
     return method
 
 

@@ -98,24 +98,24 @@ class Fleet:
         options: FleetOptions | None = None,
     ) -> None:
         self._watch, self._on_start, self.options = watch, on_start, options or FleetOptions()
-        dice = random.Random(seed)
+        rng = random.Random(seed)
         self.timeline = EventQueue()
         #: All program output and log lines: seconds, host, text.
         self.log: list[tuple[float, str, str]] = []
         names = mission.team.hosts
-        self.machines = {name: self._machine(name, dice) for name in names}
-        self.network = SimulatedNetwork(self.timeline, self.machines, dice)
+        self.machines = {name: self._machine(name, rng) for name in names}
+        self.network = SimulatedNetwork(self.timeline, self.machines, rng)
         programs = {"lfield.guard.process": guard}
         self.computers = {
             m.name: SimulatedComputer(m, self.network, programs) for m in self.machines.values()
         }
-        self.disks = {name: JournalDisk(random.Random(dice.random())) for name in names}
+        self.disks = {name: JournalDisk(random.Random(rng.random())) for name in names}
         #: Hosts that may have acted without any record on their disk. Others are started with the operator's
         #: assertion of a first start, until they have stored something.
         self._known: set[str] = set()
         #: Hardware of any driver, by the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
-        self.mission = (plug or plug_any_hardware)(self, mission, dice).at(
+        self.mission = (plug or plug_any_hardware)(self, mission, rng).at(
             mission.team.at({name: f"{name}:{PORT}" for name in names})
         )
         #: Running hosts; exit statuses of those that have exited.

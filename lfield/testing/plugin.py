@@ -73,11 +73,11 @@ def _draw(request: pytest.FixtureRequest, team: MissionTeam, which: str) -> None
     from lfield.testing.mission.track_picture import draw
 
     file = folder / f"{_name(request)}{which}.svg"
-    picture = draw(team.tracks, f"{team.mission.name}: {request.node.name}", team.marks)
+    svg = draw(team.tracks, f"{team.mission.name}: {request.node.name}", team.marks)
     message = str(file)
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        file.write_text(picture)
+        file.write_text(svg)
     except OSError as error:
         message = f"{file} cannot be written: {error.strerror}"
     request.node.user_properties.append((_DRAWN, message))

@@ -231,6 +231,6 @@ def _nonblocking_for(
 def discard_output(stream: TextIO) -> None:
     """Discard the remaining output of a stream; Python would fail on it again at exit."""
     with suppress(OSError, ValueError):
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)
+        null_device = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(null_device, stream.fileno())
+        os.close(null_device)

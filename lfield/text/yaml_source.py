@@ -213,9 +213,9 @@ def _syntax_error(source: Source, start: int, error: yaml.MarkedYAMLError) -> Di
     line, _ = source.line_column(min(start, max(len(source.text) - 1, 0)))
     text = source.line_text(line)
     if "\t" in text[: len(text) - len(text.lstrip())]:
-        begin = source.line_ends(line)[0] + text.index("\t")
+        position = source.line_ends(line)[0] + text.index("\t")
         return Diagnostic(
-            "Y101", "a tab in the indentation of this line", _at(source, begin), "indent with spaces"
+            "Y101", "a tab in the indentation of this line", _at(source, position), "indent with spaces"
         )
     for part, sentence, hint in _PROBLEMS:
         if part in reported:

@@ -60,7 +60,7 @@ class CallView(Protocol):
 class Deadlines:
     """Sets time limits, and throws when they expire.
 
-    `visits` provides the calls of a coordinator. `stop_waiting(agent)` ends its wait for pending calls here;
+    `calls` provides the calls of a coordinator. `stop_waiting(agent)` ends its wait for pending calls here;
     false when it does not wait.
     """
 
@@ -68,11 +68,11 @@ class Deadlines:
         self,
         scheduler: Scheduler,
         cancelling: Cancellation,
-        visits: CallView,
+        calls: CallView,
         stop_waiting: Callable[[Agent], bool],
     ) -> None:
         self._scheduler, self._cancelling = scheduler, cancelling
-        self._visits, self._stop_waiting = visits, stop_waiting
+        self._calls, self._stop_waiting = calls, stop_waiting
 
     def start_limit(self, agent: Agent, seconds: float) -> int:
         """The end of a limit that starts now, for its slot; the agent is then checked.
@@ -184,8 +184,8 @@ class Deadlines:
 
         Not while a heartbeat of that host is still awaited.
         """
-        leaves = agent.frozen and self._visits.head(agent) == "leave" and self.is_block_expired(agent)
-        if leaves and self._visits.is_heartbeat_pending(agent):
+        leaves = agent.frozen and self._calls.head(agent) == "leave" and self.is_block_expired(agent)
+        if leaves and self._calls.is_heartbeat_pending(agent):
             self.recheck_soon(agent)
         elif leaves and self._scheduler.world.abandon_wait(agent):
             agent.resume()
@@ -241,9 +241,9 @@ class Deadlines:
         record = w[layout.W_THREADS]
         thread, state = w[record + THREAD_ID], w[record + THREAD_STATE]
         if agent.frozen:
-            what = self._visits.blocked_action(agent) + agent.unreachable_reason
+            what = self._calls.blocked_action(agent) + agent.unreachable_reason
             if not agent.unreachable_reason and not scheduler.world.abandon_wait(agent):
-                agent.mark_overdue(self._visits.wait_reason(agent))
+                agent.mark_overdue(self._calls.wait_reason(agent))
                 return
             agent.resume()
             self._throw(agent, thread, due, what)
@@ -258,7 +258,7 @@ class Deadlines:
 
     def _cancel(self, agent: Agent, number: int, due: list[int]) -> None:
         """Cancel the call that the coordinator waits for; the exception follows when it has ended."""
-        called = self._visits.current_call(agent)
+        called = self._calls.current_call(agent)
         agent.cancel_call(self._mark_expired(agent, due), f"the time is over; {called} was cancelled")
         for resource in list(self._scheduler.agents.values()):
             if resource.member.kind == "resource" and serving(resource.block, number):

@@ -395,6 +395,6 @@ class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 def as_fields(event: Event) -> dict[str, Any]:
     """An event as named fields: number, at, up, cause, kind, and those of its kind; for JSON."""
     what = event.what
-    told = {name: to_builtins(getattr(what, name)) for name in what.__struct_fields__}
+    fields = {name: to_builtins(getattr(what, name)) for name in what.__struct_fields__}
     head = {"number": event.number, "at": event.at, "up": event.up, "cause": event.cause}
-    return {**head, "kind": event.kind, **told}
+    return {**head, "kind": event.kind, **fields}

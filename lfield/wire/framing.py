@@ -133,9 +133,9 @@ class FrameDecoder:
                     yield from self._complete()
                 continue
             if self._start or end - position < HEADER_SIZE:
-                taken = min(HEADER_SIZE - len(self._start), end - position)
-                self._start += view[position : position + taken]
-                position += taken
+                count = min(HEADER_SIZE - len(self._start), end - position)
+                self._start += view[position : position + count]
+                position += count
                 if len(self._start) < HEADER_SIZE:
                     return
                 length, kind = FRAME_HEADER.unpack(self._start)
@@ -171,9 +171,9 @@ class FrameDecoder:
         """Copy the needed part of the next bytes into the body; returns the position after the bytes used."""
         assert self._body is not None
         used = min(self._missing, len(view) - position)
-        wanted = min(used, len(self._body) - self._filled)
-        self._body[self._filled : self._filled + wanted] = view[position : position + wanted]
-        self._filled += wanted
+        count = min(used, len(self._body) - self._filled)
+        self._body[self._filled : self._filled + count] = view[position : position + count]
+        self._filled += count
         self._missing -= used
         if self._length > len(self._body):
             self.skipped += used

@@ -182,7 +182,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     agent runs here until the mission is resumed. `lease` is the remaining time in seconds for which
     coordinators may act, None if they need no lease. `pending_calls` are the calls started here that have not
     been fetched, `reserved` the resources here that coordinators have reserved. `bundle` is None for a
-    mission from files. `stopped` is why an emergency stop locks its devices, '' for none, and `unkept`
+    mission from files. `stopped` is why an emergency stop locks its devices, '' for none, and `persist_error`
     describes security state that it could not store and will lose at its end. `refused` are the hosts to
     which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
     numbers that orders must name (see `orders`).
@@ -207,7 +207,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     reserved: Annotated[list[ReservedStatus], Meta(max_length=4096)] = []
     bundle: BundleStatus | None = None
     stopped: Text = ""
-    unkept: Text = ""
+    persist_error: Text = ""
     refused: Annotated[list[UnlinkableHost], Meta(max_length=4096)] = []
     start: StartStatus | None = None
     epochs: Epochs = Epochs()

@@ -235,11 +235,11 @@ def order_confirmation(id: bytes, epochs: Epochs, devices: Mapping[str, str], tr
     safe: list[str] = []
     unsafe: dict[str, str] = {}
     trouble = truncate(trouble, MAX_SENTENCE)
-    room = _DEVICE_BYTES - len(_encode(trouble))
+    free_bytes = _DEVICE_BYTES - len(_encode(trouble))
     for name, why in sorted(devices.items(), key=lambda device: not device[1]):
         why = truncate(why, MAX_SENTENCE)
-        room -= len(_encode(name)) + (len(_encode(why)) if why else 0)
-        if room < 0:
+        free_bytes -= len(_encode(name)) + (len(_encode(why)) if why else 0)
+        if free_bytes < 0:
             break
         if why:
             unsafe[name] = why

@@ -51,14 +51,14 @@ async def serve_until_stopped(
     identity = {"kind": kind, "endpoint": endpoint, "devices": dict(devices)}
     path = control_folder() / f"{kind}-{os.getpid()}.sock"
     path.unlink(missing_ok=True)
-    door = await loop.create_unix_server(lambda: _FaultConnection(faults, identity), path)
+    server = await loop.create_unix_server(lambda: _FaultConnection(faults, identity), path)
     # Hardware responds in time on a busy computer too; guards have the higher priority.
     raise_timer_priority()
     print(f"ready {endpoint} {summary}".rstrip(), flush=True)
     try:
         await stop.wait()
     finally:
-        door.close()
+        server.close()
         path.unlink(missing_ok=True)
 
 
@@ -82,13 +82,13 @@ class _FaultConnection(asyncio.Protocol):
 
     def _answer(self, line: bytes) -> dict[str, object]:
         try:
-            wanted = json.loads(line)["set"]
-            if not isinstance(wanted, list) or not all(isinstance(text, str) for text in wanted):
+            settings = json.loads(line)["set"]
+            if not isinstance(settings, list) or not all(isinstance(text, str) for text in settings):
                 raise TypeError
         except (ValueError, KeyError, TypeError, RecursionError):
             return {"error": 'a request is one line: {"set": ["NAME=VALUE"]}'}
         try:
-            self._faults.apply(wanted)
+            self._faults.apply(settings)
         except ValueError as error:
             return {"error": str(error)}
         return {"faults": self._faults.described()}

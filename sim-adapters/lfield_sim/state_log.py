@@ -43,17 +43,17 @@ class StateLog:
         """Writes changes since the last call. Called whenever something may have changed."""
         if self._file is None:
             return
-        seen = {
+        values = {
             (id, name): _value_text(value)
-            for id, tell in self._devices.items()
-            for name, value in tell().items()
+            for id, read_state in self._devices.items()
+            for name, value in read_state().items()
         }
-        changed = [fact for fact, word in seen.items() if self._known.get(fact) != word]
+        changed = [fact for fact, value in values.items() if self._known.get(fact) != value]
         if changed:
             now = self._clock()
-            lines = "".join(f"{now:.6f} {id} {name}={seen[id, name]}\n" for id, name in changed)
+            lines = "".join(f"{now:.6f} {id} {name}={values[id, name]}\n" for id, name in changed)
             self._file.write(lines.encode())
-            self._known.update(seen)
+            self._known.update(values)
 
     def close(self) -> None:
         """Closes the log."""

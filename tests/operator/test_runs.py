@@ -210,7 +210,7 @@ def test_odd_hosts_have_odd_doors():
     hosts = ["alpha", "10.0.0.7", "a/../b", "fe80::1", "x" * 64, "-"]
     note = runs.run_manifest(Mission(dict.fromkeys(hosts, "h:1")), Path("tour.dL"), hosts)
     assert Path(note.mission).is_absolute()
-    assert list(note.doors.values()) == [
+    assert list(note.control_sockets.values()) == [
         "alpha.sock",
         "10.0.0.7.sock",
         "+2.sock",
@@ -220,7 +220,7 @@ def test_odd_hosts_have_odd_doors():
     ]
     with begun(note):
         (run,) = runs_here()
-        assert run.manifest.doors == note.doors
+        assert run.manifest.control_sockets == note.control_sockets
 
 
 def test_a_folder_too_deep_for_sockets(tmp_path, monkeypatch):

@@ -76,13 +76,13 @@ class Bus:
     def _on_error(self, identifier: int, data: bytes) -> None:
         """An error frame."""
         self.errors += 1
-        words = error_text(identifier, data)
+        reason = error_text(identifier, data)
         if identifier & BUS_OFF or (self._interface is not None and self._interface.is_off):
-            self._lost(words)
+            self._lost(reason)
         elif self._loop.time() - self._last_logged >= QUIET_TIME:
             count = self.errors - self._errors_logged
             self._last_logged, self._errors_logged = self._loop.time(), self.errors
-            self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._place.text, reason=words))
+            self._note(log_messages.ERROR_FRAMES.line(count=count, bus=self._place.text, reason=reason))
 
     # -- loss and recovery ------------------------------------------------------------------------------
 

@@ -95,7 +95,7 @@ class Connection:
         self._monotonic = monotonic
         self._listener, self._loop = listener, loop
         self._inbox: deque[can.Message] = deque(maxlen=INBOX)
-        self._woken = threading.Event()
+        self._wakeup = threading.Event()
         self._closing = threading.Event()
         #: Held while `_closing` is set or a job is queued: after `_closing` is set, no job is queued.
         self._queueing = threading.Lock()
@@ -181,8 +181,8 @@ class Connection:
     def _received(self, message: can.Message) -> None:
         """Wakes the loop once for all frames until it runs."""
         self._inbox.append(message)
-        if not self._woken.is_set():
-            self._woken.set()
+        if not self._wakeup.is_set():
+            self._wakeup.set()
             self._in_loop(self._drain)
 
     def _fail(self, reason: str) -> None:
@@ -199,7 +199,7 @@ class Connection:
     def _drain(self) -> None:
         """Runs on the loop."""
         # Cleared first: a frame that arrives while this runs wakes the loop again.
-        self._woken.clear()
+        self._wakeup.clear()
         for _ in range(len(self._inbox)):
             message = self._inbox.popleft()
             if message.is_error_frame:

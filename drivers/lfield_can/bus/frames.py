@@ -68,14 +68,14 @@ CONTROLLER: Mapping[int, str] = {
 
 def error_text(identifier: int, data: bytes) -> str:
     """Describes an error frame, such as `bus off` or `controller trouble (send buffer full)`."""
-    words = []
+    parts = []
     for bit, meaning in ERROR_CLASSES.items():
         if not identifier & bit:
             continue
         detail = data[1] if bit == 0x004 and len(data) > 1 else 0
         details = ", ".join(text for mask, text in CONTROLLER.items() if detail & mask)
-        words.append(f"{meaning} ({details})" if details else meaning)
-    return ", ".join(words) or "an error of unknown class"
+        parts.append(f"{meaning} ({details})" if details else meaning)
+    return ", ".join(parts) or "an error of unknown class"
 
 
 # -- interfaces ------------------------------------------------------------------------------------------

@@ -138,10 +138,10 @@ class Socketcand(asyncio.Protocol):
             self._unread = b""
 
     def _on_text(self, text: bytes) -> None:
-        words = text.split()
-        if (frame := _frame(words)) is not None:
+        fields = text.split()
+        if (frame := _frame(fields)) is not None:
             self._listener.frame(frame)
-        elif (identifier := _error(words)) is not None:
+        elif (identifier := _error(fields)) is not None:
             # The protocol has no data for it.
             self._listener.error(identifier, b"\0")
         elif self._answers is not None:

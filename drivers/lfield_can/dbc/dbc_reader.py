@@ -373,7 +373,7 @@ class _Reader:
         if not places and not (draft and name in draft.unusable):
             what = f"signal {name} of {draft.name}" if draft else f"a message with the id {id}"
             span = Span(self._source, statement.at - len(statement.keyword), statement.at)
-            self._found.add(findings.ABSENT.at(span, statement=statement.keyword, what=what))
+            self._found.add(findings.MISSING.at(span, statement=statement.keyword, what=what))
 
     # -- findings -----------------------------------------------------------------------------------------
 
@@ -381,10 +381,10 @@ class _Reader:
         """Reports a syntax error in a statement; `at` is the number of valid characters."""
         rest = statement.body[at:]
         at += len(rest) - len(rest.lstrip())
-        word = statement.body[at:].split(None, 1)[:1]
+        following = statement.body[at:].split(None, 1)[:1]
         start = statement.at + at
-        found = f"'{word[0]}'" if word else "the end of the line"
-        span = Span(self._source, start, start + max(1, len(word[0]) if word else 1))
+        found = f"'{following[0]}'" if following else "the end of the line"
+        span = Span(self._source, start, start + max(1, len(following[0]) if following else 1))
         self._found.add(findings.SYNTAX.at(span, what=what, found=found, form=form))
 
     def _report_duplicate(self, what: str, name: str, span: Span, first: Span) -> None:

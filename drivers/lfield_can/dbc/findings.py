@@ -57,13 +57,15 @@ NO_MULTIPLEXER = _message(
     "mark the signal that selects it with 'M'; the other signals are used",
 )
 NO_NAME = _message("DBC907", "{what} has no name and is ignored", "give it a name to use it")
-UNKNOWN = _message("DBC908", "'{word}' is not a statement of a DBC file and is ignored", "check its spelling")
+UNKNOWN = _message(
+    "DBC908", "'{keyword}' is not a statement of a DBC file and is ignored", "check its spelling"
+)
 NOT_EXTENDED = _message(
     "DBC909",
     "the id {id} of message {message} has more than 11 bits, but not bit 31: it is used as an extended id",
     "add 2147483648 to the id in the file",
 )
-ABSENT = _message(
+MISSING = _message(
     "DBC910", "{statement} refers to {what}, which is not in the file, and is ignored", "remove it"
 )
 UNENDED = _message("DBC911", "this statement does not end with ';'", "put ';' at its end")

@@ -181,19 +181,19 @@ class Message:
 
     def problem(self, data: bytes) -> str:
         """What is wrong with a frame of these bytes; '' for nothing."""
-        words = []
+        problems = []
         kind = f"frame 0x{self.frame_id:X}"
         raw = self._raw(data)
         if len(data) < self.length:
             lost = [s.name for s in self.signals if s.end > 8 * len(data) and _may_be_here(s, raw)]
-            absent = f": signal{'s' * (len(lost) != 1)} {', '.join(lost)} absent" if lost else ""
-            words.append(f"{kind} has {_bytes(len(data))}, the file specifies {self.length}{absent}")
+            missing = f": signal{'s' * (len(lost) != 1)} {', '.join(lost)} absent" if lost else ""
+            problems.append(f"{kind} has {_bytes(len(data))}, the file specifies {self.length}{missing}")
         for signal in self.signals:
             if signal.is_multiplexer and signal.name in raw and not self._is_known(signal, raw[signal.name]):
-                words.append(
+                problems.append(
                     f"{kind} has {raw[signal.name]} in {signal.name}, which selects no signal of {self.name}"
                 )
-        return "; ".join(words)
+        return "; ".join(problems)
 
     def encode(self, values: Mapping[str, float]) -> bytes:
         """Its bytes with these values; of multiplexed signals, the selected ones.

@@ -55,8 +55,8 @@ def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
         at = blank.end() if blank else at
         if at >= len(text):
             return
-        word = _TOKEN.match(text, at)
-        keyword = word[0] if word else text[at]
+        token = _TOKEN.match(text, at)
+        keyword = token[0] if token else text[at]
         start = at + len(keyword)
         if keyword == "NS_":
             symbols = _SYMBOLS.match(text, start)
@@ -70,7 +70,7 @@ def statements(source: Source, found: Diagnostics) -> Iterator[Statement]:
             if keyword in _LISTS and (match := _NEXT_LINE.search(text, start)):
                 end = match.start()
             elif keyword not in _LINES and keyword != ";":
-                found.add(findings.UNKNOWN.at(Span(source, at, start), word=keyword))
+                found.add(findings.UNKNOWN.at(Span(source, at, start), keyword=keyword))
         yield Statement(keyword, text[start:end], start)
         at = end + 1 if text[end : end + 1] == ";" else end
 

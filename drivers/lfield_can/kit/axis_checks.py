@@ -95,15 +95,15 @@ async def cancels(bench: Bench) -> str:
     await bench.call("enable")
     start, way = bench.query("position"), _way(bench, 2.0 * TURN)
     speed = _speed(bench)
-    told = await cancelled(bench, lambda: _turns(bench, speed), "moveTo", start + way, speed)
-    _see(abs(bench.query("velocity")) <= _standstill(bench), f"{told}, but it turns")
-    _see(bench.query("enabled"), f"{told}, but it is {bench.query('state')}")
+    outcome = await cancelled(bench, lambda: _turns(bench, speed), "moveTo", start + way, speed)
+    _see(abs(bench.query("velocity")) <= _standstill(bench), f"{outcome}, but it turns")
+    _see(bench.query("enabled"), f"{outcome}, but it is {bench.query('state')}")
     stood = bench.query("position")
     await asyncio.sleep(LATE)
     moved = abs(bench.query("position") - stood)
-    _see(moved <= _tolerance(bench), f"{told}, but then it moved by {moved:.3f} rad")
+    _see(moved <= _tolerance(bench), f"{outcome}, but then it moved by {moved:.3f} rad")
     await bench.call("moveTo", start, speed)
-    return f"{told}, {abs(start + way - stood):.2f} rad from its goal; then back"
+    return f"{outcome}, {abs(start + way - stood):.2f} rad from its goal; then back"
 
 
 @AXIS.check("a velocity that is not renewed ends", moves=True, types=_TYPES)
@@ -115,11 +115,11 @@ async def velocity(bench: Bench) -> str:
     await bench.until(lambda: bool(bench.latched), ttl + 2.0, "the guard to end it")
     ended = bench.now - last
     _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
-    words = await rested(bench)
-    seen = abs(bench.query("velocity"))
-    _see(seen <= _standstill(bench), f"it reported to be at rest, but turns at {seen:.3f} rad/s")
+    reports = await rested(bench)
+    measured = abs(bench.query("velocity"))
+    _see(measured <= _standstill(bench), f"it reported to be at rest, but turns at {measured:.3f} rad/s")
     reason = await held(bench, 0.0)
-    way = f", then {words[0]}" if words else ""
+    way = f", then {reports[0]}" if reports else ""
     return f"after {ended:.2f} s, {reason}{way}; then it was {bench.query('state')}"
 
 
@@ -140,11 +140,11 @@ async def stop(bench: Bench) -> str:
     await bench.call("enable")
     await _drive(bench, math.copysign(_speed(bench), _way(bench, TURN)))
     await bench.call("stop")
-    seen = abs(bench.query("velocity"))
-    _see(seen <= _standstill(bench), f"stop() returned, but it turns at {seen:.3f} rad/s")
+    measured = abs(bench.query("velocity"))
+    _see(measured <= _standstill(bench), f"stop() returned, but it turns at {measured:.3f} rad/s")
     await asyncio.sleep(2.0 * bench.binding.ttl)
     _see(not bench.latched, f"it was latched: {bench.latched}")
-    return f"{bench.query('state')}, {seen:.4f} rad/s"
+    return f"{bench.query('state')}, {measured:.4f} rad/s"
 
 
 @AXIS.check("the limits of its binding are enforced", moves=True, types=_TYPES)

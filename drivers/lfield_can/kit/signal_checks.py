@@ -16,7 +16,7 @@ _TYPES = ("CanSignals",)
 @SIGNALS.check("its messages can be read", moves=False, types=_TYPES)
 async def reads(bench: Bench) -> str:
     """Every received message is fresh, and its signals are numbers."""
-    file, heard, silent = _file(bench), [], []
+    file, received, silent = _file(bench), [], []
     for name in file.names:
         if name in _commands(bench):
             continue
@@ -25,24 +25,24 @@ async def reads(bench: Bench) -> str:
         except DeviceError:
             silent.append(name)
             continue
-        heard += [
+        received += [
             f"{name}.{signal.name}" for signal in file.message(name).signals if not signal.multiplexer_ids
         ]
-    if not heard:
+    if not received:
         raise CheckFailed(f"none of its messages was received: {', '.join(silent)}")
-    told, absent = [], []
-    for signal in heard:
+    readings, missing = [], []
+    for signal in received:
         try:
-            told.append(f"{signal} {await bench.call('read', signal):g}")
+            readings.append(f"{signal} {await bench.call('read', signal):g}")
         except DeviceError:
-            absent.append(signal)
-    if not told:
-        raise CheckFailed(f"none of its signals can be read: {', '.join(absent)}")
-    if absent:
-        told.append(f"and absent from its frames {' '.join(absent)}")
+            missing.append(signal)
+    if not readings:
+        raise CheckFailed(f"none of its signals can be read: {', '.join(missing)}")
+    if missing:
+        readings.append(f"and absent from its frames {' '.join(missing)}")
     if silent:
-        told.append(f"and never received {' '.join(silent)}")
-    return ", ".join(told)
+        readings.append(f"and never received {' '.join(silent)}")
+    return ", ".join(readings)
 
 
 @SIGNALS.check("all its frames are valid", moves=False, types=_TYPES)

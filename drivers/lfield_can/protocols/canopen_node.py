@@ -42,18 +42,12 @@ PING = bytes.fromhex("4000100000000000")
 _MARK = abort(MARK, GENERAL_ERROR)
 #: The largest EDS file, in bytes.
 MAX_BYTES = 16 << 20
-#: Abort codes for a missing or read-only object.
-ABSENT = frozenset({0x06020000, 0x06090011, 0x060A0023, 0x06010002, 0x06010000, 0x08000024})
 
 Note = Callable[[str], None]
 
 
 class SdoRefused(DeviceError):
-    """The node refused a request; `absent` if it has no such object."""
-
-    def __init__(self, device: str, reason: str, code: int) -> None:
-        super().__init__(device, reason)
-        self.absent = code in ABSENT
+    """The node refused a request."""
 
 
 class CanopenNode:
@@ -145,17 +139,17 @@ class CanopenNode:
         """
         if briefly and self._ignores:
             return False
-        self._id_probe = roll_call = IdConflictProbe(1) if briefly else IdConflictProbe()
+        self._id_probe = probe = IdConflictProbe(1) if briefly else IdConflictProbe()
         try:
-            while (key := roll_call.next_key()) is not None:
+            while (key := probe.next_key()) is not None:
                 self._send(_MARK)
                 with suppress(DeviceError):  # no such object, or the answer was lost
                     await self.read_raw(*key)
                 await asyncio.sleep(GAP)
         finally:
             self._id_probe = None
-        self._ignores = roll_call.is_ignored and not briefly
-        return roll_call.is_doubled
+        self._ignores = probe.is_ignored and not briefly
+        return probe.is_doubled
 
     def close(self) -> None:
         """The driver ends: the pending transfer fails."""
@@ -179,7 +173,7 @@ class CanopenNode:
                 return data
             case Refused(code):
                 # The texts of codes are canopen's.
-                raise SdoRefused(self._name, f"{label} refused: {SdoAbortedError(code)}", code)
+                raise SdoRefused(self._name, f"{label} refused: {SdoAbortedError(code)}")
         kind = "DeviceTimeoutException" if ended.silent else "DeviceException"
         raise DeviceError(self._name, f"{label}: {ended.why}", kind=kind)
 
@@ -226,7 +220,7 @@ class CanopenNode:
     def _variable(self, index: int, subindex: int) -> ODVariable:
         variable = self._find(index, subindex)
         if variable is None:
-            raise SdoRefused(self._name, f"its EDS file has no {self._label(index, subindex)}", 0x06020000)
+            raise SdoRefused(self._name, f"its EDS file has no {self._label(index, subindex)}")
         return variable
 
     def _find(self, index: int, subindex: int) -> ODVariable | None:
@@ -269,7 +263,7 @@ def read_eds(name: str, path: str, node: int, note: Note = lambda text: None) ->
             return canopen.import_od(path, node)
         dictionary, warnings = parse_eds(path, read_within(Path(path), MAX_BYTES))
     except Exception as error:  # OSError, EdsError, and exceptions of the EPF parser
-        words = getattr(error, "strerror", None) or str(error) or type(error).__name__
-        raise DeviceError(name, f"{path} is not a readable EDS file: {words.splitlines()[0]}") from None
+        problem = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        raise DeviceError(name, f"{path} is not a readable EDS file: {problem.splitlines()[0]}") from None
     log_warnings(warnings, path, note)
     return dictionary

@@ -38,10 +38,10 @@ class Cia402(Cia402Node):
 
     def on_status(self, statusword: int) -> dict[str, object] | None:
         """A stream may contain the control word: it must not re-enable a drive that has stopped by itself."""
-        told = super().on_status(statusword)
+        changes = super().on_status(statusword)
         if not self.state.enabled:
             self._stream.stop()
-        return told
+        return changes
 
     def quiet(self, on: bool) -> None:
         """A stream feeds its watchdog too."""
@@ -233,11 +233,11 @@ class Cia402(Cia402Node):
     async def command_safe(self, state: str) -> None:
         """Quick stop, or voltage off. By SDO if process data are not running."""
         self._stream.stop()
-        word = t.DISABLE_VOLTAGE if state == "torque_off" else t.QUICK_STOP
+        controlword = t.DISABLE_VOLTAGE if state == "torque_off" else t.QUICK_STOP
         if self.pdo_configuration.data.can_send(t.CONTROL):
-            await self._control(word)
+            await self._control(controlword)
         if not self.configured or self.pdo_configuration.by_changes:
-            await self.objects.write_raw(0x6040, 0, struct.pack("<H", word))
+            await self.objects.write_raw(0x6040, 0, struct.pack("<H", controlword))
             await self.read_state()
 
     def is_safe(self, state: str, still: bool) -> bool:

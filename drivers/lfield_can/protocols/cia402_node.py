@@ -100,23 +100,23 @@ class Cia402Node(AxisProtocol):
 
     def on_values(self, values: Mapping[int, int]) -> dict[str, object] | None:
         """Values of objects, by PDO or SDO; None for an invalid status word."""
-        told: dict[str, object] = {}
+        readings: dict[str, object] = {}
         if t.STATUS in values:
             status = self.on_status(values[t.STATUS])
             if status is None:
                 return None
-            told.update(status)
+            readings.update(status)
         now = self.wiring.clock.monotonic()
         self._reported_at.update({entry: now for entry in self._reported_at if entry in values})
         if t.POSITION in values:
-            told["position"] = self.state.position = self.units.position(values[t.POSITION])
+            readings["position"] = self.state.position = self.units.position(values[t.POSITION])
         if t.VELOCITY in values:
-            told["velocity"] = self.state.velocity = self.units.velocity(values[t.VELOCITY])
+            readings["velocity"] = self.state.velocity = self.units.velocity(values[t.VELOCITY])
         if t.TORQUE in values and self.units.rated_torque:
-            told["torque"] = self.units.torque(values[t.TORQUE])
+            readings["torque"] = self.units.torque(values[t.TORQUE])
         if t.CURRENT in values and self.units.rated_current:
-            told["current"] = values[t.CURRENT] / 1000.0 * self.units.rated_current
-        return told
+            readings["current"] = values[t.CURRENT] / 1000.0 * self.units.rated_current
+        return readings
 
     def _on_heartbeat(self, value: int) -> dict[str, object]:
         self._nmt = value & 0x7F
@@ -147,8 +147,8 @@ class Cia402Node(AxisProtocol):
         self.state.enabled = state == "operation enabled"
         if not state.startswith("fault"):
             self._error_code = self._register = 0
-        words = t.error_text(self._error_code, self._register) or "fault"
-        self.state.fault = words if state.startswith("fault") else ""
+        fault = t.error_text(self._error_code, self._register) or "fault"
+        self.state.fault = fault if state.startswith("fault") else ""
         return self._state_telemetry()
 
     def _on_emergency(self, code: int, register: int) -> dict[str, object]:

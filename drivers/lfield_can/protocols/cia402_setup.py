@@ -77,20 +77,20 @@ async def set_limits(node: CanopenNode, binding: DeviceBinding, units: Units, no
 
 
 def _limits(binding: DeviceBinding, units: Units) -> Mapping[tuple[int, int], int]:
-    limits, wanted = binding.limits, {}
+    limits, required = binding.limits, {}
     if "speed" in limits:
-        wanted[0x607F, 0] = abs(units.to_velocity(limits["speed"]))
+        required[0x607F, 0] = abs(units.to_velocity(limits["speed"]))
     if "acceleration" in limits:
         for index in (0x6083, 0x6084, 0x6085):
-            wanted[index, 0] = abs(units.to_velocity(limits["acceleration"]))
+            required[index, 0] = abs(units.to_velocity(limits["acceleration"]))
     if "torque" in limits and units.rated_torque:
-        wanted[0x6072, 0] = abs(units.to_torque(limits["torque"]))
+        required[0x6072, 0] = abs(units.to_torque(limits["torque"]))
     if "current" in limits and units.rated_current:
-        wanted[0x6073, 0] = round(1000.0 * limits["current"] / units.rated_current)
+        required[0x6073, 0] = round(1000.0 * limits["current"] / units.rated_current)
     bounds = binding.option("lowest"), binding.option("highest")
     if max(map(abs, bounds)) < UNBOUNDED:
-        wanted[0x607D, 1], wanted[0x607D, 2] = sorted(map(units.to_counts, bounds))
-    return wanted
+        required[0x607D, 1], required[0x607D, 2] = sorted(map(units.to_counts, bounds))
+    return required
 
 
 async def set_quick_stop(
@@ -124,8 +124,8 @@ async def _check_brakes(node: CanopenNode, error: Callable[[str], DeviceError], 
             "use another safe_state"
         )
     if code is None or not 0 < code <= t.LAST_KNOWN:
-        told = "it does not report how" if code is None else f"0x605A is {code}, which is vendor-specific"
-        note(log_messages.QUICK_STOP_UNKNOWN.line(reason=told))
+        reason = "it does not report how" if code is None else f"0x605A is {code}, which is vendor-specific"
+        note(log_messages.QUICK_STOP_UNKNOWN.line(reason=reason))
 
 
 async def set_watchdog(

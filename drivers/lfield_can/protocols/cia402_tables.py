@@ -300,9 +300,9 @@ def error_text(code: int, register: int = 0) -> str:
 def name_of(index: int, subindex: int) -> str:
     """The name of an object: `mapping of TPDO 2`."""
     for direction in (TPDO, RPDO):
-        for start, words in ((direction.record, "parameters of"), (direction.mapping, "mapping of")):
+        for start, label in ((direction.record, "parameters of"), (direction.mapping, "mapping of")):
             if start <= index < start + 0x200:
-                return f"{words} {direction.name} {index - start + 1}"
+                return f"{label} {direction.name} {index - start + 1}"
     return OBJECTS.get((index, subindex), ("object", 0))[0]
 
 

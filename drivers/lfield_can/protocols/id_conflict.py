@@ -113,8 +113,8 @@ class Alternation:
         self._last.append((position, velocity, now))
         if len(self._last) < 3:
             return
-        (first, _, begun), (between, _, _), (last, _, _) = self._last
-        way = max(abs(speed) for _, speed, _ in self._last) * (now - begun)
+        (first, _, start), (between, _, _), (last, _, _) = self._last
+        way = max(abs(speed) for _, speed, _ in self._last) * (now - start)
         there, back = abs(between - first), abs(last - between)
         if min(there, back) > APART + 2.0 * way and abs(last - first) < 0.25 * there:
             self._returns.append(now)

@@ -59,16 +59,16 @@ async def configure_pdos(
 ) -> PdoConfiguration:
     """Configures all process data of a node. Raises DeviceError with what does not fit."""
     sides = [_PdoDirection(node, number, direction, note) for direction in (TPDO, RPDO)]
-    told, taken = [await side.set_up(error) for side in sides]
+    received, transmitted = [await side.set_up(error) for side in sides]
     values = {
         entry >> 8: await _value(node, entry)
-        for pdo in taken
+        for pdo in transmitted
         for entry in pdo.entries
         if entry >> 16 >= TYPES_END
     }
     by_sync = any(side.needs_sync for side in sides)
     return PdoConfiguration(
-        ProcessData(told, taken, values), by_sync, sides[0].trigger is PdoTrigger.BY_CHANGES
+        ProcessData(received, transmitted, values), by_sync, sides[0].trigger is PdoTrigger.BY_CHANGES
     )
 
 

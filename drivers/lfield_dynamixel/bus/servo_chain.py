@@ -121,11 +121,11 @@ class Chain:
         packet = node.codec.encode(node.number, INST_READ, node.place(start, size))
         single = doubled = damaged = 0
         for _ in range(MOST_ROUNDS):
-            heard = await self._bus.listen(node.codec, packet, size, urgency=urgency)
-            answers = [a for a in node.codec.reader().feed(heard) if a.number == node.number]
+            data = await self._bus.listen(node.codec, packet, size, urgency=urgency)
+            answers = [a for a in node.codec.reader().feed(data) if a.number == node.number]
             doubled += len(answers) > 1
             single += len(answers) == 1
-            damaged += bool(heard) and not answers
+            damaged += bool(data) and not answers
             if doubled >= PROOF:
                 return f"two servos answer to the id {node.number}; give each its own"
             if single >= fewest + 2 * (doubled + damaged):
@@ -199,9 +199,9 @@ class Chain:
                 continue
             answers = await self._request(node, instruction, parameters, size, urgency)
             if answers:
-                words = refusal_text(node.protocol, answers[0])
-                if words:
-                    raise ServoRefusal(node.number, answers[0].error, words)
+                refusal = refusal_text(node.protocol, answers[0])
+                if refusal:
+                    raise ServoRefusal(node.number, answers[0].error, refusal)
                 if len(answers[0].data) == size:
                     return answers[0]
             self._doubted.add(node.number)

@@ -25,7 +25,7 @@ STATE_TIMEOUT = 5.0
 #: Transmissions of a command in that time.
 ATTEMPTS = 5
 #: Seconds after opening from which heartbeats are sent to a vehicle that has not sent anything.
-UNHEARD_GRACE = 3.0
+FIRST_CONTACT_GRACE = 3.0
 #: Seconds to wait for a text that explains a refusal.
 REASON_TIMEOUT = 0.3
 #: Seconds for a state that shows that the first copy of a command was executed although the second was
@@ -140,7 +140,7 @@ class Contact(Device):
         its own failsafe must be able to act. A silent one may wait for a station's heartbeat.
         """
         if self.state.heartbeat_at is None:
-            return self.clock.monotonic() - self._opened_at > UNHEARD_GRACE
+            return self.clock.monotonic() - self._opened_at > FIRST_CONTACT_GRACE
         self._has_control = self._has_control or not self.state.armed
         return self._has_control
 
@@ -202,8 +202,8 @@ class Contact(Device):
         self.exchange.on_message(message)
         for handler in self._handlers.get(message.get_msgId(), ()):
             handler(message)
-        for future, wanted in list(self._expected.items()):
-            if not future.done() and wanted(message):
+        for future, is_expected in list(self._expected.items()):
+            if not future.done() and is_expected(message):
                 future.set_result(message)
 
     def on(self, message_id: int, handler: Handler) -> None:
@@ -244,13 +244,13 @@ class Contact(Device):
         place: Place | None = None,
         once: bool = False,
         optional: bool = False,
-        absent: str = "",
+        component: str = "",
         is_accepted: Callable[[], bool] | None = None,
     ) -> bool:
         """Sends a command until it is accepted. Raises DeviceError with the result and the autopilot's
         reason.
 
-        With `optional`, returns False when the autopilot does not know the command. `absent` names a part
+        With `optional`, returns False when the autopilot does not know the command. `component` names a part
         that it may lack: PX4 does not answer a command for a missing driver.
 
         `is_accepted` is a state that shows acceptance: if the first answer was lost, the second copy may be
@@ -269,7 +269,7 @@ class Contact(Device):
         if optional and answer.result == dialect.MAV_RESULT_UNSUPPORTED:
             return False
         if answer.result is None:
-            why = f": it may have no {absent}" if absent and self.exchange.px4 else ""
+            why = f": it may have no {component}" if component and self.exchange.px4 else ""
             perhaps = "; it may have been executed" if once else ""
             raise self.error(f"{what}: the autopilot did not answer{why}{perhaps}", timeout=True)
         await self._await_reasons(start)

@@ -83,8 +83,8 @@ class Identity:
 
     async def learn(self) -> None:
         """Stores the identity of the opened vehicle."""
-        told = await self._ask()
-        self._board, self._first_kind = (None if told is None else Board.of(told)), self._kind()
+        version = await self._ask()
+        self._board, self._first_kind = (None if version is None else Board.of(version)), self._kind()
         self._known, self._reason = True, ""
 
     def suspect(self, reason: str) -> None:
@@ -117,8 +117,8 @@ class Identity:
         async with self._checking:
             if self.is_certain:
                 return
-            reason, told = self._reason, await self._ask()
-            board = None if told is None else Board.of(told)
+            reason, version = self._reason, await self._ask()
+            board = None if version is None else Board.of(version)
             self.other_vehicle = self._difference(board)
             if self.other_vehicle:
                 raise self._vehicle.error(self.other_vehicle)

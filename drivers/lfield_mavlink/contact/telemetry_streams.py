@@ -148,8 +148,8 @@ class TelemetryStreams:
         return [kind for kind in self._rates if kind not in others]
 
     def _missing(self) -> list[str]:
-        told = {name for kind, names in SOURCES.items() if kind in self._last for name in names}
-        return sorted({name for names in SOURCES.values() for name in names} - told)
+        received = {name for kind, names in SOURCES.items() if kind in self._last for name in names}
+        return sorted({name for names in SOURCES.values() for name in names} - received)
 
     async def run(self) -> None:
         """Repeats requests for missing streams until cancelled."""

@@ -230,8 +230,8 @@ class VehicleState:
         position = self.position
         assert position is not None
         over_ground, upwards = self.speeds
-        told = {"velocity": list(numbers[3:]), "groundSpeed": over_ground, "climb": upwards}
-        return {**_placed(position), **told}
+        velocities = {"velocity": list(numbers[3:]), "groundSpeed": over_ground, "climb": upwards}
+        return {**_placed(position), **velocities}
 
     def _on_global_position(self, message: Any, _: float) -> Values:
         place = Place.scaled(message.lat, message.lon, message.alt)

@@ -64,10 +64,10 @@ async def commands(bench: Bench) -> str:
     version = float(dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
     known = await bench.call("command", int(dialect.MAV_CMD_REQUEST_MESSAGE), [version])
     unknown = await bench.call("command", NO_COMMAND, [])
-    told = f"known: {result_text(known)}, unknown: {result_text(unknown)}"
+    outcome = f"known: {result_text(known)}, unknown: {result_text(unknown)}"
     if known != dialect.MAV_RESULT_ACCEPTED or unknown == dialect.MAV_RESULT_ACCEPTED:
-        raise CheckFailed(told)
-    return told
+        raise CheckFailed(outcome)
+    return outcome
 
 
 @GROUND.check("all parameters, and one again by name", moves=False)
@@ -164,16 +164,16 @@ async def limits(bench: Bench) -> str:
 @GROUND.check("payload answers", moves=True)
 async def payload(bench: Bench) -> str:
     """Available payload accepts commands, missing payload refuses; PX4 does not answer for the latter."""
-    told = []
+    outcomes = []
     for instruction, arguments in PAYLOAD:
         try:
             await bench.call(instruction, *arguments)
-            told.append(f"{instruction} done")
+            outcomes.append(f"{instruction} done")
         except DeviceError as error:
             silent = error.kind == "DeviceTimeoutException"
             if silent and not bench.identity.startswith("PX4"):
                 raise
-            told.append(f"{instruction} {'not there' if silent else 'refused'}")
+            outcomes.append(f"{instruction} {'not there' if silent else 'refused'}")
     # The vehicle itself still responds.
     bench.query("mode")
-    return ", ".join(told)
+    return ", ".join(outcomes)

@@ -78,19 +78,19 @@ async def cancels(bench: Bench) -> str:
     """It stops where it was cancelled, free for the next goal; a landing is completed."""
     async with _under_way(bench):
         north, east, down = bench.query("position")
-        told = [await cancelled(bench, lambda: _moves(bench), "goTo", north + _far(bench), east, down)]
+        outcomes = [await cancelled(bench, lambda: _moves(bench), "goTo", north + _far(bench), east, down)]
         await _stops(bench)
         left = math.dist(bench.query("position")[:2], (north + _far(bench), east))
         _see(left > float(bench.binding.option("tolerance")), "its goTo() was cancelled but was completed")
         if _kind(bench) == "copter":
-            told.append(await cancelled(bench, lambda: bench.query("climb") < -MOVES, "land"))
+            outcomes.append(await cancelled(bench, lambda: bench.query("climb") < -MOVES, "land"))
             _see(not bench.query("armed"), "land() returned, but its motors are on")
             await bench.call("arm")
             climbs = cancelled(bench, lambda: bench.query("climb") > MOVES, "takeoff", _height(bench))
-            told.append(await climbs)
+            outcomes.append(await climbs)
             await bench.until(lambda: abs(bench.query("climb")) < STANDS, 10.0, "it to stop climbing")
             _see(bench.query("altitude") < _height(bench), "its takeoff was cancelled but continued")
-        return "; ".join(told)
+        return "; ".join(outcomes)
 
 
 @MOTION.check("its speed limit is enforced", moves=True)
@@ -106,10 +106,10 @@ async def speed_limit(bench: Bench) -> str:
             fastest.append(await _fastest(bench, start[0] + way, start[1], start[2]))
             await bench.call("hold")
         allowed = limit * (1.0 + float(bench.binding.option("limit_tolerance")))
-        told = f"{' and '.join(f'{speed:.2f}' for speed in fastest)} m/s at most, of {limit:g}"
-        _see(max(fastest) <= allowed, told)
-        _see(max(fastest) >= TRIED * limit, f"{told}: {far:g} m are too short for a result")
-        return told
+        outcome = f"{' and '.join(f'{speed:.2f}' for speed in fastest)} m/s at most, of {limit:g}"
+        _see(max(fastest) <= allowed, outcome)
+        _see(max(fastest) >= TRIED * limit, f"{outcome}: {far:g} m are too short for a result")
+        return outcome
 
 
 @MOTION.check("a velocity that is not renewed ends", moves=True)
@@ -122,13 +122,13 @@ async def velocity(bench: Bench) -> str:
         ended = bench.now - last
         _see(ended <= ttl + LATE, f"it ended only after {ended:.2f} s")
         reason = bench.latched
-        words = await rested(bench)
+        reports = await rested(bench)
         if bench.binding.safe_state == "hold" or _kind(bench) == "rover":
             await _stops(bench)
         else:
-            _see(bool(words), "it landed without reporting it")
+            _see(bool(reports), "it landed without reporting it")
             await bench.until(lambda: not bench.query("armed"), LATE, "its motors to be off, as reported")
-        way = f", then {words[0]}" if words else ""
+        way = f", then {reports[0]}" if reports else ""
         return f"after {ended:.2f} s, {reason}{way}; then it was in {bench.query('mode')}"
 
 

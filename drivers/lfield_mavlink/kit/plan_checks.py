@@ -49,28 +49,28 @@ async def fence(bench: Bench) -> str:
         raise NotTried(f"it has a fence, which is not changed: {zones.splitlines()[0]}")
     latitude, longitude, _ = bench.query("globalPosition")
     before = await _switches(bench)
-    seen = []
+    lines = []
     try:
         await bench.call("setFenceCircle", latitude, longitude, FENCE)
-        seen.append(await bench.call("fence"))
+        lines.append(await bench.call("fence"))
         await bench.call(
             "setFencePolygon", [value for corner in _around(bench, FENCE, 4) for value in corner]
         )
         await bench.call("excludeCircle", *_around(bench, FENCE / 2, 1)[0], FENCE / 10)
-        seen += (await bench.call("fence")).splitlines()
+        lines += (await bench.call("fence")).splitlines()
     finally:
         await bench.call("clearFence")
         for name, value in before.items():
             await bench.call("setParameter", name, value)
-    kinds = [line.split()[:2] for line in seen]
+    kinds = [line.split()[:2] for line in lines]
     if kinds != [["inside", "circle"], ["inside", "polygon"], ["outside", "circle"]]:
-        raise CheckFailed(f"read back: {'; '.join(seen) or 'nothing'}")
-    circle = [float(word) for word in seen[0].split()[2:]]
+        raise CheckFailed(f"read back: {'; '.join(lines) or 'nothing'}")
+    circle = [float(text) for text in lines[0].split()[2:]]
     _same([latitude, longitude, FENCE], circle, "a circle")
     left = await bench.call("fence")
     if left:
         raise CheckFailed(f"after clearFence() there was {left}")
-    return f"{seen[0]}; a polygon with a circle outside; now none, as before"
+    return f"{lines[0]}; a polygon with a circle outside; now none, as before"
 
 
 @PLANS.check("rally points are set, read back and cleared", moves=True)
@@ -89,10 +89,10 @@ def _within_limits(bench: Bench) -> tuple[float, float]:
 async def _tried(bench: Bench, plan: _Plan, points: Sequence[tuple[float, float, float]]) -> str:
     """Writes a plan, reads it back and clears it; then restores the vehicle's own in every case."""
     before = await _kept(bench, plan)
-    wanted = [value for point in points for value in point]
+    values = [value for point in points for value in point]
     try:
-        await bench.call(plan.write, wanted)
-        _same(wanted, await bench.call(plan.read), plan.points)
+        await bench.call(plan.write, values)
+        _same(values, await bench.call(plan.read), plan.points)
         await bench.call(plan.clear)
         left = await bench.call(plan.read)
         if left:

@@ -166,20 +166,20 @@ class Sources:
 
         Packets before the first heartbeat from an address are not: they may not be an autopilot's.
         """
-        seen = self._states.get(source)
-        if seen is None:
+        state = self._states.get(source)
+        if state is None:
             if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT:
                 return False
-            seen = self._add(source)
-        seen.on_packet(message, now)
+            state = self._add(source)
+        state.on_packet(message, now)
         if source in self._own:
-            return self._is_first(source, seen, message, now)
+            return self._is_first(source, state, message, now)
         if not self._own:
             self._own.add(source)
             self._first = now
             return True
         if message.get_msgId() in _IDENTIFYING:
-            self._on_other(source, seen, now)
+            self._on_other(source, state, now)
         return source in self._own
 
     def _add(self, source: Source) -> _SourceState:
@@ -264,7 +264,7 @@ class Sources:
         if not self._several or self.conflict(now):
             return True
         pending = (
-            now - seen.beat <= LASTS for source, seen in self._states.items() if source not in self._own
+            now - state.beat <= LASTS for source, state in self._states.items() if source not in self._own
         )
         return now - self._first >= LISTENS and not any(pending)
 
@@ -272,14 +272,14 @@ class Sources:
         """The uncertain addresses to query for AUTOPILOT_VERSION now."""
         links = {each.link for each in self._own if now - self._states[each].at <= IN_USE}
         found = []
-        for source, seen in self._states.items():
+        for source, state in self._states.items():
             if source in self._own:
-                waits = now - seen.heartbeats.contradicted <= LASTS
+                waits = now - state.heartbeats.contradicted <= LASTS
             else:
-                unknown = seen.board is None and source.link not in links
-                waits = unknown and now - seen.beat <= LASTS and seen.queries < MAX_QUERIES
-            if waits and now - seen.queried_at >= QUERY_INTERVAL:
-                seen.queries, seen.queried_at = seen.queries + 1, now
+                unknown = state.board is None and source.link not in links
+                waits = unknown and now - state.beat <= LASTS and state.queries < MAX_QUERIES
+            if waits and now - state.queried_at >= QUERY_INTERVAL:
+                state.queries, state.queried_at = state.queries + 1, now
                 found.append(source)
         return found
 

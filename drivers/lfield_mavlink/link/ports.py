@@ -132,8 +132,8 @@ class Neighbours:
 
     def commander(self, system: int, now: float) -> str:
         """The recent commander of a vehicle, such as `system 77, component 1`; '' without one."""
-        nobody = (0, 0, -math.inf)
-        by, component, at = max((self._commands.get(n, nobody) for n in (system, 0)), key=lambda who: who[2])
+        none = (0, 0, -math.inf)
+        by, component, at = max((self._commands.get(n, none) for n in (system, 0)), key=lambda who: who[2])
         return f"system {by}, component {component}" if now - at <= COMMAND_MEMORY else ""
 
     def on_message(self, message: Any) -> None:
@@ -142,14 +142,14 @@ class Neighbours:
         if message.get_msgId() != dialect.MAVLINK_MSG_ID_HEARTBEAT or who in self._names:
             return
         if len(self._names) < MAX_NEIGHBOURS:
-            words = [_name("MAV_TYPE", message.type), STACKS.get(message.autopilot, "")]
-            self._names[who] = ", ".join(filter(None, words))
+            description = [_name("MAV_TYPE", message.type), STACKS.get(message.autopilot, "")]
+            self._names[who] = ", ".join(filter(None, description))
 
     def __str__(self) -> str:
         """`system 1, component 1 (quadrotor, ArduPilot)`, for each; '' without any."""
         return "; ".join(
-            f"system {system}, component {component} ({words})"
-            for (system, component), words in sorted(self._names.items())
+            f"system {system}, component {component} ({description})"
+            for (system, component), description in sorted(self._names.items())
         )
 
 

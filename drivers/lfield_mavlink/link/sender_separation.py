@@ -14,7 +14,7 @@ from lfield_mavlink.link.dialect import dialect
 #: Apparent jump of a clock by link delays, in seconds; seconds after which a silent clock is dropped.
 JITTER, GIVEN_UP = 0.8, 3.0
 #: Seconds within which two clocks are concurrent; a restarting vehicle is silent for longer.
-BESIDE = 0.5
+CONCURRENT_WITHIN = 0.5
 #: Packets that may be lost in a row within so many seconds after the first vehicle's clock, before the next
 #: packet is not accepted as its heartbeat.
 NEAR, SOON = 32, 0.3
@@ -88,7 +88,7 @@ class SenderSeparator:
 
     def is_doubled(self, now: float) -> bool:
         """Whether the clock of a second vehicle was received just now."""
-        return max(now - self._clock_at, now - self._other_at) <= BESIDE
+        return max(now - self._clock_at, now - self._other_at) <= CONCURRENT_WITHIN
 
     def _behind(self, strand: bool, number: int) -> int:
         return (number - self._last[strand] - 1) % 256 if strand in self._last else 256

@@ -146,9 +146,9 @@ class UdpLink:
 
     def why_silent(self) -> str:
         """Simulators do not listen on UDP as radios and routers do: names the endpoint to use instead."""
-        nobody = "no process listens at" if self._unreachable else "nothing received from"
+        problem = "no process listens at" if self._unreachable else "nothing received from"
         return (
-            f"{nobody} {self._name}; simulators use other endpoints: ArduPilot's is tcp:127.0.0.1:5760, and "
+            f"{problem} {self._name}; simulators use other endpoints: ArduPilot's is tcp:127.0.0.1:5760, and "
             "PX4's sends to udpin:127.0.0.1:14550 and 14540"
         )
 

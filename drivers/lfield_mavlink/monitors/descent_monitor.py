@@ -190,11 +190,11 @@ class DescentMonitor:
         self._tilts_at = min(self._tilts_at, now)
         if now - self._tilts_at < TILTS_FOR:
             return None
-        words = f"it is tilted by {math.degrees(self._tilt):.0f} degrees"
+        description = f"it is tilted by {math.degrees(self._tilt):.0f} degrees"
         last = self._last
         if last is not None and last[1] <= LOW and abs(last[2]) < 0.5:
-            return self._crash(f"{words} on the ground, with its motors on")
-        return self._falls(words) if judged else None
+            return self._crash(f"{description} on the ground, with its motors on")
+        return self._falls(description) if judged else None
 
     def on_text(self, text: str) -> Finding | None:
         """A text of the autopilot."""
@@ -297,11 +297,11 @@ class DescentMonitor:
         needed = fell**2 / (2.0 * max(was, 0.05)) if was <= LOW else 0.0
         if max((fell - sink) / took, needed) < STOPS:
             return None
-        words = f"it hit the ground at {fell:.1f} m/s"
+        description = f"it hit the ground at {fell:.1f} m/s"
         if height <= LOW:
-            return self._crash(words)
+            return self._crash(description)
         # It may be on a hill, or have braked: wait until it is at rest.
-        self._hit, self._stands_at = Finding(words, crashed=True), now
+        self._hit, self._stands_at = Finding(description, crashed=True), now
         return None
 
     def _stood(self, landed: bool | None, now: float) -> Finding | None:

@@ -145,10 +145,10 @@ class FlightMonitor:
         if self.foreign:
             raise self._vehicle.error(f"{what} ended early: {self.foreign}; release() takes control again")
         if order.has_destination and self._course.leaves:
-            words = f"{left:.1f} m from its goal it moves elsewhere, at {self._course.leaves:.1f} m/s"
+            deviation = f"{left:.1f} m from its goal it moves elsewhere, at {self._course.leaves:.1f} m/s"
             if others := self.others():
-                self._take_over(f"{words}: {others}")
-            raise self._vehicle.error(f"{what} ended early: {self.foreign or words}")
+                self._take_over(f"{deviation}: {others}")
+            raise self._vehicle.error(f"{what} ended early: {self.foreign or deviation}")
 
     async def check_landed(self, what: str) -> None:
         """Raises DeviceError when a landing was a crash."""
@@ -251,10 +251,10 @@ class FlightMonitor:
         """A foreign target is a takeover once the mode is known to be still ours."""
         if self._state.mode not in self._modes or not self._state.armed or self.foreign:
             return
-        if words := self._target.on_guided(self._now):
+        if target := self._target.on_guided(self._now):
             others = self.others()
-            told = f"another station has sent it elsewhere, {words}"
-            self._take_over(f"{told}: {others}" if others else told)
+            reason = f"another station has sent it elsewhere, {target}"
+            self._take_over(f"{reason}: {others}" if others else reason)
 
     def _take_over(self, reason: str) -> None:
         self.foreign = reason

@@ -54,8 +54,8 @@ class TargetMonitor:
         self._stops_at: float | None = None
         # The last reported position of this motion, and when a distance of 0 was reported before reaching it.
         self._reported: Vector | None = None
-        self._nowhere_at = -math.inf
-        self._strange: tuple[float, str] | None = None
+        self._undefined_at = -math.inf
+        self._foreign: tuple[float, str] | None = None
 
     def clear(self, now: float) -> None:
         """It follows no sent target from now on, but may still report the last ones."""
@@ -63,8 +63,8 @@ class TargetMonitor:
         self._earlier += [(now + LATE, place) for _, place in self._places]
         self._places.clear()
         self._started_at, self._followed, self._is_confirmed, self._by_velocity = now, -math.inf, False, False
-        self._strange = self._stops_at = self._reported = None
-        self._nowhere_at = -math.inf
+        self._foreign = self._stops_at = self._reported = None
+        self._undefined_at = -math.inf
         if self._rests is not None:
             self._rests = self._rests[0], min(self._rests[1], now + LATE)
 
@@ -104,13 +104,13 @@ class TargetMonitor:
                 bool(self._places) and self._is_near(place, self._places[-1][1])
             )
             return
-        begins = now - self._started_at <= FIRST_TARGET_TIMEOUT
+        is_initial = now - self._started_at <= FIRST_TARGET_TIMEOUT
         if self._places:
-            if self._is_confirmed or not begins:
+            if self._is_confirmed or not is_initial:
                 self._find(now, f"{self._left(place):.0f} m from its goal")
         elif here is not None and (aloft or self._by_velocity):
             far = math.dist(place[:2], here[:2])
-            if far > HERE or (self._by_velocity and not begins):
+            if far > HERE or (self._by_velocity and not is_initial):
                 self._find(now, f"to a place {far:.0f} m away")
 
     def on_reported_distance(self, distance: float, here: Vector | None, speed: float, now: float) -> None:
@@ -118,29 +118,29 @@ class TargetMonitor:
 
         A second 0 within LATE seconds is foreign if it is far from the last reported position of this motion.
         """
-        told = self._reported
-        if distance > 0.0 or here is None or told is None:
+        reported = self._reported
+        if distance > 0.0 or here is None or reported is None:
             return
-        left = math.dist(here[:2], told[:2])
-        late = any(now <= until and self._is_near(told, place) for until, place in self._earlier)
+        left = math.dist(here[:2], reported[:2])
+        late = any(now <= until and self._is_near(reported, place) for until, place in self._earlier)
         if late or left < ARRIVES + speed**2 / 2.0:
             return
-        if now - self._nowhere_at <= LATE:
+        if now - self._undefined_at <= LATE:
             self._find(now, f"to no place, {left:.0f} m before its goal")
-        self._nowhere_at = now
+        self._undefined_at = now
 
     def on_reported_velocity(self, velocity: Vector, now: float) -> None:
         """The autopilot reports that it follows a velocity."""
-        words = f"at {math.hypot(*velocity):.1f} m/s"
+        description = f"at {math.hypot(*velocity):.1f} m/s"
         if self._was_sent(velocity, now):
             self._stops_at = None
         elif math.hypot(*velocity) > SAME:
-            self._find(now, words)
+            self._find(now, description)
         elif self._places and self._is_confirmed:
             # It stops instead of continuing; once is its own behaviour when it enters the mode.
             self._stops_at = now if self._stops_at is None else self._stops_at
             if now - self._stops_at > FIRST_TARGET_TIMEOUT:
-                self._find(now, words)
+                self._find(now, description)
 
     def on_guided(self, now: float) -> str:
         """It is still in the mode for setpoints: how its target differs from the sent one, in words.
@@ -148,11 +148,11 @@ class TargetMonitor:
         '' while it is the sent one, or nothing is known. A target may be reported before the mode that
         belongs to it.
         """
-        return "" if self._strange is None or now <= self._strange[0] else self._strange[1]
+        return "" if self._foreign is None or now <= self._foreign[0] else self._foreign[1]
 
     def _find(self, now: float, reason: str) -> None:
-        if self._strange is None:
-            self._strange = now, reason
+        if self._foreign is None:
+            self._foreign = now, reason
 
     def _left(self, place: Vector) -> float:
         goal = self._places[-1][1]

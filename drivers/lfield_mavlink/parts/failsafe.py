@@ -106,9 +106,9 @@ class Failsafe:
     # -- detection --------------------------------------------------------------------------------------
 
     def _on_heartbeat(self, _: Any) -> None:
-        begins = self._state.critical and not self._was_critical
+        is_new = self._state.critical and not self._was_critical
         self._was_critical = self._state.critical
-        if begins and not self._notice_late() and self._vehicle.exchange.px4:
+        if is_new and not self._notice_late() and self._vehicle.exchange.px4:
             # PX4 ends it when it accepts a command: a persisting one is new.
             self._was_critical = False
         self._check_mode()

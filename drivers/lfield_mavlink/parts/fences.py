@@ -228,17 +228,17 @@ def describe(items: list[Item]) -> str:
     while number < len(items):
         item = items[number]
         latitude, longitude = item.x / 1e7, item.y / 1e7
-        taken = 1
+        count = 1
         if item.command in POLYGONS:
-            taken = max(int(item.parameters[0]), 1)
-            corners = (f"{c.x / 1e7:.7f} {c.y / 1e7:.7f}" for c in items[number : number + taken])
+            count = max(int(item.parameters[0]), 1)
+            corners = (f"{c.x / 1e7:.7f} {c.y / 1e7:.7f}" for c in items[number : number + count])
             lines.append(f"{_side(item.command, POLYGONS)} polygon {' '.join(corners)}")
         elif item.command in CIRCLES:
             side = _side(item.command, CIRCLES)
             lines.append(f"{side} circle {latitude:.7f} {longitude:.7f} {item.parameters[0]:g}")
         else:
             lines.append(f"return point {latitude:.7f} {longitude:.7f}")
-        number += taken
+        number += count
     return "\n".join(lines)
 
 

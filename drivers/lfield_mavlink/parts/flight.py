@@ -92,20 +92,20 @@ class Flight:
         vehicle, start = self._vehicle, self._vehicle.clock.monotonic()
         await vehicle.wait_for(lambda: not self._state.critical, CLEARS)
         while True:
-            begun = vehicle.clock.monotonic()
+            now = vehicle.clock.monotonic()
             try:
                 return await vehicle.achieve(
                     "arm", lambda: self._state.armed, dialect.MAV_CMD_COMPONENT_ARM_DISARM, 1.0
                 )
             except DeviceError as refusal:
-                if STATION_FAILSAFE not in refusal.reason or begun - start > CLEARS:
+                if STATION_FAILSAFE not in refusal.reason or now - start > CLEARS:
                     raise await self._reasoned(refusal) from None
             await asyncio.sleep(ARM_AGAIN)
 
     async def _reasoned(self, refusal: DeviceError) -> DeviceError:
         """A refusal to arm, with a reason: PX4 gives none for some."""
-        told = any(complaint in refusal.reason for complaint in COMPLAINTS)
-        if told or refusal.kind == "DeviceTimeoutException":
+        is_complaint = any(complaint in refusal.reason for complaint in COMPLAINTS)
+        if is_complaint or refusal.kind == "DeviceTimeoutException":
             return refusal
         why = await self._readiness.do_why_not_ready()
         return self._vehicle.error(f"{refusal.reason}, {why}") if why else refusal
@@ -206,20 +206,20 @@ class Flight:
 
     async def do_set_mode(self, name: str) -> None:
         """Enters a mode by the autopilot's name; not a mission mode, whose mission must be checked."""
-        wanted, profile = name.upper(), self._vehicle.profile
-        if profile.mode_values(wanted) is None:
+        mode, profile = name.upper(), self._vehicle.profile
+        if profile.mode_values(mode) is None:
             known = ", ".join(sorted(profile.modes.values()))
             raise self._vehicle.error(f"{profile.stack} has no mode '{name}'; it has {known}")
-        if wanted in (profile.mission, *BY_MISSION):
+        if mode in (profile.mission, *BY_MISSION):
             raise self._vehicle.error(
-                f"setMode refused: {wanted} would fly the vehicle's mission without a check of the limits; "
+                f"setMode refused: {mode} would fly the vehicle's mission without a check of the limits; "
                 "call startMission()"
             )
-        self._motion.check_bounded(f"setMode to {wanted}", wanted)
-        if wanted == profile.home:
+        self._motion.check_bounded(f"setMode to {mode}", mode)
+        if mode == profile.home:
             await self._returns.check("setMode")
-        self._motion.start_motion(f"mode {wanted}")
-        await self._motion.set_mode(wanted)
+        self._motion.start_motion(f"mode {mode}")
+        await self._motion.set_mode(mode)
 
     # -- the safe state -------------------------------------------------------------------------------
 

@@ -24,15 +24,15 @@ CANNOT_TURN = "this frame can turn only while driving: use goTo or setVelocity"
 TURN_PATIENCE = ProgressPatience(
     closer=0.05, message="no progress for {seconds:g} s, {left:.2f} rad from its heading"
 )
-SPOT_TURN_PATIENCE = ProgressPatience(
+TURN_IN_PLACE_PATIENCE = ProgressPatience(
     2.0, 0.05, message="its heading did not change for {seconds:g} s; " + CANNOT_TURN
 )
 #: Metres that PX4's rover may take to drive round, and the error after that.
 TURN_CLEARANCE = 5.0
 LOOP_PATIENCE = ProgressPatience(
     4.0, 0.05, clearance=TURN_CLEARANCE,
-    message="driving round it came no closer to its heading for {seconds:g} s, or {room:g} m away, and is "
-            "{left:.2f} rad off; give it more room by goTo",
+    message="driving round it came no closer to its heading for {seconds:g} s, or {clearance:g} m away, "
+            "and is {left:.2f} rad off; give it more room by goTo",
 )  # fmt: skip
 #: Metres ahead of a vehicle that does not follow a velocity, where its own fence is checked.
 AHEAD = 5.0
@@ -117,7 +117,7 @@ class Guidance:
             await self._drive_round(order, left)
             return
         await motion.start("yaw", order)
-        patience = SPOT_TURN_PATIENCE if order.target else TURN_PATIENCE
+        patience = TURN_IN_PLACE_PATIENCE if order.target else TURN_PATIENCE
         await motion.travel("yaw", order, left, HEADING_TOLERANCE, patience)
 
     async def _drive_round(self, order: Order, left: Callable[[Vector], float]) -> None:

@@ -89,8 +89,8 @@ class Maintenance:
             if self._vehicle.silence > LINK_LOST:
                 restarted.set()
             now = self._state.booted
-            told = before is not None and now is not None and now < before - OVERTAKEN
-            return (told or restarted.is_set()) and self._vehicle.silence < 1.0
+            has_rebooted = before is not None and now is not None and now < before - OVERTAKEN
+            return (has_rebooted or restarted.is_set()) and self._vehicle.silence < 1.0
 
         end = self._vehicle.clock.monotonic() + RESTART
         while not await self._vehicle.wait_for(back, 1.0):

@@ -219,11 +219,11 @@ class Missions:
 
     async def _make_current(self, what: str, number: int) -> None:
         """Sets the current item and confirms it. Raises DeviceError."""
-        wanted = number + self._first
-        message = dialect.MAVLink_mission_set_current_message(self._vehicle.system, AUTOPILOT, wanted)
+        sequence = number + self._first
+        message = dialect.MAVLink_mission_set_current_message(self._vehicle.system, AUTOPILOT, sequence)
 
-        def is_set(news: Any) -> bool:
-            return bool(news.get_msgId() == _CURRENT and news.seq == wanted)
+        def is_set(reply: Any) -> bool:
+            return bool(reply.get_msgId() == _CURRENT and reply.seq == sequence)
 
         for _ in range(QUESTIONS):
             self._vehicle.send(message)

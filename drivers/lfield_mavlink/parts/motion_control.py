@@ -320,9 +320,9 @@ class Motion:
             if progress.is_over(left, self.moves, now, self.speed.of_motion, place):
                 await self._cancel_order(order)
                 seconds = patience.bound(self.moves, self.speed.of_motion)
-                words = patience.message.format(seconds=seconds, left=left, room=patience.clearance)
+                problem = patience.message.format(seconds=seconds, left=left, clearance=patience.clearance)
                 fence = await self.fence.perhaps() if order.goal is not None else ""
-                raise vehicle.error(f"{what} gave up: {words}{fence}")
+                raise vehicle.error(f"{what} gave up: {problem}{fence}")
             if not asked and self._is_refused(order, progress, now):
                 asked = True
                 await self._check_fence(what, order)
@@ -345,17 +345,17 @@ class Motion:
 
     def _is_refused(self, order: Order, progress: Progress, now: float) -> bool:
         """Whether the autopilot seems to refuse the goal."""
-        told = "geofence" in self._vehicle.reasons(self._started_at)
-        return order.goal is not None and (told or progress.stood(now) > ASKED_WHY)
+        is_fenced = "geofence" in self._vehicle.reasons(self._started_at)
+        return order.goal is not None and (is_fenced or progress.stood(now) > ASKED_WHY)
 
     async def _check_fence(self, what: str, order: Order) -> None:
         """Raises DeviceError when its own fence is the reason."""
         assert order.goal is not None, "the caller has checked it"
-        told = self._vehicle.reasons(self._started_at)
+        texts = self._vehicle.reasons(self._started_at)
         why = await self.fence.why_beyond(order.goal)
-        if why or "geofence" in told:
+        if why or "geofence" in texts:
             await self._cancel_order(order)
-            raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{told}")
+            raise self._vehicle.error(f"{what} refused: {why or 'the goal is outside its own fence'}{texts}")
 
     async def arrival(self) -> Arrival:
         """How a rover arrives: ArduPilot stops it within WP_RADIUS of a goal."""
@@ -384,8 +384,8 @@ class Motion:
         if self._stopped:
             raise self._vehicle.error(f"{what} was stopped: {self._stopped}")
         state = self._state
-        taken = self.failsafe.is_engaged and order.has_destination
-        if state.armed and state.mode in order.modes and not taken:
+        is_overridden = self.failsafe.is_engaged and order.has_destination
+        if state.armed and state.mode in order.modes and not is_overridden:
             return
         await self.failsafe.await_text()
         chosen = ", which its failsafe chose" if self.failsafe.is_engaged else self.monitor.commanded_by

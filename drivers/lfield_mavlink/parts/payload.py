@@ -47,12 +47,16 @@ class Payload:
 
     async def do_close_gripper(self) -> None:
         await self._vehicle.command(
-            "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB, absent="gripper"
+            "closeGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_GRAB, component="gripper"
         )
 
     async def do_open_gripper(self) -> None:
         await self._vehicle.command(
-            "openGripper", dialect.MAV_CMD_DO_GRIPPER, 1.0, dialect.GRIPPER_ACTION_RELEASE, absent="gripper"
+            "openGripper",
+            dialect.MAV_CMD_DO_GRIPPER,
+            1.0,
+            dialect.GRIPPER_ACTION_RELEASE,
+            component="gripper",
         )
 
     # -- winch ----------------------------------------------------------------------------------------
@@ -64,7 +68,7 @@ class Payload:
         before = await self._request(WINCH)
         relative = float(dialect.WINCH_RELATIVE_LENGTH_CONTROL)
         await self._vehicle.command(
-            "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True, absent="winch"
+            "winch", dialect.MAV_CMD_DO_WINCH, 1.0, relative, length, speed, once=True, component="winch"
         )
         if before is not None:
             goal, bound = before.line_length + length, abs(length) / speed + WINDING
@@ -76,7 +80,7 @@ class Payload:
         """Holds the line: a speed of 0, since a relaxed winch releases it."""
         rate = float(dialect.WINCH_RATE_CONTROL)
         await self._vehicle.command(
-            "stopWinch", dialect.MAV_CMD_DO_WINCH, 1.0, rate, 0.0, 0.0, absent="winch"
+            "stopWinch", dialect.MAV_CMD_DO_WINCH, 1.0, rate, 0.0, 0.0, component="winch"
         )
 
     # -- servos and relays ----------------------------------------------------------------------------
@@ -116,7 +120,7 @@ class Payload:
     async def do_trigger_camera(self) -> None:
         """Takes one picture by the camera protocol, or by the older command."""
         capture, older = dialect.MAV_CMD_IMAGE_START_CAPTURE, dialect.MAV_CMD_DO_DIGICAM_CONTROL
-        camera = partial(self._vehicle.command, "triggerCamera", once=True, absent="camera")
+        camera = partial(self._vehicle.command, "triggerCamera", once=True, component="camera")
         if not await camera(capture, 0.0, 0.0, 1.0, optional=True):
             await camera(older, 0.0, 0.0, 0.0, 0.0, 1.0)
 
@@ -127,7 +131,7 @@ class Payload:
         degrees = (math.degrees(pitch), math.degrees(yaw))
         manager, mount = dialect.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW, dialect.MAV_CMD_DO_MOUNT_CONTROL
         values = (*degrees, None, None, 0.0, None, 0.0)
-        gimbal = partial(self._vehicle.command, "pointGimbal", absent="gimbal")
+        gimbal = partial(self._vehicle.command, "pointGimbal", component="gimbal")
         if not await gimbal(manager, *values, optional=True):
             targeting = float(dialect.MAV_MOUNT_MODE_MAVLINK_TARGETING)
             older = (degrees[0], 0.0, degrees[1], 0.0, 0.0, 0.0, targeting)

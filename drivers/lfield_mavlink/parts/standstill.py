@@ -116,14 +116,14 @@ class StandstillCheck:
     def _way(self) -> list[str]:
         """Its position and motion; its mode, if it is not the commanded one."""
         state, profile = self._state, self._vehicle.profile
-        words = [self._place(), *self._motions()]
+        motions = [self._place(), *self._motions()]
         if self._is_piloted:
-            return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *words]
+            return [f"{'flown' if profile.flies else 'steered'} by a pilot in {state.mode}", *motions]
         # PX4 leaves its landing mode when it switches its motors off, and reports the mode first.
         over = self._standing and state.mode in (profile.guided, *profile.own)
         if state.mode != profile.safe(self._vehicle.safe_state) and not over:
-            words.append(f"in {state.mode}")
-        return words
+            motions.append(f"in {state.mode}")
+        return motions
 
     def _place(self) -> str:
         state, kind = self._state, self._vehicle.profile.kind
@@ -141,16 +141,16 @@ class StandstillCheck:
         if self._speeds is None:
             return ["at an unknown speed"]
         ground, climb = self._speeds
-        words = []
+        motions = []
         if abs(climb) >= LEVEL and self._vehicle.profile.kind != "rover" and not self._standing:
-            words.append(f"{'climbing' if climb > 0.0 else 'sinking'} at {abs(climb):.1f} m/s")
+            motions.append(f"{'climbing' if climb > 0.0 else 'sinking'} at {abs(climb):.1f} m/s")
         if ground >= STILL:
-            words.append(f"moving at {ground:.1f} m/s")
+            motions.append(f"moving at {ground:.1f} m/s")
         position = self._state.position
         if position is not None and self._state.mode == self._vehicle.profile.home and not self._standing:
             far = math.hypot(*position[:2])
-            words += [f"{far:.0f} m from home"] if far > AT_HOME else []
-        return words
+            motions += [f"{far:.0f} m from home"] if far > AT_HOME else []
+        return motions
 
     @property
     def _standing(self) -> bool:

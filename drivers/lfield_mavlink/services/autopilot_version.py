@@ -35,17 +35,17 @@ class AutopilotVersion:
 
     async def encoding(self) -> Encoding:
         """From the autopilot's capabilities, else by its type."""
-        told = await self._request()
-        return encoding_of(self._vehicle.state.autopilot, told.capabilities if told else 0)
+        version = await self._request()
+        return encoding_of(self._vehicle.state.autopilot, version.capabilities if version else 0)
 
     async def serial(self) -> str:
         """`uid 3f21...`, the id of its board in hexadecimal; '' without one."""
-        told = await self._request()
-        if told is None:
+        version = await self._request()
+        if version is None:
             return ""
-        if long := bytes(told.uid2).rstrip(b"\0"):
+        if long := bytes(version.uid2).rstrip(b"\0"):
             return f"uid {long.hex()}"
-        return f"uid {told.uid:x}" if told.uid else ""
+        return f"uid {version.uid:x}" if version.uid else ""
 
     async def renew(self) -> Any | None:
         """Requests the message again; None when it does not arrive."""

@@ -145,10 +145,10 @@ class FileTransfer:
                 return found
             if opcode is Opcode.LIST_WITH_TIME and (answer is None or answer.opcode == Opcode.NAK):
                 return None
-            more, taken = entries(self._checked(f"listing {path}", answer).data)
+            more, count = entries(self._checked(f"listing {path}", answer).data)
             found += more
-            place += taken
-            if not taken:
+            place += count
+            if not count:
                 return found
             if place > MAX_ENTRIES:
                 raise self._peer.error(f"listing {path}: it has more than {MAX_ENTRIES} entries")

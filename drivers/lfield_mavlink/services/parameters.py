@@ -122,22 +122,22 @@ class Parameters:
             raw = encode(value, old.kind, encoding)
         except ValueError as error:
             raise self._peer.error(f"{old.name}: {error}") from None
-        wanted = decode(raw, old.kind, encoding)
-        told: list[Parameter] = []
+        expected = decode(raw, old.kind, encoding)
+        answers: list[Parameter] = []
 
         def is_set(message: Any) -> bool:
             # An answer to an earlier request may come late: only the new value ends the wait.
             if (now := _parameter(message, encoding, old.name)) is not None:
-                told.append(now)
-            return now is not None and now.value == wanted
+                answers.append(now)
+            return now is not None and now.value == expected
 
         with self._inbox.open() as mail:
             for _ in range(QUESTIONS):
                 self._peer.send(param_set(self._peer.system, old.name, raw, old.kind))
                 if await mail.find(is_set, PATIENCE) is not None:
                     return
-        if told:
-            raise self._peer.error(f"{old.name} could not be set to {value:g}: it is {told[-1].value:g}")
+        if answers:
+            raise self._peer.error(f"{old.name} could not be set to {value:g}: it is {answers[-1].value:g}")
         raise self._peer.error(f"{old.name}: no answer to setting it to {value:g}", timeout=True)
 
     async def _read_all(self, mail: Mail, encoding: Encoding) -> dict[str, int | float]:

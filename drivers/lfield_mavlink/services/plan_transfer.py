@@ -117,8 +117,8 @@ class PlanTransfer:
             if answer is not None:
                 self._peer.send(answer)
         if upload.refusal is not None:
-            words = mission_result_text(upload.refusal)
-            raise self._peer.error(f"the autopilot refuses the {kind.noun}: {words}")
+            reason = mission_result_text(upload.refusal)
+            raise self._peer.error(f"the autopilot refuses the {kind.noun}: {reason}")
         if upload.silent:
             raise self._peer.error(f"uploading the {kind.noun}: the autopilot did not answer", timeout=True)
         return upload.why
@@ -128,8 +128,8 @@ class PlanTransfer:
     async def _download(self, kind: PlanKind) -> list[Item]:
         system = self._peer.system
         ask_list = dialect.MAVLink_mission_request_list_message(system, AUTOPILOT, int(kind))
-        told = await self._request(kind, ask_list, lambda m: m.get_msgId() == _COUNT or _has_none(m))
-        count: int = 0 if told.get_msgId() == _ACK else told.count
+        answer = await self._request(kind, ask_list, lambda m: m.get_msgId() == _COUNT or _has_none(m))
+        count: int = 0 if answer.get_msgId() == _ACK else answer.count
         if count > MAX_ITEMS:
             raise self._peer.error(f"its {kind.noun} has {count} items, more than {MAX_ITEMS}")
         items = [await self._item(kind, number) for number in range(count)]
@@ -167,8 +167,8 @@ class PlanTransfer:
             if (answer := await self._mail.find(matches, PATIENCE)) is not None:
                 return answer
         if refusal:
-            words = mission_result_text(refusal[-1])
-            raise self._peer.error(f"the autopilot refuses to send its {kind.noun}: {words}")
+            reason = mission_result_text(refusal[-1])
+            raise self._peer.error(f"the autopilot refuses to send its {kind.noun}: {reason}")
         raise self._peer.error(f"reading the {kind.noun}: the autopilot did not answer", timeout=True)
 
     def _ack(self, kind: PlanKind, result: int) -> Any:

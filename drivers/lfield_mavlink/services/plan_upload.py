@@ -17,7 +17,7 @@ QUESTIONS, SILENCES = 10, 16
 #: A request that is repeated within so many seconds is a duplicate packet.
 TWICE = 0.1
 #: Bound of messages per item, and in addition, for a malfunctioning vehicle.
-PER_ITEM, BESIDE = 10, 100
+PER_ITEM, FIXED = 10, 100
 
 #: Requests of ArduPilot (deprecated) and PX4.
 REQUESTS = (dialect.MAVLINK_MSG_ID_MISSION_REQUEST, dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT)
@@ -34,7 +34,7 @@ class Upload:
         self._system, self._kind, self._wire = system, kind, wire
         self._handed: dict[int, float] = {}
         self._silences = 0
-        self._budget = BESIDE + PER_ITEM * len(wire)
+        self._budget = FIXED + PER_ITEM * len(wire)
         self.last: Any = dialect.MAVLink_mission_count_message(system, AUTOPILOT, len(wire), int(kind))
         self.over = False
         self.why = ""

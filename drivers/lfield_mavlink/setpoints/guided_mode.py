@@ -80,8 +80,8 @@ class GuidedMode:
             if not self.is_entered and (over or refusals == REFUSALS):
                 vehicle.check_link()
                 why = "refused" if refused else f"not entered within {within}"
-                words = "no answer" if result is None else result_text(result)
-                raise vehicle.error(f"{what}: {guided} was {why}: {words}{vehicle.reasons(start)}")
+                answer = "no answer" if result is None else result_text(result)
+                raise vehicle.error(f"{what}: {guided} was {why}: {answer}{vehicle.reasons(start)}")
 
     async def _request_offboard(self, asked: float) -> int | None:
         """Commands it once and waits briefly for the effect; returns the result."""

@@ -85,7 +85,7 @@ class Order:
 @dataclass(frozen=True, slots=True)
 class ProgressPatience:
     """How long a motion may come no `closer`, and the error after that with `{seconds}`, `{left}` and
-    `{room}`.
+    `{clearance}`.
 
     While it moves it may take `turning` seconds, or the time for `detour` metres: a car-like rover first
     drives away from a goal behind it. It may move `clearance` metres from its start.

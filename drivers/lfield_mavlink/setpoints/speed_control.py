@@ -126,16 +126,16 @@ class SpeedControl:
 
     async def apply_target(self) -> None:
         """Commands the target speed for autonomous motions. Raises DeviceError."""
-        profile, wanted = self._vehicle.profile, self.target
-        if wanted is None:
+        profile, target = self._vehicle.profile, self.target
+        if target is None:
             return
         self._correction = SpeedCorrection.of(profile) if profile.px4 else SpeedCorrection()
         if profile.kind == "rover" and not profile.px4:
             # It accelerates after each turn of its mission: a correction would cause it to overshoot again.
             self._correction = SpeedCorrection(ROVER_BY_ITSELF)
-            if await self._is_own(wanted):
+            if await self._is_own(target):
                 return
-        await self._change(wanted)
+        await self._change(target)
 
     async def _is_own(self, speed: float) -> bool:
         """Whether ArduRover has this speed by its own parameter, without overshoot."""

@@ -58,15 +58,15 @@ class GpsDevice(Device):
     def on_line(self, line: bytes) -> None:
         """Handles a line of the port; invalid lines are counted and dropped."""
         try:
-            told = parse(line)
+            values = parse(line)
         except Nonsense:
             self.malformed += 1
             self.publish(malformed=self.malformed)
             return
         self._received_at = self.clock.monotonic()
-        self._fix = str(told.get("fix", self._fix))
+        self._fix = str(values.get("fix", self._fix))
         self.heard()
-        self.publish(**told)
+        self.publish(**values)
 
     async def watch(self) -> None:
         """Logs loss and recovery of the receiver."""
@@ -84,9 +84,10 @@ class GpsDevice(Device):
         end = self.clock.monotonic() + patience
         while self._received_at is None:
             if self.clock.monotonic() >= end:
-                heard = f"{self.malformed} lines that are not NMEA" if self.malformed else "nothing"
+                received = f"{self.malformed} lines that are not NMEA" if self.malformed else "nothing"
                 raise self.error(
-                    f"received {heard} within {patience:g} s; check the wires and the baud rate", timeout=True
+                    f"received {received} within {patience:g} s; check the wires and the baud rate",
+                    timeout=True,
                 )
             await asyncio.sleep(CHECK_INTERVAL)
         self.publish(malformed=self.malformed)

@@ -26,7 +26,7 @@ DEGREE = 111_320.0
 NUMBER = "1"
 #: Baud: at ten times a second its three sentences are 2,000 bytes, too many for 9,600.
 BAUD = 38_400
-BEGINS = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
+START = datetime(2026, 11, 22, 12, 0, 0, tzinfo=UTC)
 
 FAULTS = (
     share("noise", "bytes that are replaced by others"),
@@ -44,17 +44,17 @@ def sentences(seconds: float, *, fix: bool = True) -> bytes:
     latitude = LATITUDE + north / DEGREE
     longitude = LONGITUDE + east / DEGREE / math.cos(math.radians(LATITUDE))
     place = f"{_minutes(latitude, 2)},N,{_minutes(longitude, 3)},E" if fix else ",,,"
-    now = BEGINS + timedelta(seconds=seconds)
+    now = START + timedelta(seconds=seconds)
     clock, course = now.strftime("%H%M%S.%f")[:9], math.degrees(angle + math.pi / 2.0) % 360.0
     height = f"1,09,0.9,{HEIGHT:.1f},M,47.0,M" if fix else "0,00,,,M,,M"
     moving = f"A,{place},{SPEED / KNOT:.2f},{course:.1f}" if fix else f"V,{place},,"
     used = "3,04,05,09,12,17,19,24,25,29,,,,2.1,0.9,1.9" if fix else "1,,,,,,,,,,,,,,,"
-    told = (
+    bodies = (
         f"GNGGA,{clock},{place},{height},,",
         f"GNGSA,A,{used}",
         f"GNRMC,{clock},{moving},{now:%d%m%y},,,A",
     )
-    return b"".join(map(sentence, told))
+    return b"".join(map(sentence, bodies))
 
 
 def on_circle(seconds: float) -> tuple[float, float]:

@@ -62,27 +62,27 @@ def parse(line: bytes) -> Values:
 def _gga(fields: Sequence[str]) -> Values:
     """Position, quality, satellites, height."""
     quality = int(fields[5])
-    told: Values = {"fix": FIXES[quality] if 0 <= quality < len(FIXES) else f"quality {quality}"}
+    values: Values = {"fix": FIXES[quality] if 0 <= quality < len(FIXES) else f"quality {quality}"}
     if fields[6]:
-        told["satellites"] = int(fields[6])
+        values["satellites"] = int(fields[6])
     if quality and fields[1] and fields[8]:
-        told["position"] = [*_place(fields[1:5]), _number(fields[8])]
-    return told
+        values["position"] = [*_place(fields[1:5]), _number(fields[8])]
+    return values
 
 
 def _rmc(fields: Sequence[str]) -> Values:
     """Time and date, speed and course; status V is a warning: all is ignored."""
-    told: Values = {}
+    values: Values = {}
     if fields[0] and fields[8]:
         when = datetime.strptime(fields[8] + fields[0][:6], "%d%m%y%H%M%S").replace(tzinfo=UTC)
-        told["utc"] = when.strftime("%Y-%m-%dT%H:%M:%SZ")
+        values["utc"] = when.strftime("%Y-%m-%dT%H:%M:%SZ")
     if fields[1] != "A":
-        return told
+        return values
     if fields[6]:
-        told["speed"] = _number(fields[6]) * KNOT
+        values["speed"] = _number(fields[6]) * KNOT
     if fields[7]:
-        told["course"] = math.radians(_number(fields[7]) % 360.0)
-    return told
+        values["course"] = math.radians(_number(fields[7]) % 360.0)
+    return values
 
 
 def _gsa(fields: Sequence[str]) -> Values:

@@ -42,9 +42,9 @@ def test_the_sentences_of_the_textbook():
 
 
 def test_south_and_west_are_negative_and_what_is_not_known_is_not_told():
-    told = parse(sentence("GPGGA,120000,3352.0,S,07040.0,W,4,12,0.9,520.0,M,,M,,"))
-    assert told["position"] == pytest.approx([-33.866667, -70.666667, 520.0], abs=1e-6)
-    assert told["fix"] == "rtk"
+    values = parse(sentence("GPGGA,120000,3352.0,S,07040.0,W,4,12,0.9,520.0,M,,M,,"))
+    assert values["position"] == pytest.approx([-33.866667, -70.666667, 520.0], abs=1e-6)
+    assert values["fix"] == "rtk"
     assert parse(sentence("GPGGA,,,,,,0,00,,,M,,M,,")) == {"fix": "none", "satellites": 0}
     assert parse(sentence("GPRMC,,V,,,,,,,,,,N")) == {}
 
@@ -77,12 +77,12 @@ def test_any_line_is_told_or_nonsense(line):
 
 @given(st.floats(0.0, 1e6))
 def test_the_fake_speaks_sentences(seconds):
-    told = {}
+    values = {}
     for line in sentences(seconds).splitlines():
         assert len(line) <= 82
-        told |= parse(line)
-    assert set(told) == {"position", "fix", "satellites", "dilution", "speed", "course", "utc"}
-    assert math.dist(told["position"][:2], (LATITUDE, LONGITUDE)) < 0.001
+        values |= parse(line)
+    assert set(values) == {"position", "fix", "satellites", "dilution", "speed", "course", "utc"}
+    assert math.dist(values["position"][:2], (LATITUDE, LONGITUDE)) < 0.001
 
 
 class Rig:

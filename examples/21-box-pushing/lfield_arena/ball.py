@@ -16,7 +16,7 @@ LENGTH, WIDTH, GOAL = 4.0, 3.0, 1.0
 #: Radius of the ball; maximum distance for a kick, between the rims; maximum speed of a kick.
 BALL_RADIUS, REACH, HARDEST = 0.06, 0.05, 2.0
 #: Relative loss of speed per second by rolling; restitution of walls and robots.
-ROLL, WALL, BUMPER = 0.4, 0.6, 0.3
+ROLLING_FRICTION, WALL, BUMPER = 0.4, 0.6, 0.3
 #: Seconds in a goal; if it moves less than so many metres in so many seconds, it is put into the middle.
 PAUSE, PROGRESS, PATIENCE = 3.0, 0.2, 4.0
 
@@ -41,7 +41,7 @@ class Ball:
             self._rest(seconds)
             return
         fast = math.hypot(*self.speed)
-        left = max(0.0, 1.0 - ROLL * seconds / fast) if fast > 0.0 else 0.0
+        left = max(0.0, 1.0 - ROLLING_FRICTION * seconds / fast) if fast > 0.0 else 0.0
         self.speed = self.speed[0] * left, self.speed[1] * left
         self.place = self.place[0] + self.speed[0] * seconds, self.place[1] + self.speed[1] * seconds
         self.hold()
@@ -65,9 +65,9 @@ class Ball:
     def hold(self) -> None:
         """Puts it back inside the walls, bouncing; between the posts there is no wall."""
         beyond = abs(self.place[0]) - (LENGTH / 2.0 - self.radius)
-        beside = abs(self.place[1]) - (GOAL / 2.0 - self.radius)
-        if beyond > 0.0 and beside > 0.0:
-            self._wall(0, beyond) if beyond < beside else self._wall(1, beside)
+        sideways = abs(self.place[1]) - (GOAL / 2.0 - self.radius)
+        if beyond > 0.0 and sideways > 0.0:
+            self._wall(0, beyond) if beyond < sideways else self._wall(1, sideways)
         self._wall(1, abs(self.place[1]) - (WIDTH / 2.0 - self.radius))
 
     def _wall(self, axis: int, overlap: float) -> None:

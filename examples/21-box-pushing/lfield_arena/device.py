@@ -120,13 +120,13 @@ class OmniDevice(Device):
 
     async def _state(self) -> dict[str, float]:
         """Its state as a table; publishes it."""
-        words = (await self._ask("?")).split()
+        fields = (await self._ask("?")).split()
         try:
-            state = {name: float(value) for name, value in zip(words[::2], words[1::2], strict=True)}
+            state = {name: float(value) for name, value in zip(fields[::2], fields[1::2], strict=True)}
             if not all(map(math.isfinite, state.values())) or not state.keys() >= set(STATE):
                 raise ValueError
         except ValueError:
-            raise self.error(f"its state is invalid: {' '.join(words)[:80]!r}") from None
+            raise self.error(f"its state is invalid: {' '.join(fields)[:80]!r}") from None
         self._moves = bool(state["moving"])
         self.heard()
         self.publish(

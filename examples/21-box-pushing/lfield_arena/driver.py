@@ -62,8 +62,8 @@ class ArenaDriver(Driver):
                 self._disconnect()
                 reason = getattr(error, "strerror", None) or str(error) or "no answer"
                 field = self.bindings[0].field
-                told = f"{self.endpoint}: {reason}"
-                raise DeviceError(field, told, kind="DeviceTimeoutException") from None
+                problem = f"{self.endpoint}: {reason}"
+                raise DeviceError(field, problem, kind="DeviceTimeoutException") from None
             except asyncio.CancelledError:
                 # The late answer would be taken for that to the next request.
                 self._disconnect()

@@ -14,7 +14,7 @@ RADIUS, TOUCH = 0.15, 0.001
 #: Grip of a robot's wheels in newtons, and force per speed deficit in N per m/s.
 GRIP, STIFFNESS = 10.0, 100.0
 #: The prey: its radius, range of sight and flight distance in metres, and its speed in m/s.
-PREY_RADIUS, SIGHT_RANGE, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
+PREY_RADIUS, VISUAL_RANGE, NEAR, PREY_SPEED = 0.2, 2.5, 1.2, 0.3
 #: Tolerated overlap in metres; maximum iterations per step.
 EXACT, SWEEPS = 1e-7, 400
 #: Iterations per step in which a prey avoids robots.
@@ -26,7 +26,7 @@ class Body:
     """A disc: position, velocity of its wheels in m/s, and share of its grip."""
 
     place: Vector
-    wish: Vector = (0.0, 0.0)
+    velocity: Vector = (0.0, 0.0)
     radius: float = RADIUS
     grip: float = 1.0
 
@@ -81,11 +81,11 @@ class Field:
         """Advances time."""
         self.now += seconds
         if self.prey is not None:
-            self.prey.wish = flight(self.prey.place, [robot.place for robot in self.robots.values()])
+            self.prey.velocity = flight(self.prey.place, [robot.place for robot in self.robots.values()])
         if self.box is not None:
             self._push(self.box, seconds)
         for robot in self.robots.values():
-            robot.place = _moved(robot.place, robot.wish, seconds)
+            robot.place = _moved(robot.place, robot.velocity, seconds)
         if self.ball is not None:
             self._roll(self.ball, seconds)
         self._part()
@@ -98,7 +98,7 @@ class Field:
         if self.box is not None:
             return self.box.north, self.box.east, self.box.heading
         if self.prey is not None:
-            return *self.prey.place, math.atan2(self.prey.wish[1], self.prey.wish[0])
+            return *self.prey.place, math.atan2(self.prey.velocity[1], self.prey.velocity[0])
         if self.ball is not None:
             return *self.ball.place, math.atan2(self.ball.speed[1], self.ball.speed[0])
         return 0.0, 0.0, 0.0
@@ -116,7 +116,7 @@ class Field:
         for robot in self.robots.values():
             gap, normal = ball.touch(robot.place, robot.radius)
             if gap < TOUCH and not ball.rests:
-                ball.struck(normal, robot.wish)
+                ball.struck(normal, robot.velocity)
         ball.step(seconds)
 
     def _push(self, box: Box, seconds: float) -> None:
@@ -125,15 +125,15 @@ class Field:
         for robot in self.robots.values():
             contact = box.touch(robot.place, robot.radius)
             if contact.gap < TOUCH:
-                wanted = robot.wish[0] * contact.normal[0] + robot.wish[1] * contact.normal[1]
-                lacking = STIFFNESS * (wanted - box.speed_at(contact))
+                target = robot.velocity[0] * contact.normal[0] + robot.velocity[1] * contact.normal[1]
+                lacking = STIFFNESS * (target - box.speed_at(contact))
                 pushes.append((contact, min(GRIP * robot.grip, max(0.0, lacking))))
         box.step(pushes, seconds)
 
     def _run(self, prey: Body, seconds: float) -> None:
         """Moves the prey: it pushes nobody, slides along obstacles, and stops if it cannot."""
         before = prey.place
-        prey.place = _moved(before, prey.wish, seconds)
+        prey.place = _moved(before, prey.velocity, seconds)
         for _ in range(SLIDES):
             for robot in self.robots.values():
                 away = math.dist(robot.place, prey.place)
@@ -193,14 +193,14 @@ def _moved(place: Vector, along: Vector, metres: float) -> Vector:
 
 def flight(place: Vector, hunters: Sequence[Vector]) -> Vector:
     """The velocity of a prey in m/s: to the middle of the widest gap between the hunters that it sees."""
-    seen = [
+    visible = [
         (hunter[0] - place[0], hunter[1] - place[1])
         for hunter in hunters
-        if math.dist(hunter, place) < SIGHT_RANGE
+        if math.dist(hunter, place) < VISUAL_RANGE
     ]
-    if all(math.hypot(*way) > NEAR for way in seen):
+    if all(math.hypot(*way) > NEAR for way in visible):
         return 0.0, 0.0
-    angles = sorted(math.atan2(east, north) for north, east in seen)
+    angles = sorted(math.atan2(east, north) for north, east in visible)
     ends = [*angles[1:], angles[0] + math.tau]
-    gap, begin = max((end - begin, begin) for begin, end in zip(angles, ends, strict=True))
-    return PREY_SPEED * math.cos(begin + gap / 2.0), PREY_SPEED * math.sin(begin + gap / 2.0)
+    gap, start = max((end - start, start) for start, end in zip(angles, ends, strict=True))
+    return PREY_SPEED * math.cos(start + gap / 2.0), PREY_SPEED * math.sin(start + gap / 2.0)

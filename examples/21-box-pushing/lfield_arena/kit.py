@@ -37,9 +37,11 @@ async def ended(bench: Bench) -> str:
 async def cancels(bench: Bench) -> str:
     """It ends as the manifest defines for a cancel."""
     north, east, *_ = bench.query("position")
-    told = await cancelled(bench, lambda: bool(bench.query("moving")), "driveTo", north, east + 3.0, PATIENCE)
+    outcome = await cancelled(
+        bench, lambda: bool(bench.query("moving")), "driveTo", north, east + 3.0, PATIENCE
+    )
     await bench.until(lambda: not bench.query("moving"), 1.0, "it to come to rest")
-    return told
+    return outcome
 
 
 @KIT.check("a velocity that is not renewed ends", moves=True)

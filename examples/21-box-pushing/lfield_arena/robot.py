@@ -51,9 +51,9 @@ class Robot:
             self._stop()
         if self._goal is not None and math.dist(self.body.place, self._goal[0]) < THERE:
             self._stop()
-        self.body.wish = self._wish()
+        self.body.velocity = self._target_velocity()
 
-    def _wish(self) -> Vector:
+    def _target_velocity(self) -> Vector:
         if self._goal is None:
             return self._velocity
         (north, east), speed = self._goal
@@ -67,39 +67,39 @@ class Robot:
 
     def answer(self, line: str) -> str:
         """The answer to a request."""
-        word, *rest = line.split() or [""]
-        if word != "wrong":
+        command, *rest = line.split() or [""]
+        if command != "wrong":
             self._since = 0.0
-        if word == "?":
+        if command == "?":
             return self._state()
         try:
             numbers = [float(text) for text in rest]
         except ValueError:
             return "what?"
-        if len(numbers) != REQUESTS.get(word) or not all(map(math.isfinite, numbers)):
+        if len(numbers) != REQUESTS.get(command) or not all(map(math.isfinite, numbers)):
             return "what?"
-        if self._broken and word in ("go", "drive", "kick"):
+        if self._broken and command in ("go", "drive", "kick"):
             return "its motors are off: a fault"
-        if word == "kick":
+        if command == "kick":
             return self._kick(numbers[0])
-        self._obey(word, numbers)
+        self._obey(command, numbers)
         return "ok"
 
     def _kick(self, speed: float) -> str:
         ball, body = self._field.ball, self.body
         return "ok" if ball is not None and ball.kicked(body.place, body.radius, speed) else "no ball"
 
-    def _obey(self, word: str, numbers: list[float]) -> None:
-        if word == "wrong":
+    def _obey(self, command: str, numbers: list[float]) -> None:
+        if command == "wrong":
             self.body.grip, self._broken = min(1.0, max(0.0, numbers[0])), bool(numbers[1])
             return
-        if word == "watchdog":
+        if command == "watchdog":
             self.watchdog = max(0.0, numbers[0])
             return
         self._stop()
-        if word == "go":
+        if command == "go":
             self._goal = (numbers[0], numbers[1]), min(FASTEST, max(0.0, numbers[2]))
-        elif word == "drive":
+        elif command == "drive":
             much = max(1.0, math.hypot(*numbers) / FASTEST)
             self._velocity = numbers[0] / much, numbers[1] / much
 
@@ -108,8 +108,8 @@ class Robot:
         place, target = self.body.place, self._field.target
         moving = self._goal is not None or self._velocity != (0.0, 0.0)
         goals = self._field.ball.goals if self._field.ball is not None else [0, 0]
-        told: dict[str, float] = {"north": place[0], "east": place[1], "moving": moving}
-        told |= {"broken": self._broken, "watchdog": self.watchdog}
-        told |= {"target_north": target[0], "target_east": target[1], "target_heading": target[2]}
-        told |= {"now": self._field.now, "north_goals": goals[0], "south_goals": goals[1]}
-        return " ".join(f"{name} {float(value):.6f}" for name, value in told.items())
+        state: dict[str, float] = {"north": place[0], "east": place[1], "moving": moving}
+        state |= {"broken": self._broken, "watchdog": self.watchdog}
+        state |= {"target_north": target[0], "target_east": target[1], "target_heading": target[2]}
+        state |= {"now": self._field.now, "north_goals": goals[0], "south_goals": goals[1]}
+        return " ".join(f"{name} {float(value):.6f}" for name, value in state.items())

@@ -28,8 +28,8 @@ WISHES = st.lists(st.tuples(SPEEDS, SPEEDS), min_size=3, max_size=3)
 
 
 def with_wishes(field, wishes):
-    for robot, wish in zip(field.robots.values(), wishes, strict=True):
-        robot.wish = wish
+    for robot, velocity in zip(field.robots.values(), wishes, strict=True):
+        robot.velocity = velocity
     return field
 
 
@@ -48,7 +48,7 @@ def test_energy_does_not_appear_from_nothing(rounds):
     field = behind(-0.4, 0.0, 0.4)
     for wishes in rounds:
         with_wishes(field, wishes)
-        before, most = field.box.energy, sum(GRIP * math.hypot(*wish) for wish in wishes)
+        before, most = field.box.energy, sum(GRIP * math.hypot(*velocity) for velocity in wishes)
         field.step(TICK)
         # The work of the wheels is at most their grip times their speed; the floor only takes energy.
         assert field.box.energy <= before + most * TICK + 1e-9
@@ -102,11 +102,11 @@ def test_nothing_is_where_something_else_is(layout, wishes, data):
         # All of them run towards it.
         field.prey.place = data.draw(st.tuples(st.floats(0.6, 1.2), st.floats(-1.0, 1.0)))
     for _ in range(300):
-        for robot, wish in zip(field.robots.values(), wishes, strict=False):
+        for robot, velocity in zip(field.robots.values(), wishes, strict=False):
             goal = field.target
-            robot.wish = (
-                wish[0] + 0.5 * (goal[0] - robot.place[0]),
-                wish[1] + 0.5 * (goal[1] - robot.place[1]),
+            robot.velocity = (
+                velocity[0] + 0.5 * (goal[0] - robot.place[0]),
+                velocity[1] + 0.5 * (goal[1] - robot.place[1]),
             )
         field.step(TICK)
         bodies = [*field.robots.values(), *([field.prey] if field.prey else [])]
@@ -159,7 +159,7 @@ def test_it_is_never_faster_than_it_can_be(north, east):
     for request in (f"drive {north} {east}", f"go {north} {east} 9"):
         robot.answer(request)
         robot.step(TICK)
-        assert math.hypot(*robot.body.wish) <= FASTEST + 1e-9
+        assert math.hypot(*robot.body.velocity) <= FASTEST + 1e-9
 
 
 def test_a_driver_that_is_silent_is_stopped_by_the_watchdog():
@@ -259,7 +259,7 @@ def test_what_is_beyond_a_limit_is_refused(bench, wire, call, why):
     async def story(robot):
         with pytest.raises(DeviceError, match=why):
             await robot.execute(*call)
-        assert wire.robot.body.wish == (0.0, 0.0)
+        assert wire.robot.body.velocity == (0.0, 0.0)
 
     bench.run(story)
 

@@ -7,7 +7,7 @@ import math
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from lfield_arena.ball import BALL_RADIUS, GOAL, HARDEST, LENGTH, PAUSE, REACH, ROLL, WIDTH, Ball
+from lfield_arena.ball import BALL_RADIUS, GOAL, HARDEST, LENGTH, PAUSE, REACH, ROLLING_FRICTION, WIDTH, Ball
 from lfield_arena.field import LAYOUTS, RADIUS, Body, Field
 from lfield_arena.plane import TICK
 from lfield_arena.robot import Robot
@@ -31,10 +31,10 @@ def on_pitch(ball):
 def test_a_ball_left_alone_stays_on_the_pitch_loses_energy_and_comes_to_rest(place, speed):
     ball = Ball(place, speed)
     fast = math.hypot(*speed)
-    for _ in range(1 + round(fast / ROLL / TICK)):
+    for _ in range(1 + round(fast / ROLLING_FRICTION / TICK)):
         ball.step(TICK)
         assert on_pitch(ball)
-        assert math.hypot(*ball.speed) <= max(0.0, fast - ROLL * TICK) + 1e-9
+        assert math.hypot(*ball.speed) <= max(0.0, fast - ROLLING_FRICTION * TICK) + 1e-9
         fast = math.hypot(*ball.speed)
     assert fast == pytest.approx(0.0, abs=1e-6)
 

@@ -84,8 +84,8 @@ def parse_web_keys(chain: bytes, key: bytes) -> WebKeys:
         raise KeysError("browsers take keys of RSA and of NIST's curves alone: 'lfield keys page' makes one")
     if _public_der(private.public_key()) != _public_der(public):
         raise KeysError(f"{KEY} is not the key of the first certificate in {CERTIFICATE}: copy both again")
-    begins, ends = first.not_valid_before_utc.timestamp(), first.not_valid_after_utc.timestamp()
-    return WebKeys(names, begins, ends, chain, key)
+    not_before, ends = first.not_valid_before_utc.timestamp(), first.not_valid_after_utc.timestamp()
+    return WebKeys(names, not_before, ends, chain, key)
 
 
 def write_web_keys(folder: Path, certificate: bytes, key: bytes) -> None:

@@ -35,7 +35,7 @@ _OWNERS = {
     "portal": frozenset({"resource"}),
 }
 #: Kinds in slots besides values, by the scope of the method.
-_BESIDE_VALUES = {"resource": frozenset({DEVICE}), "coordinator": frozenset({TICKET})}
+_NON_VALUE_KINDS = {"resource": frozenset({DEVICE}), "coordinator": frozenset({TICKET})}
 
 
 def check_methods(core: Core) -> None:
@@ -67,7 +67,7 @@ def _check_shape(core: Core, table: TypeTable, method: MethodRecord) -> None:
     if table.record(method.slots[0]) != TypeRecord(OBJECT, method.owner):
         raise _refused(method, "its slot 0 is not the object it runs on")
     kinds = (core.types[i].kind for i in method.slots[1:] if not table.is_value(i))
-    if not _BESIDE_VALUES.get(scope_of(core.classes[method.owner]), frozenset()).issuperset(kinds):
+    if not _NON_VALUE_KINDS.get(scope_of(core.classes[method.owner]), frozenset()).issuperset(kinds):
         raise _refused(method, "a slot has a type no variable can have")
     if method.result != VOID and not table.is_value(method.result):
         raise _refused(method, "it has a result of a type no value can have")

@@ -204,8 +204,8 @@ class AgentDirectory:
 
     def here(self) -> Position | None:
         """Where this host is: where the first of its agents is whose place is known, else its pose."""
-        now, seen = self._clock.monotonic(), self._host_state(self._here)
-        own = (self._candidate(self._agents[agent], seen, now) for agent in self.own_agents)
+        now, state = self._clock.monotonic(), self._host_state(self._here)
+        own = (self._candidate(self._agents[agent], state, now) for agent in self.own_agents)
         return location_of(own, self._registry.attributes, self._pose)
 
     def all_candidates(self) -> list[Candidate]:
@@ -216,10 +216,10 @@ class AgentDirectory:
         # Written out, here and below, because a thousand agents go through it in a query.
         now, hosts, found = self._clock.monotonic(), dict[str, _HostState](), []
         for agent in agents:
-            seen = hosts.get(agent.host)
-            if seen is None:
-                seen = hosts[agent.host] = self._host_state(agent.host)
-            found.append(self._candidate(agent, seen, now))
+            state = hosts.get(agent.host)
+            if state is None:
+                state = hosts[agent.host] = self._host_state(agent.host)
+            found.append(self._candidate(agent, state, now))
         return found
 
     def _host_state(self, host: str) -> _HostState:

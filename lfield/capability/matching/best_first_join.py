@@ -156,9 +156,9 @@ class BestFirstJoin:
                 used.setdefault(id(self._parts[part]), set()).add(numbers[part])
         for part in sorted(self._distinct):
             if numbers[part] < 0:
-                taken = used.setdefault(id(self._parts[part]), set())
-                number = next(n for n in count() if n not in taken)
-                taken.add(number)
+                used_numbers = used.setdefault(id(self._parts[part]), set())
+                number = next(n for n in count() if n not in used_numbers)
+                used_numbers.add(number)
                 if (plan := self._parts[part].at(number)) is not None:
                     costs[part] = plan.cost
 
@@ -171,10 +171,10 @@ class BestFirstJoin:
             for other, before in zip(self._order, chosen[:-1], strict=False):
                 if other in self._distinct and not agents.isdisjoint(before.agents):
                     return False
-        for judge, looked_at in self._checks[level]:
+        for judge, read_facts in self._checks[level]:
             facts = {
                 name: value
-                for name, place, attribute in looked_at
+                for name, place, attribute in read_facts
                 if (value := chosen[place].values.get(attribute)) is not None
             }
             if judge(facts) is not True:
@@ -282,9 +282,9 @@ def teams(
     waiting: list[tuple[float, tuple[int, ...], tuple[Plan, ...]]] = []
 
     def push_team(numbers: tuple[int, ...], chosen: tuple[Plan, ...]) -> None:
-        first, wanted = numbers[-1], size - len(chosen)
-        if members.at(first + wanted - 1) is not None:
-            following = members.all_of(first, wanted)
+        first, missing = numbers[-1], size - len(chosen)
+        if members.at(first + missing - 1) is not None:
+            following = members.all_of(first, missing)
             bound = cost([plan.cost for plan in (*chosen, *following)])
             heapq.heappush(waiting, (bound, numbers, (*chosen, following[0])))
 

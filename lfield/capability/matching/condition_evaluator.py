@@ -264,10 +264,10 @@ def _distance_to(place: list[Judge]) -> Judge:
     def judge(facts: Facts) -> float | None:
         squares = 0.0
         for axis, asked in zip(POSITION, place, strict=False):
-            is_at, wanted = facts.get(axis), asked(facts)
-            if is_at is None or wanted is None:
+            is_at, target = facts.get(axis), asked(facts)
+            if is_at is None or target is None:
                 return None
-            apart = _real(is_at) - _real(wanted)
+            apart = _real(is_at) - _real(target)
             squares += apart * apart
         return _root(squares)
 

@@ -23,9 +23,9 @@ def failure_reasons(
 
     `source` is the text added to the value of an attribute: its provenance.
     """
-    teller = _Explainer(facts, why, source)
+    explainer = _Explainer(facts, why, source)
     return tuple(
-        teller.reason(conjunct.tree, True)
+        explainer.reason(conjunct.tree, True)
         for conjunct in conjuncts(expression)
         if evaluator(conjunct)(facts) is not True
     )

@@ -102,16 +102,16 @@ class Matcher:
         self._team = team
         self._rules = RuleIndex(registry, team.candidates, ways, self._limits.depth)
 
-    def find(self, primitive: str, wish: OfferQuery = ANY_OFFER) -> MatchResult:
+    def find(self, primitive: str, query: OfferQuery = ANY_OFFER) -> MatchResult:
         """The best offers for a query, at most its limit or `max_offers`.
 
         Ties are ordered by the number of rules, the names of the rules, the first part, and the order of the
         deployment. Each composition rule gives at most `limits.per_rule` offers.
         """
-        search = self._search(primitive, wish)
-        most = wish.limit or self.max_offers
-        if wish.order:
-            plans, unordered = self._ordered(search, wish.order)
+        search = self._search(primitive, query)
+        most = query.limit or self.max_offers
+        if query.order:
+            plans, unordered = self._ordered(search, query.order)
             count = len(plans)
         else:
             plans, unordered = list(islice(search.plans(), most)), ()
@@ -128,21 +128,21 @@ class Matcher:
         """The number of all offers of which `offers` returns the best."""
         return self.find(primitive, OfferQuery(constraint)).count
 
-    def teams(self, primitive: str, size: int, wish: OfferQuery = ANY_OFFER) -> TeamResult:
+    def teams(self, primitive: str, size: int, query: OfferQuery = ANY_OFFER) -> TeamResult:
         """The best teams of `size` offers without a common agent.
 
         Of several offers by the same agents only the best can be a member. The cost of a team is the sum of
         the costs of its members plus `part` for each after the first; ties are ordered by the first member,
         then the second. If the query has an order, teams are compared by their members.
         """
-        search = self._search(primitive, wish)
+        search = self._search(primitive, query)
         cost: Callable[[Iterable[float]], float]
-        if wish.order:
-            members, cost = PlanStream(_by_agents(self._ordered(search, wish.order)[0])), _no_cost
+        if query.order:
+            members, cost = PlanStream(_by_agents(self._ordered(search, query.order)[0])), _no_cost
         else:
             members, cost = PlanStream(_by_agents(search.plans())), self._rules.ranking.whole
         found, more = [], False
-        most = wish.limit or self.max_offers
+        most = query.limit or self.max_offers
         try:
             effort = SearchBudget(self._limits.failures, self._limits.steps)
             for team in islice(teams(members, size, cost, effort), most + 1):
@@ -153,17 +153,17 @@ class Matcher:
         cut, full = (tuple(sorted(names)) for names in (search.cut, search.full))
         return TeamResult(found[:most], agents, cut, more, full, len(found) > most)
 
-    def agents(self, primitive: str, wish: OfferQuery = ANY_OFFER) -> int:
+    def agents(self, primitive: str, query: OfferQuery = ANY_OFFER) -> int:
         """How many agents take part in any offer."""
-        return len(_agents(self._search(primitive, wish).plans()))
+        return len(_agents(self._search(primitive, query).plans()))
 
     def explain(self, primitive: str, constraint: Expression | None = None) -> list[Rejection]:
         """The possible providers that are not offered: agents of each way, and rules."""
         return Explanation(self._search(primitive, OfferQuery(constraint))).refusals()
 
-    def _search(self, primitive: str, wish: OfferQuery) -> Search:
-        looked_at = [name for key in wish.order for name in fact_names(key.value)]
-        return Search(self._rules, self._team, self._limits, primitive, wish.condition, looked_at)
+    def _search(self, primitive: str, query: OfferQuery) -> Search:
+        sort_facts = [name for key in query.order for name in fact_names(key.value)]
+        return Search(self._rules, self._team, self._limits, primitive, query.condition, sort_facts)
 
     def _ordered(self, search: Search, keys: Sequence[SortKey]) -> tuple[list[Plan], tuple[str, ...]]:
         """All plans by some keys, then by their ranks; and the keys of which no agent has a value."""
@@ -195,10 +195,10 @@ class Matcher:
 
 def _by_agents(plans: Iterable[Plan]) -> Iterator[Plan]:
     """Of the plans with the same agents the first."""
-    seen: set[frozenset[str]] = set()
+    known: set[frozenset[str]] = set()
     for plan in plans:
-        if plan.agents not in seen:
-            seen.add(plan.agents)
+        if plan.agents not in known:
+            known.add(plan.agents)
             yield plan
 
 

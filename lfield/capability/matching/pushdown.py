@@ -207,8 +207,8 @@ class _PushDown:
     def _check(
         self, tree: condition_tree.ConditionExpr, verdict: Callable[[Judge, Facts], Value | None]
     ) -> PartCheck:
-        looked_at = tuple((name, *self._place(name)) for name in dict.fromkeys(facts_of(tree)))
-        return PartCheck(partial(verdict, value_of(tree)), looked_at, self._parts_of(tree))
+        read_facts = tuple((name, *self._place(name)) for name in dict.fromkeys(facts_of(tree)))
+        return PartCheck(partial(verdict, value_of(tree)), read_facts, self._parts_of(tree))
 
     def _divides(self, tree: condition_tree.ConditionBinary) -> bool:
         """Whether two searches, one for each side, would try less than one."""

@@ -93,7 +93,7 @@ def _from_device(
             messages.WRONG_QUANTITY.at(
                 live.span,
                 attribute=attribute.name,
-                wanted=attribute.type,
+                expected=attribute.type,
                 quantity=f"{live.device}.{live.quantity}",
                 given=quantity.type,
             )
@@ -117,7 +117,7 @@ def _converted(
     conversion = units.conversion(quantity.unit, attribute.unit)
     if conversion is None:
         found.add(
-            messages.OTHER_DIMENSION.at(live.span, given=quantity.unit or "1", wanted=attribute.unit or "1")
+            messages.OTHER_DIMENSION.at(live.span, given=quantity.unit or "1", expected=attribute.unit or "1")
         )
         return None
     return replace(live, factor=conversion[0], offset=conversion[1])

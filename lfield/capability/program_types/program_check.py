@@ -99,7 +99,7 @@ def _feed_problems(registry: Registry, live: LiveAttribute, resource: Signature)
         message = messages.WRONG_QUANTITY.at(
             live.span,
             attribute=attribute.name,
-            wanted=attribute.type,
+            expected=attribute.type,
             quantity=f"{live.portal}()",
             given=results[0],
         )
@@ -180,7 +180,7 @@ def _signature_problems(primitive: Primitive, mapped: PortalMap, resource: Signa
     portal, overloads = primitive.portals[mapped.portal], resource.portals[mapped.target]
     given = tuple(argument_type(argument, portal) for argument in mapped.arguments)
     results = [
-        result_type(mapped.result, portal, result) for wanted, result in overloads if fits_all(given, wanted)
+        result_type(mapped.result, portal, result) for types, result in overloads if fits_all(given, types)
     ]
     if not results:
         message = messages.NO_OVERLOAD.at(
@@ -246,8 +246,8 @@ def _check_class(rule: Composition, primitive: Primitive, unit: Signature, found
 def _has_method(unit: Signature, portal: Portal) -> bool:
     given = tuple(p.type for p in portal.parameters)
     return any(
-        fits_all(given, wanted) and fits(result, portal.result)
-        for wanted, result in unit.portals.get(portal.name, ())
+        fits_all(given, types) and fits(result, portal.result)
+        for types, result in unit.portals.get(portal.name, ())
     )
 
 

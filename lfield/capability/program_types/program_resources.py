@@ -47,8 +47,8 @@ def resources_of(program: Program) -> dict[str, Signature]:
 
 def _overload(program: Program, method: MethodRecord) -> Overload:
     """What a portal takes and gives; its first slot is the object."""
-    taken = method.slots[1 : 1 + method.parameters]
-    return tuple(type_name(program, kind) for kind in taken), type_name(program, method.result)
+    parameters = method.slots[1 : 1 + method.parameters]
+    return tuple(type_name(program, kind) for kind in parameters), type_name(program, method.result)
 
 
 def check_mission_registry(

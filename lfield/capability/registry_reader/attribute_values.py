@@ -68,7 +68,7 @@ def read_conversion(draft: RegistryBuilder, given: str, expected: str, span: Spa
             return 1.0, 0.0
     conversion = units.conversion(given, expected)
     if conversion is None:
-        draft.report(messages.OTHER_DIMENSION, span, given=given or "1", wanted=expected or "1")
+        draft.report(messages.OTHER_DIMENSION, span, given=given or "1", expected=expected or "1")
         return 1.0, 0.0
     return conversion
 
@@ -129,13 +129,13 @@ def _amount(draft: RegistryBuilder, attribute: Attribute, node: YamlScalar) -> f
 def _text_or_set(draft: RegistryBuilder, attribute: Attribute, node: YamlNode) -> Value | None:
     """A text, or the members of a set; a single member needs no list."""
     nodes = node.items if isinstance(node, YamlList) and attribute.type == "set" else (node,)
-    words = []
+    values = []
     for item in nodes:
         if not isinstance(item, YamlScalar) or not isinstance(item.value, str):
             return None
-        words.append(item.value)
+        values.append(item.value)
         _check_member(draft, attribute, item.value, item.span)
-    return frozenset(words) if attribute.type == "set" else words[0]
+    return frozenset(values) if attribute.type == "set" else values[0]
 
 
 def _check_member(draft: RegistryBuilder, attribute: Attribute, member: str, span: Span) -> None:

@@ -53,7 +53,7 @@ DEPRECATED_BY_DEPRECATED = _message(
 )
 TAXONOMY_VERSION = _message(
     "C114",
-    "this needs version {wanted} of the taxonomy, but this lfield has version {version}",
+    "this needs version {expected} of the taxonomy, but this lfield has version {version}",
     "install a later lfield, or use only terms of version {version}",
 )
 
@@ -64,7 +64,7 @@ BAD_VALUE = _message("C121", "'{name}' is {expected}, not {given}")
 NOT_A_MEMBER = _message("C122", "'{value}' is not a value of '{name}'", "its values are {values}")
 UNKNOWN_UNIT = _message("C123", "there is no unit '{unit}'")
 OTHER_DIMENSION = _message(
-    "C124", "'{given}' cannot be converted to '{wanted}'", "they have different dimensions"
+    "C124", "'{given}' cannot be converted to '{expected}'", "they have different dimensions"
 )
 NO_UNIT_HERE = _message("C125", "only numbers have a unit, and {what} is {type}", "leave the unit out")
 NOT_SI = _message(
@@ -105,10 +105,10 @@ MISSING_PORTAL = _message(
 UNKNOWN_PARAMETER = _message(
     "C142", "'{name}' is not a parameter of {primitive}.{portal}", "its parameters are {parameters}"
 )
-WRONG_COUNT = _message("C143", "{target} takes {wanted} arguments, not {given}", "it takes {parameters}")
-WRONG_ARGUMENT = _message("C144", "argument {number} of {target} is {wanted}, not {given}")
+WRONG_COUNT = _message("C143", "{target} takes {expected} arguments, not {given}", "it takes {parameters}")
+WRONG_ARGUMENT = _message("C144", "argument {number} of {target} is {expected}, not {given}")
 NOTHING_EMITTED = _message("C145", "{primitive}.{portal} emits nothing", "leave 'emit' out")
-WRONG_RESULT = _message("C146", "{primitive}.{portal} emits {wanted}, but this emits {given}", "add 'emit'")
+WRONG_RESULT = _message("C146", "{primitive}.{portal} emits {expected}, but this emits {given}", "add 'emit'")
 BAD_ARGUMENT = _message(
     "C147",
     "{given} is not an argument",
@@ -116,8 +116,8 @@ BAD_ARGUMENT = _message(
 )
 WRONG_UNIT = _message(
     "C148",
-    "{what} is in {wanted}, but this is in {given}",
-    "write {{parameter: x, unit: {wanted}}}, or emit: {{unit: {given}}}; only a class in L converts arrays",
+    "{what} is in {expected}, but this is in {given}",
+    "write {{parameter: x, unit: {expected}}}, or emit: {{unit: {given}}}; only a class in L converts arrays",
 )
 
 # --- C15x: rules ----------------------------------------------------------------------------------------
@@ -161,7 +161,7 @@ NO_DEVICE = _message("C172", "resource {type} has no device '{device}'", "its de
 NO_QUANTITY = _message(
     "C173", "{device}, a {device_type}, has no telemetry '{quantity}'", "it has {quantities}"
 )
-WRONG_QUANTITY = _message("C174", "'{attribute}' is {wanted}, and {quantity} is {given}")
+WRONG_QUANTITY = _message("C174", "'{attribute}' is {expected}, and {quantity} is {given}")
 NO_TYPE = _message("C175", "the program has no resource type '{type}'", "a type of a library needs 'include'")
 NO_LIBRARY = _message(
     "C176", "no driver provides a file '{path}'", "remove 'include' for a type of the mission's program"

@@ -59,7 +59,7 @@ def wrong_result(span: Span, primitive: str, portal: Portal, given: str) -> Diag
         span,
         primitive=primitive,
         portal=portal.name,
-        wanted=portal.result,
+        expected=portal.result,
         given="nothing" if given == "void" else given,
     )
 
@@ -83,7 +83,7 @@ def _check_arguments(
             messages.WRONG_COUNT,
             served.span,
             target=shown,
-            wanted=len(target.parameters),
+            expected=len(target.parameters),
             given=len(served.arguments),
             parameters=listed((f"{p.type} {p.name}" for p in target.parameters), "nothing"),
         )
@@ -102,7 +102,7 @@ def _check_argument(
 ) -> None:
     if not fits(given, expected):
         draft.report(
-            messages.WRONG_ARGUMENT, span, number=number, target=target, wanted=expected, given=given
+            messages.WRONG_ARGUMENT, span, number=number, target=target, expected=expected, given=given
         )
 
 
@@ -111,7 +111,7 @@ def _check_unit(
 ) -> None:
     """Report a number in `unit` that is given, converted or not, where another one is wanted."""
     if units.conversion(unit, expected) != (given.factor, given.offset):
-        draft.report(messages.WRONG_UNIT, span, what=what, wanted=expected or "1", given=unit or "1")
+        draft.report(messages.WRONG_UNIT, span, what=what, expected=expected or "1", given=unit or "1")
 
 
 # --- names ---------------------------------------------------------------------------------------------
@@ -119,9 +119,9 @@ def _check_unit(
 
 def check_ways(draft: RegistryBuilder) -> None:
     """Report rules and needs whose names differ in the registry and not in L: one field for two."""
-    taken: dict[tuple[str, str], str] = {}
+    first_users: dict[tuple[str, str], str] = {}
     for primitive, way, name, span in _ways(draft):
-        other = taken.setdefault((primitive, way), name)
+        other = first_users.setdefault((primitive, way), name)
         if other != name:
             draft.report(messages.SAME_WAY, span, name=name, other=other, way=way, primitive=primitive)
 
@@ -180,19 +180,19 @@ def _graph(draft: RegistryBuilder) -> Graph:
 
 def _path(graph: Graph, start: str, goal: str) -> list[tuple[str, str]] | None:
     """A shortest path between two primitives, as steps with their rules; None if there is none."""
-    came_from: dict[str, tuple[str, str]] = {start: ("", "")}
+    predecessors: dict[str, tuple[str, str]] = {start: ("", "")}
     waiting = deque([start])
-    while waiting and goal not in came_from:
+    while waiting and goal not in predecessors:
         node = waiting.popleft()
         for to, rule in graph[node]:
-            if to not in came_from:
-                came_from[to] = (node, rule)
+            if to not in predecessors:
+                predecessors[to] = (node, rule)
                 waiting.append(to)
-    if goal not in came_from:
+    if goal not in predecessors:
         return None
     steps: list[tuple[str, str]] = []
     while goal != start:
-        before, rule = came_from[goal]
+        before, rule = predecessors[goal]
         steps.append((goal, rule))
         goal = before
     return steps[::-1]

@@ -48,12 +48,12 @@ def read_taxonomy(draft: RegistryBuilder) -> None:
 def _read_version(draft: RegistryBuilder) -> None:
     """The shipped files have the version; a mission's file names the version it was written for."""
     for file in sorted(draft.files, key=lambda file: file.mission):
-        wanted = file.top.integer("taxonomy_version", minimum=1, maximum=1_000_000)
+        required = file.top.integer("taxonomy_version", minimum=1, maximum=1_000_000)
         if not file.mission:
-            draft.require_version(wanted)
-        elif wanted > draft.version:
+            draft.require_version(required)
+        elif required > draft.version:
             span = file.top.value_span("taxonomy_version")
-            draft.report(messages.TAXONOMY_VERSION, span, wanted=wanted, version=draft.version)
+            draft.report(messages.TAXONOMY_VERSION, span, expected=required, version=draft.version)
 
 
 def _term(draft: RegistryBuilder, entry: YamlEntry, fields: YamlFields) -> TaxonomyTerm:
@@ -94,9 +94,9 @@ def _check_parents(draft: RegistryBuilder) -> None:
 def _resolve_aliases(draft: RegistryBuilder, spans: dict[tuple[str, str], Span]) -> None:
     for term in draft.terms.values():
         for alias in term.aliases:
-            taken = alias if alias in draft.terms else draft.aliases.get(alias)
-            if taken is not None:
-                draft.report(messages.ALIAS_IN_USE, spans[term.id, alias], alias=alias, id=taken)
+            in_use_by = alias if alias in draft.terms else draft.aliases.get(alias)
+            if in_use_by is not None:
+                draft.report(messages.ALIAS_IN_USE, spans[term.id, alias], alias=alias, id=in_use_by)
             else:
                 draft.aliases[alias] = term.id
 

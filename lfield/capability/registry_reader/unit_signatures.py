@@ -48,14 +48,14 @@ def signatures_of(files: Sequence[syntax.ParsedFile]) -> dict[str, Signature]:
 
 
 def _signature(unit: syntax.Unit) -> Signature:
-    wanted: Literal["portal", "method"] = "portal" if unit.kind == "resource" else "method"
+    kind: Literal["portal", "method"] = "portal" if unit.kind == "resource" else "method"
     portals: dict[str, list[Overload]] = {}
     constructors = []
     for method in unit.methods:
         parameters = tuple(str(p.type) for p in method.parameters)
         if method.kind == "constructor":
             constructors.append(parameters)
-        elif method.kind == wanted and (method.public or wanted == "portal"):
+        elif method.kind == kind and (method.public or kind == "portal"):
             result = str(method.result) if method.result is not None else "void"
             portals.setdefault(method.name, []).append((parameters, result))
     devices = {f.name: str(f.type) for f in unit.fields} if unit.kind == "resource" else {}

@@ -132,6 +132,6 @@ def _write_inputs(args: argparse.Namespace, watch: InputRecorder) -> None:
     from lfield.capability.registry_reader.registry_files import shipped_folder
     from lfield.mission.loader import ACCESS, CAPABILITIES, DEVICES
 
-    looked_for = [args.file.with_suffix(suffix) for suffix in (ACCESS, CAPABILITIES, DEVICES)]
-    inputs = watch.inputs([*looked_for, shipped_folder()], args.inputs.parent)
+    candidates = [args.file.with_suffix(suffix) for suffix in (ACCESS, CAPABILITIES, DEVICES)]
+    inputs = watch.inputs([*candidates, shipped_folder()], args.inputs.parent)
     args.inputs.write_bytes(msgspec.msgpack.encode(inputs))

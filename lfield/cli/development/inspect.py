@@ -98,13 +98,13 @@ def _show_journal(file: Path) -> int:
     from lfield.journal.readonly_view import open_read_only
     from lfield.text.terminal_escape import escape
 
-    seen = open_read_only(file)
-    for line in journal_lines(seen):
+    journal = open_read_only(file)
+    for line in journal_lines(journal):
         print(escape(line))
-    if seen.fault:
-        raise DamagedFileError(str(file), f"damaged; the readable records are above: {seen.fault}")
-    if seen.damaged:
-        count = len(seen.damaged)
+    if journal.fault:
+        raise DamagedFileError(str(file), f"damaged; the readable records are above: {journal.fault}")
+    if journal.damaged:
+        count = len(journal.damaged)
         raise DamagedFileError(str(file), f"{count} damaged page{'s' * (count > 1)}")
     return 0
 

@@ -151,11 +151,11 @@ def _rights(names: str) -> tuple[Right, ...]:
     from lfield.authority.identity import Right
     from lfield.text.suggestions import did_you_mean, listed
 
-    named = [word for word in (part.strip() for part in names.split(",")) if word]
-    for word in named:
-        if word not in list(Right):
-            hint = did_you_mean(word, list(Right))
-            raise UsageError(f"--may {word}: rights are {listed(Right)}" + (f"; {hint}" if hint else ""))
+    named = [right for right in (part.strip() for part in names.split(",")) if right]
+    for right in named:
+        if right not in list(Right):
+            hint = did_you_mean(right, list(Right))
+            raise UsageError(f"--may {right}: rights are {listed(Right)}" + (f"; {hint}" if hint else ""))
     if not named:
         raise UsageError(f"--may names no right: rights are {listed(Right)}")
     return tuple(map(Right, named))
@@ -171,12 +171,12 @@ def _print_made(made: LedgerKeys) -> None:
     may = f", may {sorted_rights(who.may)}" if who.kind == "person" else ""
     print(f"{who}: until {format_time(who.valid_until)}{may}")
     there = who.name if who.kind == "host" else OWN
-    words = shlex.quote(str(path))
+    quoted = shlex.quote(str(path))
     if who.kind == "host":
-        print(f"  on {there}, for a user:      ~/.config/lfield/keys/{there}   a copy of {words}")
+        print(f"  on {there}, for a user:      ~/.config/lfield/keys/{there}   a copy of {quoted}")
         print(f"  on {there}, for the service: /etc/lfield/keys/{there}, owned by the service's user")
     else:
-        print(f"  on the computer of {who}: ~/.config/lfield/keys/{there}, a copy of {words}")
+        print(f"  on the computer of {who}: ~/.config/lfield/keys/{there}, a copy of {quoted}")
 
 
 def _make_page(args: argparse.Namespace) -> int:
@@ -193,9 +193,9 @@ def _print_page(made: IssuedWebKeys) -> None:
     """Print the keys, their use, and the steps in a browser."""
     from lfield.authority.peer_verification import format_time
 
-    words = shlex.quote(str(made.folder))
+    quoted = shlex.quote(str(made.folder))
     print(f"page {', '.join(made.keys.names)}: until {format_time(made.keys.valid_until)}")
-    print(f"  lfield watch --listen {made.keys.names[0]} --page-keys {words} --deploy MISSION")
+    print(f"  lfield watch --listen {made.keys.names[0]} --page-keys {quoted} --deploy MISSION")
     root = shlex.quote(str(made.root))
     print(f"  once for each browser: import {root} as an authority for web sites")
     print("  on a phone: install that file as a CA certificate (iOS: as a profile, and then trust it)")

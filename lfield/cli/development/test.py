@@ -49,16 +49,16 @@ def run(args: argparse.Namespace) -> int:
     except ImportError:
         raise PluginError("'lfield test' needs pytest: pip install 'lfield[desk]'") from None
     # A plugin that the project's configuration names too is loaded once.
-    words = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
-    words += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]
-    words += ["-k", args.k] if args.k else []
+    options = ["-p", "lfield.testing.plugin", "--tracks", os.path.abspath(args.tracks)]
+    options += [flag for flag in ("-x", "-q", "-v", "-s") if getattr(args, flag[1:])]
+    options += ["-k", args.k] if args.k else []
     # It has colours of its own.
     sys.stdout, sys.stderr = unescaped_stream(sys.stdout), unescaped_stream(sys.stderr)
     if missing := _missing_plugins(args.paths):
         # The options of a project that configures absent plugins would be unknown to pytest.
-        words = ["-c", os.devnull, "--rootdir", os.getcwd(), *words]
+        options = ["-c", os.devnull, "--rootdir", os.getcwd(), *options]
         print(f"lfield: pytest configuration ignored: {', '.join(missing)} not installed", file=sys.stderr)
-    return _STATUSES[int(pytest.main([*words, *args.paths]))]
+    return _STATUSES[int(pytest.main([*options, *args.paths]))]
 
 
 #: Options that pytest plugins add, each with the module of its plugin.
@@ -94,6 +94,8 @@ def _missing_plugins(paths: Sequence[str]) -> list[str]:
     found = settings.get("addopts", "")
     given: object = getattr(found, "value", found)
     listed = given if isinstance(given, list) else []
-    words = shlex.split(given) if isinstance(given, str) else [str(word) for word in listed]
-    needed = {_PLUGIN_OPTIONS[name] for word in words if (name := word.partition("=")[0]) in _PLUGIN_OPTIONS}
+    options = shlex.split(given) if isinstance(given, str) else [str(option) for option in listed]
+    needed = {
+        _PLUGIN_OPTIONS[name] for option in options if (name := option.partition("=")[0]) in _PLUGIN_OPTIONS
+    }
     return sorted(name for name in needed if importlib.util.find_spec(name) is None)

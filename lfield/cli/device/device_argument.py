@@ -59,7 +59,7 @@ def named_devices(
 
 def setup_command(args: argparse.Namespace) -> str:
     """The command that sets up the devices that are meant."""
-    words = ["lfield", "setup", args.driver]
+    command = ["lfield", "setup", args.driver]
     for option, value in (("--endpoint", args.endpoint), ("--devices", args.devices), ("--type", args.type)):
-        words += [option, str(value)] if value else []
-    return shlex.join([*words, *(word for setting in args.settings for word in ("--set", setting))])
+        command += [option, str(value)] if value else []
+    return shlex.join([*command, *(argument for setting in args.settings for argument in ("--set", setting))])

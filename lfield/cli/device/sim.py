@@ -52,8 +52,8 @@ def _fault(target: str, settings: list[str]) -> int:
         if not running:
             print("no fake runs")
         return 0
-    door, device = _select_fake(target, running)
-    answer = send_fault_command(door, [_setting_for(setting, device) for setting in settings])
+    path, device = _select_fake(target, running)
+    answer = send_fault_command(path, [_setting_for(setting, device) for setting in settings])
     if "error" in answer:
         raise UsageError(answer["error"])
     _show(answer)
@@ -66,23 +66,23 @@ def _running() -> dict[Path, dict[str, Any]]:
     from lfield.net.fault_client import is_stale_socket, send_fault_command
 
     running = {}
-    for door in control_sockets():
+    for path in control_sockets():
         try:
-            running[door] = send_fault_command(door, [])
+            running[path] = send_fault_command(path, [])
         except AddressError:
             # One that is only slow keeps its door.
-            if is_stale_socket(door):
-                door.unlink(missing_ok=True)
+            if is_stale_socket(path):
+                path.unlink(missing_ok=True)
     return running
 
 
 def _select_fake(target: str, running: Mapping[Path, Mapping[str, Any]]) -> tuple[Path, str]:
     """The fake with that name, and the device on it, '' for all. Raises UsageError."""
     found = []
-    for door, fake in running.items():
+    for path, fake in running.items():
         device = target if target in fake["devices"].values() else ""
         if device or target in (fake["kind"], fake["endpoint"]):
-            found.append((door, device))
+            found.append((path, device))
     if len(found) == 1:
         return found[0]
     names = [
@@ -101,5 +101,5 @@ def _setting_for(setting: str, device: str) -> str:
 def _show(fake: Mapping[str, Any]) -> None:
     devices = ", ".join(f"{d} ({name})" if name else d for d, name in fake["devices"].items())
     print(f"{fake['kind']} at {fake['endpoint']}: {devices}")
-    for name, words in fake["faults"].items():
-        print(f"  {name} = {words}")
+    for name, setting in fake["faults"].items():
+        print(f"  {name} = {setting}")

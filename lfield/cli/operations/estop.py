@@ -65,12 +65,12 @@ def _run(args: argparse.Namespace) -> int:
     if named_mission(args) is None:
         _print_targets(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
-    word = "may be released" if args.lift else "safe"
+    goal = "may be released" if args.lift else "safe"
     try:
-        told = ask_and_print(parties, emergency_stop(reason, lift=args.lift), args.keys, names, word)
+        replies = ask_and_print(parties, emergency_stop(reason, lift=args.lift), args.keys, names, goal)
     except KeyboardInterrupt:
         return exit_status.UNSAFE
-    return exit_status_of(parties, told, names, args.keys, waits_for_rest=not (args.lift or args.no_wait))
+    return exit_status_of(parties, replies, names, args.keys, waits_for_rest=not (args.lift or args.no_wait))
 
 
 def _print_targets(parties: Sequence[TargetTeam], doing: str) -> None:

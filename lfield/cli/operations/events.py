@@ -79,18 +79,18 @@ def run(args: argparse.Namespace) -> int:
         kinds -= TELEMETRY
     table = event_view.EventCsv()
 
-    def lines(told: DatedEvent | FeedNotice) -> Iterator[str]:
-        if isinstance(told, FeedNotice):
-            if args.json and told.lost:
-                yield event_view.event_json(told)
-        elif isinstance(told.event.what, EventsDropped) and "skipped" not in kinds:
-            _print_skipped(told.host, told.event.what, kinds)
-        elif told.event.kind not in kinds:
+    def lines(item: DatedEvent | FeedNotice) -> Iterator[str]:
+        if isinstance(item, FeedNotice):
+            if args.json and item.lost:
+                yield event_view.event_json(item)
+        elif isinstance(item.event.what, EventsDropped) and "skipped" not in kinds:
+            _print_skipped(item.host, item.event.what, kinds)
+        elif item.event.kind not in kinds:
             return
         elif args.csv:
-            yield from table.rows(told)
+            yield from table.rows(item)
         else:
-            yield event_view.event_json(told) if args.json else event_view.event_line(told)
+            yield event_view.event_json(item) if args.json else event_view.event_line(item)
 
     if args.csv:
         print(table.header(), flush=True)
@@ -113,12 +113,12 @@ def _print_skipped(host: str, what: EventsDropped, kinds: frozenset[str]) -> Non
 
 def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:
     """The requested kinds, or all. Raises UsageError."""
-    named = [word for word in text.split(",") if word]
-    for word in named:
-        if word not in known:
-            hint = did_you_mean(word, known)
+    named = [kind for kind in text.split(",") if kind]
+    for kind in named:
+        if kind not in known:
+            hint = did_you_mean(kind, known)
             raise UsageError(
-                f"unknown kind of events '{word}'; the kinds are {listed(known)}{f'; {hint}' if hint else ''}"
+                f"unknown kind of events '{kind}'; the kinds are {listed(known)}{f'; {hint}' if hint else ''}"
             )
     return frozenset(named or known)
 
@@ -153,12 +153,12 @@ def print_events(
             parties, names, current_teams, args.keys, since=since, telemetry=telemetry
         ) as team:
             try:
-                async for told in team.events(follow=follow):
-                    _print_item(told, lines)
+                async for item in team.events(follow=follow):
+                    _print_item(item, lines)
             except asyncio.CancelledError:
                 # After a Ctrl-C: print the newest events without waiting for their causes.
-                for told in team.remaining():
-                    _print_item(told, lines)
+                for item in team.remaining():
+                    _print_item(item, lines)
                 raise
             return exit_status.UNAVAILABLE if team.unreached else exit_status.DONE
 

@@ -37,11 +37,11 @@ def run(args: argparse.Namespace) -> int:
             starts = ", ".join(map(str, answer.starts))
             print(f"{names[place]}: {args.agent}, start {starts}, is given up as lost")
             given_up = True
-    unheard = unanswered({names[place]: answer for place, answer in answers.items()})
-    print_unanswered(unheard, f"no answer; a copy of {args.agent} there would continue: ")
+    unanswered_hosts = unanswered({names[place]: answer for place, answer in answers.items()})
+    print_unanswered(unanswered_hosts, f"no answer; a copy of {args.agent} there would continue: ")
     if not given_up:
-        raise CoordinatorAlive(_nothing_released(args.agent, answers=len(unheard) < len(answers)))
-    return exit_status.UNAVAILABLE if unheard else exit_status.DONE
+        raise CoordinatorAlive(_nothing_released(args.agent, answers=len(unanswered_hosts) < len(answers)))
+    return exit_status.UNAVAILABLE if unanswered_hosts else exit_status.DONE
 
 
 def _nothing_released(agent: str, *, answers: bool) -> str:

@@ -28,8 +28,8 @@ def run(args: argparse.Namespace) -> int:
 
     view = LogLineView()
 
-    def lines(told: DatedEvent | FeedNotice) -> Iterator[str]:
-        if not isinstance(told, FeedNotice):
-            yield from view.lines(told)
+    def lines(item: DatedEvent | FeedNotice) -> Iterator[str]:
+        if not isinstance(item, FeedNotice):
+            yield from view.lines(item)
 
     return print_events(args, lines, since=0, follow=args.follow, only=args.host)

@@ -24,5 +24,5 @@ def run(args: argparse.Namespace) -> int:
     with nonblocking_command_output():
         parties = selected_teams(args, selected_runs(args))
         names = display_names(parties)
-        told = ask_and_print(parties, pause(), args.keys, names, "safe")
-        return exit_status_of(parties, told, names, args.keys, waits_for_rest=not args.no_wait)
+        replies = ask_and_print(parties, pause(), args.keys, names, "safe")
+        return exit_status_of(parties, replies, names, args.keys, waits_for_rest=not args.no_wait)

@@ -109,12 +109,14 @@ def _known(args: argparse.Namespace, team: Team, asked: QueryContext, at: str) -
     answers = by_host(ask_teams([party], PATIENT_SNAPSHOT, args.keys), party) if party else {}
     views, errors = directory_views(host_states(answers)), unanswered(answers)
     # No listener anywhere means that the mission is not running, which is not an error.
-    nobody = not views and all(isinstance(error, AddressError) for error in errors.values())
-    told = {} if nobody else errors
+    is_unreachable = not views and all(isinstance(error, AddressError) for error in errors.values())
+    unanswered_hosts = {} if is_unreachable else errors
     registry, pose = asked.registry, asked.frames.place(at)
     if not views:
-        return KnownTeam(roster_from_files(registry, team.deployed, at, asked.stated, pose), unanswered=told)
+        return KnownTeam(
+            roster_from_files(registry, team.deployed, at, asked.stated, pose), unanswered=unanswered_hosts
+        )
     if at in errors:
         raise errors[at]
     roster = roster_from_hosts(registry, team.deployed, views, errors.keys(), at, pose)
-    return KnownTeam(roster, tuple(views), told)
+    return KnownTeam(roster, tuple(views), unanswered_hosts)

@@ -38,11 +38,11 @@ def run(args: argparse.Namespace) -> int:
     if all(isinstance(answer, LfieldError) for answer in answers.values()):
         print_unanswered(unanswered({names[place]: answer for place, answer in answers.items()}))
         return exit_status.UNAVAILABLE
-    belief = best_candidate(args.agent, host_states(answers), names)
-    print("\n".join(map(escape_line, belief.lines)))
-    if not _confirmed(args.agent, names[belief.host_ref], yes=args.yes):
+    candidate = best_candidate(args.agent, host_states(answers), names)
+    print("\n".join(map(escape_line, candidate.lines)))
+    if not _confirmed(args.agent, names[candidate.host_ref], yes=args.yes):
         return exit_status.FAILED
-    _request_recovery(parties, belief, names[belief.host_ref], args.keys)
+    _request_recovery(parties, candidate, names[candidate.host_ref], args.keys)
     return exit_status.DONE
 
 

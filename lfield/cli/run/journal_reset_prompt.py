@@ -53,8 +53,8 @@ def reset_journal(
             return False
         # First: nothing is discarded here before it is given up there.
         for page, where in found.parked.items():
-            word = ask_all(observer_transport(keys), {where: others[where]}, forget(page.agent))
-            _require_answer(page.agent, asyncio.run(word))
+            request = ask_all(observer_transport(keys), {where: others[where]}, forget(page.agent))
+            _require_answer(page.agent, asyncio.run(request))
         event_loop.run(journal.persist(found.pages))
         return True
     finally:

@@ -158,10 +158,10 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
 
     mission = bundle.read(file)
     team = mission.team.at(parse_maps(args.map, mission.team))
-    told = () if built else mission.warnings
+    printed = () if built else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
     if not args.leash:
-        for warning in mission.warnings[len(told) :]:
+        for warning in mission.warnings[len(printed) :]:
             print(warning, file=sys.stderr)
     if args.dump is not None and not args.leash:
         _check_dump_folder(args.dump)
@@ -204,7 +204,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     if not _may_start(mission, name, args):
         return exit_status.FAILED
     with (
-        _control_socket(mission, name, args) as door,
+        _control_socket(mission, name, args) as socket,
         _setup_named(args, name),
         _journal(mission, name, args) as journal,
     ):
@@ -213,7 +213,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
                 _with_own_drivers(mission, name),
                 name,
                 listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
-                control_socket=door,
+                control_socket=socket,
                 dump=args.dump,
                 unreachable_after=args.unreachable_after,
                 lost_after=args.lost_after if args.until_done else None,
@@ -249,8 +249,8 @@ def _control_socket(mission: Mission, host: str, args: argparse.Namespace) -> It
         yield args.door
         return
 
-    with publish_run(run_manifest(mission, mission_path(args), [host]), print_line) as doors:
-        yield doors.addresses[host]
+    with publish_run(run_manifest(mission, mission_path(args), [host]), print_line) as sockets:
+        yield sockets.addresses[host]
 
 
 def print_line(text: str) -> None:

@@ -61,8 +61,10 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace, report: Call
     reserved = {host: open_listening_socket(mapped.get(host, ANY_FREE_PORT)) for host in mission.team.hosts}
     addresses = {host: address for host, (_, address) in reserved.items()}
     named = mission_path(args)
-    with publish_run(run_manifest(mission.at(mission.team.at(addresses)), named, addresses), report) as doors:
-        return asyncio.run(_HostProcesses(mission, file, args, reserved, addresses, doors).run())
+    with publish_run(
+        run_manifest(mission.at(mission.team.at(addresses)), named, addresses), report
+    ) as sockets:
+        return asyncio.run(_HostProcesses(mission, file, args, reserved, addresses, sockets).run())
 
 
 def summary(statuses: Mapping[str, int], status: int, seconds: float, hops: int) -> str:
@@ -186,22 +188,22 @@ class _HostProcesses:
 
     def command(self, host: str, listening: int, keys: int) -> list[str]:
         args = self.args
-        words = [sys.executable, "-P", "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
+        command = [sys.executable, "-P", "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
         # As one argument each: a value that begins with a dash would be taken for an option.
-        words += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
-        words += ["--engine", args.engine] if args.engine else []
-        words.append(f"--door={self.control_sockets.addresses[host]}")
+        command += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
+        command += ["--engine", args.engine] if args.engine else []
+        command.append(f"--door={self.control_sockets.addresses[host]}")
         # For all hosts: the first with a device that is not set up stops the others.
-        words.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
+        command.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
         for name, address in self.addresses.items():
-            words.append(f"--map={name}={address}")
+            command.append(f"--map={name}={address}")
         for option in ("dump", "unreachable_after", "state"):
             if getattr(args, option) is not None:
-                words += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
-        words += [f"--{option}" for option in ("sim", "volatile") if getattr(args, option)]
+                command += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
+        command += [f"--{option}" for option in ("sim", "volatile") if getattr(args, option)]
         if args.until_done:
-            words += ["--until-done", "--lost-after", str(min(args.lost_after, DEFAULT_LOST_AFTER))]
-        return words
+            command += ["--until-done", "--lost-after", str(min(args.lost_after, DEFAULT_LOST_AFTER))]
+        return command
 
     async def pass_on(self, host: str, source: asyncio.StreamReader, target: TextIO) -> None:
         """Forward the lines of a host, each with its name in front."""
@@ -242,25 +244,25 @@ class _HostProcesses:
             self.ending.set()
         return status
 
-    def on_exit(self, reaped: str) -> None:
+    def on_exit(self, exited: str) -> None:
         """Report a host that has exited to the others: unlike silence it is proof of its end."""
         for host, child in self.children.items():
-            if host != reaped and child.returncode is None and child.stdin and not child.stdin.is_closing():
-                child.stdin.write(parent_pipe.exit_line(reaped))
+            if host != exited and child.returncode is None and child.stdin and not child.stdin.is_closing():
+                child.stdin.write(parent_pipe.exit_line(exited))
 
     def signal_status(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: its devices are not confirmed to be safe."""
         self.show(host, f"ended by {number.name}", sys.stderr)
         devices = [device for device in self.mission.devices_of(host) if not device.is_sensor]
         for device in devices:
-            told = f"{device.name} NOT SAFE: not confirmed to be in its safe state '{device.safe_state}'"
-            self.show(host, told, sys.stderr)
+            problem = f"{device.name} NOT SAFE: not confirmed to be in its safe state '{device.safe_state}'"
+            self.show(host, problem, sys.stderr)
         return exit_status.UNSAFE if devices else exit_status.FAILED
 
     async def stop_on_signal(self) -> None:
         """Stop all hosts in order after a signal, and by force after a time-out."""
-        told = asyncio.create_task(self.stop_signals.first_requested.wait())
-        told.add_done_callback(lambda _: self.ending.set())
+        waiting = asyncio.create_task(self.stop_signals.first_requested.wait())
+        waiting.add_done_callback(lambda _: self.ending.set())
         await self.ending.wait()
         self.release()
         left = [host for host, child in self.children.items() if child.returncode is None]

@@ -115,12 +115,12 @@ class _Attributes:
         """`nominal: payload 2 kg, speed 3 m/s; measured 3.0 s ago: battery 0.8`, and how many more."""
         first = sorted(facts, key=lambda name: (name not in self._named, not self._is_rated(name)))
         alike = groupby(first[:most], key=lambda name: facts[name].source)
-        words = [
+        parts = [
             f"{source}: {', '.join(self._describe_fact(n, facts[n]) for n in names)}"
             for source, names in alike
         ]
-        words += [f"and {len(first) - most} more"] if len(first) > most else []
-        return "; ".join(words)
+        parts += [f"and {len(first) - most} more"] if len(first) > most else []
+        return "; ".join(parts)
 
     def _is_rated(self, name: str) -> bool:
         attribute = self._registry.attributes.get(name)
@@ -153,8 +153,8 @@ def _table(offers: Sequence[Offer], attributes: _Attributes) -> Table:
     for column in ("RANK", "WHO", "HOST", "HOW", "SCORE", "ATTRIBUTES"):
         shown.add_column(column, justify="right" if column in ("RANK", "SCORE") else "left")
     for rank, offer in enumerate(offers, 1):
-        words = attributes.describe(offer.facts)
-        shown.add_row(str(rank), offer.agent, offer.host, how(offer), f"{offer.score:.3f}", words)
+        description = attributes.describe(offer.facts)
+        shown.add_row(str(rank), offer.agent, offer.host, how(offer), f"{offer.score:.3f}", description)
     return shown
 
 
@@ -178,9 +178,9 @@ def _tree(text: str, offer: Offer, attributes: _Attributes) -> TreeBranch:
         (offer,) = offer.parts.values()
     children = []
     for need, part in parts_of(offer).items():
-        words = f"{need}: {part.agent} at {part.host}, {how(part)} {part.primitive}"
+        label = f"{need}: {part.agent} at {part.host}, {how(part)} {part.primitive}"
         stated = attributes.describe(part.facts)
-        children.append(_tree(f"{words}; {stated}" if stated else words, part, attributes))
+        children.append(_tree(f"{label}; {stated}" if stated else label, part, attributes))
     return TreeBranch(text, tuple(children))
 
 

@@ -28,7 +28,7 @@ def show(runs: Sequence[Run]) -> None:
         shown.add_column(column, overflow="fold")
     for run in runs:
         note = run.manifest
-        cells = (run.id, " ".join(note.doors), run.owner, _time(note.started), note.mission)
+        cells = (run.id, " ".join(note.control_sockets), run.owner, _time(note.started), note.mission)
         most = _CELL_OF_OTHERS if run.is_foreign else _CELL
         shown.add_row(*(truncate(escape_line(cell), most) for cell in cells))
     plain_console().print(shown)
@@ -50,7 +50,7 @@ def _party(party: TargetTeam, hosts: Mapping[HostRef, HostState]) -> dict[str, A
             "mission": run.manifest.mission,
             "user": run.owner,
             "since": _time(run.manifest.started),
-            "hosts": list(run.manifest.doors),
+            "hosts": list(run.manifest.control_sockets),
         }
         for run in party.runs
     ]

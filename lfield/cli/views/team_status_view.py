@@ -94,7 +94,11 @@ def _refused(linked: Mapping[str, HostState]) -> list[str]:
 
 
 def _not_persisted(linked: Mapping[str, HostState]) -> list[str]:
-    return [f"{name} is failing: {host.report.unkept}" for name, host in linked.items() if host.report.unkept]
+    return [
+        f"{name} is failing: {host.report.persist_error}"
+        for name, host in linked.items()
+        if host.report.persist_error
+    ]
 
 
 def _hosts(linked: Mapping[str, HostState]) -> Table:
@@ -161,9 +165,9 @@ def _agents(hosts: Mapping[str, HostState]) -> Table:
                 add_row(shown, host, known.agent, "", state, str(known.hops), "", "")
         for waiting in report.start.agents if report.start is not None else ():
             add_row(shown, host, waiting, "", _waiting(report.start), "", "", "")
-        for begun in report.pending_calls:
-            state = _PENDING_CALL[begun.state].format(f"{begun.resource}.{begun.portal}")
-            add_row(shown, host, begun.agent, "", state, "", "", "")
+        for call in report.pending_calls:
+            state = _PENDING_CALL[call.state].format(f"{call.resource}.{call.portal}")
+            add_row(shown, host, call.agent, "", state, "", "", "")
         for reserved in report.reserved:
             state = f"{reserved.resource} reserved for {reserved.held:.0f} s, {reserved.left:.0f} s left"
             add_row(shown, host, reserved.agent, "", state, "", "", "")
@@ -240,10 +244,10 @@ def _host_data(host: HostState) -> dict[str, Any]:
         "silence": status.silence,
         "paused": host.paused,
         "stopped": host.stopped,
-        "unkept": status.unkept,
+        "unkept": status.persist_error,
         "lease": status.lease,
         "journal": _journal_data(status.journal),
-        "begun": [asdict(begun) for begun in status.pending_calls],
+        "begun": [asdict(call) for call in status.pending_calls],
         "refused": [
             {"host": one.host, "reason": one.reason, "bundle": short_digest(one.bundle)}
             for one in status.refused

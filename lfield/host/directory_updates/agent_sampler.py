@@ -96,12 +96,12 @@ class AgentSampler:
     def _sample(self, agent: str, live: LiveAttribute) -> AttributeSample | str:
         """The value of a live attribute, or why there is none."""
         who, what = (live.device, live.quantity) if live.device else (agent, f"{live.portal}()")
-        seen = self._observation(agent, live)
-        if isinstance(seen, str):
-            return seen
-        if seen is None:
+        observation = self._observation(agent, live)
+        if isinstance(observation, str):
+            return observation
+        if observation is None:
             return f"{who} has not reported {what}"
-        value = seen.value
+        value = observation.value
         if live.index is not None:
             if not isinstance(value, list | tuple) or live.index >= len(value):
                 return f"{who} reports no element {live.index} of {what}"
@@ -111,7 +111,7 @@ class AgentSampler:
         if fitting is None:
             return f"{who} reports {what} as {value}"
         return (
-            AttributeSample(fitting, seen.when, now)
+            AttributeSample(fitting, observation.when, now)
             if attribute.live
             else AttributeSample(fitting, now, now, of="told")
         )

@@ -32,10 +32,10 @@ class DirectoryCodec:
         self._attributes = [attribute for _, attribute in sorted(registry.attributes.items())]
         self._places = {attribute.name: place for place, attribute in enumerate(self._attributes)}
 
-    def encode(self, news: DirectoryDelta, now: float) -> DirectoryUpdate:
+    def encode(self, delta: DirectoryDelta, now: float) -> DirectoryUpdate:
         """The update with this host's changes; `now` is its monotonic clock."""
-        agents = [self._encode_agent(agent, change, now) for agent, change in news.agents.items()]
-        return DirectoryUpdate(news.incarnation, news.since, news.sequence, agents)
+        agents = [self._encode_agent(agent, change, now) for agent, change in delta.agents.items()]
+        return DirectoryUpdate(delta.incarnation, delta.since, delta.sequence, agents)
 
     def _encode_agent(self, agent: str, change: AgentCondition, now: float) -> AgentUpdate:
         places, trouble = self._places, change.trouble
@@ -60,11 +60,11 @@ class DirectoryCodec:
     def decode(self, host: str, report: DirectoryUpdate, now: float) -> DirectoryDelta:
         """The changes of a host. Raises WireError for changes that are not that host's."""
         agents: dict[str, AgentCondition] = {}
-        for told in report.agents:
-            agent = self._agents[told.agent] if told.agent < len(self._agents) else None
+        for entry in report.agents:
+            agent = self._agents[entry.agent] if entry.agent < len(self._agents) else None
             if agent is None or agent.host != host or agent.type not in self._providers:
-                raise WireError(f"{host} reports on agent {told.agent}, which is none of its")
-            agents[agent.id] = self._decode_agent(agent, told, now)
+                raise WireError(f"{host} reports on agent {entry.agent}, which is none of its")
+            agents[agent.id] = self._decode_agent(agent, entry, now)
         return DirectoryDelta(report.incarnation, report.since, report.sequence, agents)
 
     def _decode_agent(self, deployed: AgentIdentity, update: AgentUpdate, now: float) -> AgentCondition:

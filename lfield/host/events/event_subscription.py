@@ -137,12 +137,12 @@ class EventSubscription:
         if self._acknowledged == self._batch:
             # The acknowledgement is awaited from here on.
             self._last_ack_at = up
-        after, told, shown = self._after, list[Event](), None
+        after, events, shown = self._after, list[Event](), None
         # A subscriber receives something after a snapshot, however slowly it reads.
         if self._snapshot or (not self._last_snapshot and self._skip_lost()):
             shown, self._snapshot, self._last_snapshot = snapshot(), False, True
         else:
-            (after, told), self._last_snapshot = self._next_events(up), False
+            (after, events), self._last_snapshot = self._next_events(up), False
         self._batch += 1
         self._sent[self._batch] = up
         if self._is_full:
@@ -150,7 +150,7 @@ class EventSubscription:
         self.next_batch_at = up + MIN_INTERVAL
         lost, self._lost = dict(self._lost), Counter()
         return EventBatch(
-            self._incarnation, self._batch, at, up, after, self._event_log.latest, told, lost, shown
+            self._incarnation, self._batch, at, up, after, self._event_log.latest, events, lost, shown
         )
 
     def final_batch(self, at: float, up: float) -> EventBatch:
@@ -175,15 +175,15 @@ class EventSubscription:
     def _next_events(self, up: float) -> tuple[int, list[Event]]:
         """The next states, and the number that they follow; telemetry if there is room."""
         stream, before = self._event_log, self._after
-        told, size = stream.after(before, MAX_EVENTS, BATCH_BYTES, self._frequent_after)
-        self._after = told[-1].number if told else stream.latest
-        if missing := self._after - before - len(told):
+        events, size = stream.after(before, MAX_EVENTS, BATCH_BYTES, self._frequent_after)
+        self._after = events[-1].number if events else stream.latest
+        if missing := self._after - before - len(events):
             self._lost["state"] += missing
-        after = told[0].number - 1 if told else self._after
+        after = events[0].number - 1 if events else self._after
         if self._after == stream.latest and not self._full and up >= self._rest_until:
             self._is_full = bool(self._pending_telemetry)
-            self._add_telemetry(told, size)
-        return after, told
+            self._add_telemetry(events, size)
+        return after, events
 
     def _add_telemetry(self, batch: list[Event], size: int) -> None:
         """Add telemetry, as far as there is room."""

@@ -46,7 +46,7 @@ class HopStep(IntEnum):
     """
 
     SENT = 0
-    CAME = 1
+    ARRIVED = 1
     RUNNING = 2
     CONFIRMED = 3
 
@@ -108,20 +108,20 @@ class MigrationEvents:
 
     def _on_running(self, at: float, name: str, generation: int, sequence: int | None, stamp: int) -> None:
         """An arrived coordinator runs here, or a stored one is resumed."""
-        came = self._arriving.pop(name, None)
-        if came is None:
+        arrival = self._arriving.pop(name, None)
+        if arrival is None:
             return
-        is_told, away = self._limiter.try_acquire("came"), self._in_flight.get(name)
-        if not is_told and away is None:
+        is_reported, away = self._limiter.try_acquire("came"), self._in_flight.get(name)
+        if not is_reported and away is None:
             return
-        host, header = came
+        host, header = arrival
         # An earlier arrival that was refused does not belong to this one.
         if (header.generation, header.sequence) != (generation, sequence):
             return
         if away is not None and away.generation == generation and away.sequence < header.sequence:
             # A coordinator that returns at once is its own confirmation: its host sends no other.
             self._emit_confirmed(name, away, away.returned_at, at, stamp)
-        if is_told:
+        if is_reported:
             what = events.MigrationArrived(name, generation, header.sequence, host, header.size)
             self._recorder.emit_for_agent(name, what, cause=0, at=at, stamp=stamp)
 

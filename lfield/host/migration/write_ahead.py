@@ -88,8 +88,8 @@ class WriteAheadQueue:
     def _discard(self, agent: str, generation: int) -> None:
         """A start is stopped: discard waiting effects that resume or send it; reports about it stay."""
         if waiting := self._blocked.get(agent):
-            told = (entry for entry in waiting if _generation(entry[1]) != generation)
-            self._blocked[agent] = deque(told)
+            kept = (entry for entry in waiting if _generation(entry[1]) != generation)
+            self._blocked[agent] = deque(kept)
 
     def is_pending_durable(self, agent: str) -> bool:
         """Whether an effect of a coordinator waits for the disk."""

@@ -93,11 +93,11 @@ async def run_host(
     transport = TcpTransport(mission.max_block, identity.tls, exempt=lambda: host.core.run_seconds)
     host = Host(mission, name, transport, logbook, host_options)
     transport.log_to(host.note)
-    words = ShutdownSignals(host.clock)
-    install_signal_handlers(words)
+    signals = ShutdownSignals(host.clock)
+    install_signal_handlers(signals)
     if parent_pipe:
-        ParentPipe(sys.stdin.fileno(), host.on_host_exited, partial(words.request, is_repeatable=False))
-    status = await run_until_exit(host, words, lost_after, _freeze_gc)
+        ParentPipe(sys.stdin.fileno(), host.on_host_exited, partial(signals.request, is_repeatable=False))
+    status = await run_until_exit(host, signals, lost_after, _freeze_gc)
     if result_fd is not None:
         os.write(result_fd, b"%d" % _hops(host))
     return status
@@ -192,13 +192,13 @@ def _end_by_force_after(mission: Mission) -> Callable[[], None]:
 async def _stop(host: Host, signals: ShutdownSignals) -> dict[str, str]:
     """Stop the host; returns the devices that were not confirmed at rest in their safe states."""
     signals.call_on_second(host.guards.stop_waiting)
-    told = asyncio.get_running_loop().call_later(
+    report = asyncio.get_running_loop().call_later(
         FLUSH_TIMEOUT, host.note, log_messages.WAITING_FOR_REST.line()
     )
     try:
         return await host.stop()
     finally:
-        told.cancel()
+        report.cancel()
 
 
 def _log_other_failures(life: asyncio.Future[int], host: Host) -> None:

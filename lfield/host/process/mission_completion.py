@@ -45,26 +45,26 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
     unmet = max(lost_after, host.options.unreachable_after)
     homes = {member.id: host.team.hosts[member.host] for member in host.team.coordinators}
     judge = OutcomeResolver(homes)
-    hearsay = host.core.membership
+    membership = host.core.membership
     remembered = _PendingRestarts(host, homes, lost_after, unmet)
     # Announcements during the start of this host count as well.
     since = 0.0
     while True:
         host.changed.clear()
         found = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
-        whole = hearsay.is_fully_connected(host.clock.monotonic())
+        whole = membership.is_fully_connected(host.clock.monotonic())
         if whole:
-            hearsay.suspected.clear()
-        if homes.keys() - found.keys() and (hearsay.ended or not whole or host.mobility.has_losses):
+            membership.suspected.clear()
+        if homes.keys() - found.keys() and (membership.ended or not whole or host.mobility.has_losses):
             records = await _query_states(host)
             now = host.clock.monotonic()
             found = judge.resolve(
-                records, _unavailable(host, hearsay.unavailable_hosts(records, now, lost_after, unmet))
+                records, _unavailable(host, membership.unavailable_hosts(records, now, lost_after, unmet))
             )
             found |= local_outcomes(
                 homes, host.mobility.known_states(), host.mobility.proven_losses(now - STATUS_MAX_AGE)
             )
-        unstartable = host.core.startup.unstartable(hearsay.ended)
+        unstartable = host.core.startup.unstartable(membership.ended)
         found |= {agent: CoordinatorOutcome(agent, "lost", why) for agent, why in unstartable.items()}
         for agent in remembered.pending_agents():
             found.pop(agent, None)
@@ -118,14 +118,16 @@ class _PendingRestarts:
             self._first_contact.setdefault(home, now)
         if now >= self._first_contact.get(home, now) + SETTLE_TIME:
             return True
-        absent = host.core.membership.unavailable_hosts(set(host.team.hosts) - {home}, now, *self._bounds)
-        return home in absent.ended or home in absent.silent_for
+        unavailable = host.core.membership.unavailable_hosts(
+            set(host.team.hosts) - {home}, now, *self._bounds
+        )
+        return home in unavailable.ended or home in unavailable.silent_for
 
 
-def _unavailable(host: Host, absent: UnavailableHosts) -> UnavailableHosts:
+def _unavailable(host: Host, unavailable: UnavailableHosts) -> UnavailableHosts:
     """Add the state ids of the hosts that answered, and whether hosts have journals."""
     return replace(
-        absent, state_ids=host.mobility.state_ids, has_journals=bool(host.journal_writer.journal_id)
+        unavailable, state_ids=host.mobility.state_ids, has_journals=bool(host.journal_writer.journal_id)
     )
 
 
@@ -144,16 +146,16 @@ async def _wait_for_finality(host: Host, lost_after: float) -> None:
 
     A host without a lease cannot prevent a recovery.
     """
-    heard, told = host.clock.monotonic(), False
+    last_contact, is_reported = host.clock.monotonic(), False
     while names := host.core.leases.not_final_yet:
         now = host.clock.monotonic()
-        heard = now if host.core.leases.remaining else heard
-        if now - heard >= lost_after:
+        last_contact = now if host.core.leases.remaining else last_contact
+        if now - last_contact >= lost_after:
             host.note(log_messages.END_UNCONFIRMED.line(agents=listed(names), seconds=lost_after))
             return
-        if not told:
+        if not is_reported:
             host.note(log_messages.END_NOT_FINAL.line(agents=listed(names), host=host.name))
-            told = True
+            is_reported = True
         host.changed.clear()
         await _wait_for_change(host, ASK_EVERY)
 

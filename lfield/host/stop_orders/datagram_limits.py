@@ -87,13 +87,13 @@ class DatagramLimits:
         was verified here before."""
         pair = (sender, signer)
         if pair in self._proven:
-            taken: list[tuple[_Buckets, Hashable]] = [(self._checks, pair)]
+            budgets: list[tuple[_Buckets, Hashable]] = [(self._checks, pair)]
         else:
             strangers = self._strangers[is_known]
-            taken = [(self._senders, sender), (self._networks, sender.network), (strangers, None)]
-        if any(buckets.level(key, now) < 1.0 for buckets, key in taken):
+            budgets = [(self._senders, sender), (self._networks, sender.network), (strangers, None)]
+        if any(buckets.level(key, now) < 1.0 for buckets, key in budgets):
             return False
-        for buckets, key in taken:
+        for buckets, key in budgets:
             buckets.consume(key, now)
         return True
 

@@ -69,7 +69,7 @@ class _Requester:
     announced to that origin. In seconds."""
 
     signed: SignedOrder
-    came: float
+    received_at: float
     announced: float
 
 
@@ -285,7 +285,7 @@ class OrderReceiver:
         """Answer all senders, each with the number of its latest datagram."""
         for origin, asker in self._orders[id].askers.items():
             if only is None or origin == only:
-                numbered = wire.numbered_answer(answer, asker.signed.attempt, self._now() - asker.came)
+                numbered = wire.numbered_answer(answer, asker.signed.attempt, self._now() - asker.received_at)
                 reply = self._signer.answer(numbered, unknown=asker.signed.unknown)
                 # A certificate with a very long name does not fit a datagram: the sender must use a link.
                 with suppress(WireError):

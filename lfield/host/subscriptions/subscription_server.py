@@ -68,13 +68,13 @@ class SubscriptionServer:
                 self._end(link, f"{MAX_SUBSCRIPTIONS} others watch {self._core.name} already")
                 return
             self._end(list(self._subscriptions)[way], f"others watch {self._core.name} too, and less often")
-        teller, before = self._recorder, self._subscriptions.get(link)
+        recorder, before = self._recorder, self._subscriptions.get(link)
         # A repeated request must not cause extra work.
-        begins = teller.up if before is None else max(teller.up, before.next_batch_at)
+        first_batch_at = recorder.up if before is None else max(recorder.up, before.next_batch_at)
         # Events before the subscription are not reported as lost.
-        teller.drain()
+        recorder.drain()
         self._subscriptions[link] = watcher = EventSubscription(
-            teller.event_log, self._core.incarnation, message, begins
+            recorder.event_log, self._core.incarnation, message, first_batch_at
         )
         if before is not None:
             watcher.resume_from(before)
@@ -82,7 +82,7 @@ class SubscriptionServer:
         if self._leaving is not None:
             self._leaving.cancel()
             self._leaving = None
-        teller.listen(self._on_event)
+        recorder.listen(self._on_event)
         self._send_due()
 
     def snapshot_batch(self) -> EventBatch:

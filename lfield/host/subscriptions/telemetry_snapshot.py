@@ -56,9 +56,9 @@ def _wait_text(agent: Agent, core: HostCore, place: int) -> str:
 
 
 def _devices(guards: DeviceGuards, now: float) -> Iterator[tuple[str, tuple[object, TelemetryEvent]]]:
-    heard = guards.last_contact
+    last_contact = guards.last_contact
     for name, values in guards.telemetry.items():
-        if (when := heard.get(name)) is not None:
+        if (when := last_contact.get(name)) is not None:
             measured = DeviceTelemetry(
                 truncate(name, MAX_LABEL), telemetry_of(values), bounded_duration(now - when)
             )

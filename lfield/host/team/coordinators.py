@@ -243,7 +243,7 @@ class Coordinators(Part):
             return
         now = self._now()
         self._hybrid_clock.merge(host, header.stamp, now)
-        self._hops.append((HopStep.CAME, now, host, header))
+        self._hops.append((HopStep.ARRIVED, now, host, header))
         inject = partial(self._inject, transit)
         self.apply_effects(self.mobility.on_transfer(host, header, block, inject))
 

@@ -161,7 +161,7 @@ class TeamLeases(Part):
     def _callers(self) -> list[Caller]:
         """The agents that are here, and pending calls that run here for coordinators that may be
         elsewhere."""
-        running = (begun for begun in self._machine.pending_calls.calls() if begun.state == "running")
+        running = (call for call in self._machine.pending_calls.calls() if call.state == "running")
         return [*self._machine.agents.values(), *running]
 
     @property
@@ -346,8 +346,8 @@ class TeamLeases(Part):
         )
 
     def _is_on_disk(self, ended: CoordinatorCopy) -> bool:
-        [told] = self._team.write_ahead.durable_states([ended.state_message()], self._hello.host)
-        return told.state == "EXITED"
+        [durable] = self._team.write_ahead.durable_states([ended.state_message()], self._hello.host)
+        return durable.state == "EXITED"
 
     def _is_final(self, ended: CoordinatorCopy) -> bool:
         """Whether a majority of the members has on disk that a coordinator has terminated here."""

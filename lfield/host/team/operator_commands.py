@@ -64,9 +64,9 @@ def set_paused(team: Coordinators, machine: Machine, *, on: bool, order: bytes) 
     team.log(log_messages.MISSION_PAUSED.line() if on else log_messages.MISSION_RESUMED.line())
     if not on:
         return
-    begun = {call.agent for call in machine.pending_calls.calls()}
+    callers = {call.agent for call in machine.pending_calls.calls()}
     here = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}
-    for coordinator in sorted(begun | here):
+    for coordinator in sorted(callers | here):
         abandon_calls(machine, coordinator, f"the mission was paused; {MAYBE_STARTED}")
 
 

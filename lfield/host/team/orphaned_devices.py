@@ -103,11 +103,11 @@ class DeadmanMonitor:
     ) -> list[MakeDeviceSafe | Send]:
         """The hosts to query, and the devices to make safe. `own` are the records of this host, `here`."""
         self.on_states(here, own, now)
-        absent = others.unavailable_hosts((), now, SUSPICION_TIMEOUT, SUSPICION_TIMEOUT)
+        unavailable = others.unavailable_hosts((), now, SUSPICION_TIMEOUT, SUSPICION_TIMEOUT)
         agents, asked = list(self._coordinators), set[str]()
         for name, known in self._coordinators.items():
             where, can_be_asked = known.location, known.location in others.links
-            if where in absent.reachable_by_others and not can_be_asked:
+            if where in unavailable.reachable_by_others and not can_be_asked:
                 known.last_contact = now
             patience = min(
                 self._policies[device].after for device in self._users if name in self._users[device]
@@ -134,10 +134,10 @@ class DeadmanMonitor:
     def _orphan(self, device: str) -> MakeDeviceSafe:
         """Make a device safe: it depends on no coordinator until it is used again."""
         users, without = self._users.pop(device), self._policies[device]
-        told = ", ".join(self._describe(name) for name in sorted(users))
+        described = ", ".join(self._describe(name) for name in sorted(users))
         for name in users - set().union(*self._users.values()):
             del self._coordinators[name]
-        reason = f"no coordinator that used it ({told}) has been confirmed alive for {without.after:g} s"
+        reason = f"no coordinator that used it ({described}) has been confirmed alive for {without.after:g} s"
         return MakeDeviceSafe(device, without.do, reason, tuple(sorted(users)))
 
     def _describe(self, name: str) -> str:

@@ -56,13 +56,13 @@ class PendingCallStore(Part):
     def on_restored(self) -> None:
         """The coordinators of this host resume: those informed that their calls may have started fetch
         none."""
-        told = [
+        terminated = [
             key
             for key, (page, _) in self._records.items()
             if key[:2] in self._team.restart_notified and not page.outcome
         ]
-        self._machine.pending_calls.forget(told)
-        self._delete(told)
+        self._machine.pending_calls.forget(terminated)
+        self._delete(terminated)
 
     # --- called by the machine ------------------------------------------------------------------------
 
@@ -121,11 +121,11 @@ class PendingCallStore(Part):
 
     def on_save(self, agent: Agent) -> bool:
         """As `Coordinators.save`: the stored block contains the fetched results."""
-        begins = self._team.save(agent)
+        effects = self._team.save(agent)
         if self._has_journal and not self._team.write_trouble:
             before = self._fetched.pop((agent.id, agent.generation), [])
             self._delete([*before, *self._machine.pending_calls.drain_fetched(agent)])
-        return begins
+        return effects
 
     def on_departing(self, agent: Agent) -> None:
         """A coordinator was packed to be sent: its fetched results are deleted when that is on disk."""
@@ -146,21 +146,21 @@ class PendingCallStore(Part):
 
     def on_tick(self, now: float) -> None:
         """Cancel calls of starts that are over, and delete records that no start will fetch."""
-        begun_calls = self._machine.pending_calls.calls()
-        if not (begun_calls or self._records or self._fetched or self._deleted):
+        pending = self._machine.pending_calls.calls()
+        if not (pending or self._records or self._fetched or self._deleted):
             self.is_polled = False
             return
         for start in list(self._fetched):
             if self._team.mobility.was_sent(*start):
                 self._delete(self._fetched.pop(start))
-        calls = {call.key for call in begun_calls}
+        calls = {call.key for call in pending}
         failed = [key for key in self._deleted if key not in calls and not self._records[key][0].outcome]
         self._deleted.clear()
         self._delete(failed)
-        begun = {key[:2] for key in calls}
-        for start in sorted({*begun, *(key[:2] for key in self._records)}):
+        starts = {key[:2] for key in calls}
+        for start in sorted({*starts, *(key[:2] for key in self._records)}):
             if why := self._end_reason(start):
-                self._cancel_start(start, why, begun)
+                self._cancel_start(start, why, starts)
 
     def _end_reason(self, start: StartId) -> str:
         """Why a start will not fetch its calls, '' if it may."""

@@ -62,8 +62,8 @@ class Reachability(Part):
 
     def on_tick(self, now: float) -> None:
         """Send pending gossip to the neighbours."""
-        for host, news in self._membership.next_gossip(now):
-            self._out(Send(host, news))
+        for host, gossip in self._membership.next_gossip(now):
+            self._out(Send(host, gossip))
         self.due = self._membership.due
 
     def is_linked(self, host: str) -> bool:
@@ -72,24 +72,28 @@ class Reachability(Part):
 
     def is_silent(self, host: str) -> bool:
         """Whether nothing has arrived for a while over a link with heartbeats every second."""
-        heard = self._membership.last_contact(host)
-        if heard is None or not self._membership.is_linked(host):
+        last_contact = self._membership.last_contact(host)
+        if last_contact is None or not self._membership.is_linked(host):
             return False
         now = self._clock.monotonic()
         answer = self._environment.answer_timeout(host) or 0.0
-        silent = host in self._membership.neighbours and now - heard > SILENCE_TIMEOUT + answer
+        silent = host in self._membership.neighbours and now - last_contact > SILENCE_TIMEOUT + answer
         grace = min(MAX_ANSWER_GRACE, max(ANSWER_GRACE, answer))
-        return silent or (self._is_overdue(host, heard) and now >= self._probed_at[host] + grace)
+        return silent or (self._is_overdue(host, last_contact) and now >= self._probed_at[host] + grace)
 
     def request_heartbeat(self, host: str, within: float = FRESH_FOR) -> None:
         """Probe a linked host, unless a probe is under way or something has just arrived from it.
 
         That means within `within` seconds for this call, and within 0.1 s for a repeated one.
         """
-        heard, now = self._membership.last_contact(host), self._clock.monotonic()
-        if heard is None or not self._membership.is_linked(host) or now - heard <= min(within, FRESH_FOR):
+        last_contact, now = self._membership.last_contact(host), self._clock.monotonic()
+        if (
+            last_contact is None
+            or not self._membership.is_linked(host)
+            or now - last_contact <= min(within, FRESH_FOR)
+        ):
             return
-        if not self._is_overdue(host, heard) and self._mobility.needs_probe(host):
+        if not self._is_overdue(host, last_contact) and self._mobility.needs_probe(host):
             self._probed_at[host] = now
             self._out(Send(host, Ping(QUESTION)))
 
@@ -103,18 +107,18 @@ class Reachability(Part):
 
         Includes a probe and its answer where one is due.
         """
-        heard = self._membership.last_contact(host)
-        if heard is None or not self._membership.is_linked(host):
+        last_contact = self._membership.last_contact(host)
+        if last_contact is None or not self._membership.is_linked(host):
             return 0.0
-        asks = self._clock.monotonic() - heard > FRESH_FOR
+        asks = self._clock.monotonic() - last_contact > FRESH_FOR
         return self.transit_time(host) * (3.0 if asks else 1.0)
 
     def is_heartbeat_pending(self, host: str) -> bool:
         """Whether the answer of a linked host to a probe is awaited."""
-        heard = self._membership.last_contact(host)
-        if heard is None or not self._membership.is_linked(host):
+        last_contact = self._membership.last_contact(host)
+        if last_contact is None or not self._membership.is_linked(host):
             return False
-        return self._is_overdue(host, heard) and not self.is_silent(host)
+        return self._is_overdue(host, last_contact) and not self.is_silent(host)
 
     def _is_overdue(self, host: str, last_contact: float) -> bool:
         return last_contact <= self._probed_at.get(host, -math.inf)

@@ -212,13 +212,13 @@ class Readiness:
         It is due at once when the missing hosts have changed, then at increasing intervals.
         """
         now_waited_for = (self.held, tuple(self.waited_for), tuple(sorted(self.refusals)))
-        is_news = now_waited_for != self._logged
-        if is_news and self._logged is not None and now < self._logged_at + LOG_INTERVAL:
+        is_changed = now_waited_for != self._logged
+        if is_changed and self._logged is not None and now < self._logged_at + LOG_INTERVAL:
             self._repeat_at = self._logged_at + LOG_INTERVAL
             return None
-        if not is_news and now < self._repeat_at:
+        if not is_changed and now < self._repeat_at:
             return None
-        self._interval = FIRST_REPEAT if is_news else min(LONGEST_REPEAT, 2 * self._interval)
+        self._interval = FIRST_REPEAT if is_changed else min(LONGEST_REPEAT, 2 * self._interval)
         self._logged, self._logged_at, self._repeat_at = now_waited_for, now, now + self._interval
         return self._wait_line(" and ".join(agents), now)
 

@@ -178,10 +178,10 @@ class Startup(Part):
 
     def _local_vehicles(self) -> dict[str, bool | None]:
         """Whether each vehicle of this host is on the ground, None if unknown."""
-        told = {
+        reported = {
             name: self._environment.last(name, ON_GROUND) for name in self._mission.vehicles_of(self._here)
         }
-        return {name: None if landed is None else _truth(landed.value) for name, landed in told.items()}
+        return {name: None if landed is None else _truth(landed.value) for name, landed in reported.items()}
 
     def _is_paused(self, agents: Sequence[str]) -> bool:
         if self._team.paused and not self._pause_logged:
@@ -197,9 +197,9 @@ class Startup(Part):
         if not self._gate.is_waiting or self._team.is_halted or not (agents := self._new_starts()):
             return None
         found = self.readiness.status(agents)
-        unheard = [host for host in self._gate.missing if host not in found.hosts]
+        unreachable = [host for host in self._gate.missing if host not in found.hosts]
         held = found.held or (PAUSED if self._team.paused else "")
-        return StartStatus(found.agents, [*found.hosts, *unheard], found.without, held)
+        return StartStatus(found.agents, [*found.hosts, *unreachable], found.without, held)
 
     @property
     def is_settling(self) -> bool:

@@ -81,17 +81,17 @@ class _Flow:
 
     def terminator(self, body: Sequence[Stmt]) -> Stmt | None:
         """The first of these statements that control never comes past; the one behind it is reported."""
-        stopper: Stmt | None = None
+        terminator: Stmt | None = None
         reported = False
         for one in body:
-            if stopper is not None and not reported:
-                cause = _cause(stopper)
+            if terminator is not None and not reported:
+                cause = _cause(terminator)
                 self.symbols.report(messages.UNREACHABLE, one.span, cause=cause)
                 reported = True
             passes = self.statement_completes(one)
-            if stopper is None and not passes:
-                stopper = one
-        return stopper
+            if terminator is None and not passes:
+                terminator = one
+        return terminator
 
     def statement_completes(self, one: Stmt) -> bool:
         """Whether control can come to the end of a statement."""

@@ -60,7 +60,7 @@ def widened(value: Expr, expected: Type) -> Expr:
 def require_type(
     symbols: Symbols, value: Expr, expected: Type, message: FindingKind = messages.MISMATCH, **values: object
 ) -> Expr:
-    """The value as the wanted type; when it does not fit, `message` is reported with {wanted} and {given}."""
+    """The value as the expected type; when it does not fit, `message` reports {expected} and {given}."""
     if conversion_cost(value.type, expected) is not None:
         _note_exception_use(symbols, value, expected)
         return widened(value, expected)
@@ -69,7 +69,7 @@ def require_type(
         message,
         value.span,
         hint=hint,
-        wanted=with_article(expected),
+        expected=with_article(expected),
         given=with_article(value.type),
         **values,
     )
@@ -130,7 +130,9 @@ class OverloadCandidate(Generic[Chosen]):
         """How many widenings a call needs; None when the arguments do not fit."""
         if len(given) != len(self.types):
             return None
-        costs = [conversion_cost(value.type, wanted) for value, wanted in zip(given, self.types, strict=True)]
+        costs = [
+            conversion_cost(value.type, expected) for value, expected in zip(given, self.types, strict=True)
+        ]
         known = [c for c in costs if c is not None]
         return sum(known) if len(known) == len(costs) else None
 
@@ -162,9 +164,9 @@ def choose_overload(
             )
         return None
     chosen = best[0]
-    for value, wanted in zip(given, chosen.types, strict=True):
-        _note_exception_use(symbols, value, wanted)
-    return chosen.what, [widened(v, wanted) for v, wanted in zip(given, chosen.types, strict=True)]
+    for value, expected in zip(given, chosen.types, strict=True):
+        _note_exception_use(symbols, value, expected)
+    return chosen.what, [widened(v, expected) for v, expected in zip(given, chosen.types, strict=True)]
 
 
 def _report_mismatch(
@@ -178,20 +180,20 @@ def _report_mismatch(
         return
     only = candidates[0]
     if len(given) != len(only.types):
-        wanted = f"{len(only.types) or 'no'} argument{'s' if len(only.types) != 1 else ''}"
+        expected = f"{len(only.types) or 'no'} argument{'s' if len(only.types) != 1 else ''}"
         symbols.report(
-            messages.ARGUMENT_COUNT, span, signature=only, wanted=wanted, given=len(given) or "none"
+            messages.ARGUMENT_COUNT, span, signature=only, expected=expected, given=len(given) or "none"
         )
         return
-    for number, (value, wanted_type) in enumerate(zip(given, only.types, strict=True), 1):
-        if conversion_cost(value.type, wanted_type) is None:
+    for number, (value, expected_type) in enumerate(zip(given, only.types, strict=True), 1):
+        if conversion_cost(value.type, expected_type) is None:
             symbols.report(
                 messages.ARGUMENT_TYPE,
                 value.span,
-                hint=conversion_hint(value.type, wanted_type) or None,
+                hint=conversion_hint(value.type, expected_type) or None,
                 number=number,
                 signature=only,
-                wanted=with_article(wanted_type),
+                expected=with_article(expected_type),
                 given=with_article(value.type),
             )
 

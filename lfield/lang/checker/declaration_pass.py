@@ -34,9 +34,9 @@ def declare_units(symbols: Symbols, units: Sequence[syntax.Unit]) -> list[Declar
 
 def _unit(symbols: Symbols, raw: syntax.Unit) -> Unit | None:
     """A unit under its name, or None when the name is another unit's."""
-    taken = _existing_meaning(symbols, raw.name)
-    if taken is not None:
-        symbols.report(messages.NAME_IN_USE, raw.span, name=raw.name, what=taken, kind=raw.kind)
+    existing = _existing_meaning(symbols, raw.name)
+    if existing is not None:
+        symbols.report(messages.NAME_IN_USE, raw.span, name=raw.name, what=existing, kind=raw.kind)
     earlier = symbols.units.get(raw.name)
     if earlier is not None:
         where = f"{earlier.span.source.name}, line {earlier.span.line}"

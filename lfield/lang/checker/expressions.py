@@ -119,7 +119,7 @@ def elements(body: BodyContext, raw: syntax.Elements, expected: Type) -> tree.Ex
     """An array of the elements written, of the type written with them or else of the one wanted."""
     kind = expected if raw.type is None else visible_type(body.symbols, body.unit, raw.type)
     if not isinstance(kind, ArrayType) and kind is not UNKNOWN:
-        body.report(messages.ELEMENTS, raw.span, wanted=with_article(kind))
+        body.report(messages.ELEMENTS, raw.span, expected=with_article(kind))
         return unknown(raw.span)
     of = kind.element if isinstance(kind, ArrayType) else UNKNOWN
     return tree.Elements(raw.span, kind, [_element(body, one, of) for one in raw.elements])

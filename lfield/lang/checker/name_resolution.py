@@ -96,9 +96,9 @@ def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree
 def method_names(body: BodyContext, kind: Type, unit: tree.Unit | None) -> list[str]:
     """The names that can be called on a value of the type."""
     if unit is not None:
-        wanted = "portal" if isinstance(kind, ResourceType) else "method"
-        own = dict.fromkeys(m.name for m in unit.methods if m.kind == wanted)
-        return [*own, *(f.name for f in PROXY_METHODS if wanted == "portal" and f.name not in own)]
+        method_kind = "portal" if isinstance(kind, ResourceType) else "method"
+        own = dict.fromkeys(m.name for m in unit.methods if m.kind == method_kind)
+        return [*own, *(f.name for f in PROXY_METHODS if method_kind == "portal" and f.name not in own)]
     if isinstance(kind, ArrayType):
         return ["length"]
     if isinstance(kind, DeviceType):

@@ -167,7 +167,7 @@ def _each(body: BodyContext, raw: syntax.Each) -> tree.Stmt:
     if of is UNKNOWN and array.type is not UNKNOWN:
         body.report(messages.EACH_ARRAY, span, given=with_article(array.type))
     elif conversion_cost(of, kind) is None:
-        body.report(messages.EACH_ELEMENT, raw.type.span, given=of, wanted=with_article(kind))
+        body.report(messages.EACH_ELEMENT, raw.type.span, given=of, expected=with_article(kind))
     made: list[tree.Stmt] = []
     items = _in_hidden_local(made, array)
     count = _in_hidden_local(made, tree.LibraryCall(span, INT, ARRAY_LENGTH, [items]))
@@ -199,26 +199,28 @@ def _for(body: BodyContext, raw: syntax.For) -> tree.Stmt:
 
 def _in_loop(body: BodyContext, span: Span, keyword: str) -> None:
     if body.loops == 0:
-        body.report(messages.LOOP_ONLY, span, word=keyword)
+        body.report(messages.LOOP_ONLY, span, keyword=keyword)
     elif body.loops == body.last:
-        body.report(messages.LEAVES_FINALLY, span, word=keyword)
+        body.report(messages.LEAVES_FINALLY, span, keyword=keyword)
 
 
 def _return(body: BodyContext, raw: syntax.Return) -> tree.Stmt:
     if body.last is not None:
-        body.report(messages.LEAVES_FINALLY, raw.span, word="return")
+        body.report(messages.LEAVES_FINALLY, raw.span, keyword="return")
     method = body.method
-    name, wanted = f"{method.kind} {method.name}" if method.kind != "init" else "init", method.result
+    name, expected = f"{method.kind} {method.name}" if method.kind != "init" else "init", method.result
     if raw.value is None:
-        if wanted not in (VOID, UNKNOWN):
-            body.report(messages.RETURN_SOMETHING, raw.span, method=name, wanted=with_article(wanted))
+        if expected not in (VOID, UNKNOWN):
+            body.report(messages.RETURN_SOMETHING, raw.span, method=name, expected=with_article(expected))
         return tree.Return(raw.span, None)
-    if wanted == VOID:
+    if expected == VOID:
         evaluated(body, raw.value)
         hint = _NO_RESULT_HINTS.get(method.kind)
         body.report(messages.RETURN_NOTHING, raw.value.span, hint=hint, method=name)
         return tree.Return(raw.span, None)
-    given = require_type(body.symbols, value(body, raw.value), wanted, messages.RETURN_MISMATCH, method=name)
+    given = require_type(
+        body.symbols, value(body, raw.value), expected, messages.RETURN_MISMATCH, method=name
+    )
     return tree.Return(raw.span, given)
 
 

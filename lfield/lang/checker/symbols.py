@@ -117,15 +117,15 @@ class Symbols:
 
 def device_in(symbols: Symbols, kind: Type) -> str:
     """A device that objects of the type have, in a field or in what a field leads to; '' without one."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     waiting = [(innermost(kind), "")]
     while waiting:
         held, path = waiting.pop()
         if isinstance(held, DeviceType):
             return path[1:]
         unit = symbols.unit_of(held)
-        if unit is not None and unit.kind == "class" and unit.name not in seen:
-            seen.add(unit.name)
+        if unit is not None and unit.kind == "class" and unit.name not in visited:
+            visited.add(unit.name)
             waiting.extend((innermost(field.type), f"{path}.{field.name}") for field in unit.fields)
     return ""
 

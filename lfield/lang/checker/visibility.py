@@ -106,7 +106,7 @@ def _may_pass(symbols: Symbols, viewer: tree.Unit, kind: Type, span: Span) -> bo
 
 def check_portal_contents(symbols: Symbols, kind: Type, span: Span) -> None:
     """Report a portal type that is or holds an Exception, which may be an object of any class at run time."""
-    seen: set[str] = set()
+    visited: set[str] = set()
     waiting = [(kind, "")]
     while waiting:
         held, path = waiting.pop()
@@ -120,6 +120,6 @@ def check_portal_contents(symbols: Symbols, kind: Type, span: Span) -> None:
             symbols.report(messages.PORTAL_EXCEPTION, span, type=kind, why=why)
             return
         unit = symbols.unit_of(element)
-        if unit is not None and unit.name not in seen:
-            seen.add(unit.name)
+        if unit is not None and unit.name not in visited:
+            visited.add(unit.name)
             waiting.extend((field.type, f"{path}.{field.name}") for field in unit.fields)

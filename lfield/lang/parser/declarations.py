@@ -41,13 +41,13 @@ def unit(s: TokenStream, kind: UnitKind) -> Unit:
 def _inheritance(s: TokenStream, kind: UnitKind, name: str) -> None:
     """Report `extends B`, `(B)`, `: public B` or `<T>` behind the name of a unit; skip it."""
     sign = s.current
-    word = sign.text if sign.kind is TokenKind.NAME else f"{kind} {name}{sign.text}"
+    keyword = sign.text if sign.kind is TokenKind.NAME else f"{kind} {name}{sign.text}"
     instead = "L has no inheritance: put an object of the other class into a field"
     if s.at("<"):
         instead = "there are no generic types: write a class for each element type"
     elif s.at(":") and (s.ahead(1).span.line > sign.span.line or s.ahead(1).kind is TokenKind.END):
         instead = f"the members of a unit are in braces: {kind} {name} {{ ... }}"
-    s.report(messages.FOREIGN_KEYWORD, sign.span, word=word, instead=instead)
+    s.report(messages.FOREIGN_KEYWORD, sign.span, keyword=keyword, instead=instead)
     while not s.at_end() and not s.at("{", "}", ";", *UNIT_KEYWORDS):
         s.advance()
     if not s.at("{"):
@@ -115,19 +115,24 @@ def _modifiers(s: TokenStream) -> _Modifiers:
     found = _Modifiers()
     while not found.portal:
         # After public or private the word may be any type: `private Report observe()` is not a portal.
-        word = (_respelt(s) if found.access is None else None) or s.current.text
+        keyword = (_respelt(s) if found.access is None else None) or s.current.text
         if s.at("public", "private", "protected") and s.ahead(1).text == ":":
-            instead = f"write {word} before each method, and before each field of a class"
-            s.report(messages.FOREIGN_KEYWORD, s.advance().span, word=f"{word}:", instead=instead)
+            instead = f"write {keyword} before each method, and before each field of a class"
+            s.report(messages.FOREIGN_KEYWORD, s.advance().span, keyword=f"{keyword}:", instead=instead)
             s.advance()
             found.foreign = True
-        elif word in _MODIFIERS:
-            found.given[word] = s.advance()
-        elif word == "portal":
+        elif keyword in _MODIFIERS:
+            found.given[keyword] = s.advance()
+        elif keyword == "portal":
             s.advance()
             found.portal = True
         elif s.at_name() and s.at(*FOREIGN_MODIFIERS) and s.ahead(1).text not in ("(", "=", ";"):
-            s.report(messages.FOREIGN_KEYWORD, s.advance().span, word=word, instead=FOREIGN_MODIFIERS[word])
+            s.report(
+                messages.FOREIGN_KEYWORD,
+                s.advance().span,
+                keyword=keyword,
+                instead=FOREIGN_MODIFIERS[keyword],
+            )
             found.foreign = True
         else:
             break
@@ -144,7 +149,7 @@ def _respelt(s: TokenStream) -> str | None:
     # A capital letter begins the name of a type: `Report observe()` is not a misspelt portal.
     close = closest(s.current.text, (*_MODIFIERS, "portal")) if s.current.text[0].islower() else None
     if close is not None:
-        s.report(messages.MISSPELT_KEYWORD, s.current.span, word=s.current.text, close=close)
+        s.report(messages.MISSPELT_KEYWORD, s.current.span, keyword=s.current.text, close=close)
     return close
 
 
@@ -177,7 +182,7 @@ def _member(s: TokenStream, made: Unit) -> None:
 
 def _foreign_member(s: TokenStream) -> None:
     """Fail at a member in the syntax of another language."""
-    word, following = s.current.text, s.ahead(1)
+    keyword, following = s.current.text, s.ahead(1)
     if s.at("~"):
         raise s.fail(
             messages.EXPECTED_MEMBER, hint="objects are freed by themselves; leave it out", found=s.current
@@ -185,12 +190,14 @@ def _foreign_member(s: TokenStream) -> None:
     if not s.at_name():
         return
     if following.text == ":" and s.ahead(2).text.isidentifier():
-        hint = f"the type comes first: {s.ahead(2).text} {word};"
+        hint = f"the type comes first: {s.ahead(2).text} {keyword};"
         raise s.fail(messages.EXPECTED_MEMBER, hint=hint, found=s.current)
-    is_method = word in METHOD_WORDS and following.kind is TokenKind.NAME and s.ahead(2).text == "("
-    if is_method or (word in _NESTED_UNITS and (following.kind is TokenKind.NAME or following.text == "<")):
-        instead = FOREIGN_STATEMENTS.get(word, "write class Name { ... } at the top level")
-        raise s.fail(messages.FOREIGN_KEYWORD, word=word, instead=instead)
+    is_method = keyword in METHOD_WORDS and following.kind is TokenKind.NAME and s.ahead(2).text == "("
+    if is_method or (
+        keyword in _NESTED_UNITS and (following.kind is TokenKind.NAME or following.text == "<")
+    ):
+        instead = FOREIGN_STATEMENTS.get(keyword, "write class Name { ... } at the top level")
+        raise s.fail(messages.FOREIGN_KEYWORD, keyword=keyword, instead=instead)
 
 
 def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName, name: Token) -> None:
@@ -217,8 +224,8 @@ def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName
 
 
 def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
-    for word, token in modifiers.given.items():
-        place = ", or write portal synchronized" if word == "synchronized" else ": every portal is public"
+    for keyword, token in modifiers.given.items():
+        place = ", or write portal synchronized" if keyword == "synchronized" else ": every portal is public"
         _unwanted(s, token, "a portal", place)
     synchronized = s.accept("synchronized")
     result = _misplaced_result(s)
@@ -252,7 +259,7 @@ def _misplaced_result(s: TokenStream) -> TypeName | None:
 
 def _foreign_ending(s: TokenStream, method: Method) -> None:
     """`-> real`, `: real`, `throws X`, `const` behind the parameters: reported, and skipped."""
-    word = s.current
+    token = s.current
     if s.at("->", ":") or (s.at_name() and s.at("returns")):
         s.advance()
         result = result_type(s) if s.at_name() or s.at("void", *PRIMITIVES) else None
@@ -260,11 +267,11 @@ def _foreign_ending(s: TokenStream, method: Method) -> None:
         if method.kind == "portal":
             hint = f"write portal {method.name}(...) emit {result or 'int'}"
             method.result = result if result is not None and result.name != "void" else None
-        s.report(messages.EXPECTED_SYMBOL, word.span, hint=hint, what="'{'", found=word)
+        s.report(messages.EXPECTED_SYMBOL, token.span, hint=hint, what="'{'", found=token)
         return
     while s.at_name() and s.at(*METHOD_ENDS):
-        word = s.advance()
-        s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=METHOD_ENDS[word.text])
+        token = s.advance()
+        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=METHOD_ENDS[token.text])
         while not (s.at_end() or s.at("{", "}", ";", *METHOD_ENDS)):
             s.advance()
 
@@ -295,7 +302,7 @@ def _without_result(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
 
 
 def _unwanted(s: TokenStream, token: Token, what: str, reason: str) -> None:
-    s.report(messages.UNWANTED_MODIFIER, token.span, what=what, word=token.text, reason=reason)
+    s.report(messages.UNWANTED_MODIFIER, token.span, what=what, keyword=token.text, reason=reason)
 
 
 def _method(

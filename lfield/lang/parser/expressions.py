@@ -186,10 +186,10 @@ def _unary(s: TokenStream) -> Expr:
     if s.at("++", "--", "~"):
         return _foreign(s, Bad(s.current.span, 1))
     if at_word_prefix(s):
-        word = word_prefix(s)
+        token = word_prefix(s)
         with s.nested():
             operand = _unary(s)
-        is_not = word.text == "not"
+        is_not = token.text == "not"
         return s.bounded(Unary(operand.span, operand.height + 1, "!", operand)) if is_not else operand
     if s.at_name() and at_cast(s):
         raise cast(s)

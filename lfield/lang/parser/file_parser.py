@@ -52,35 +52,39 @@ def _top_level(s: TokenStream, file: ParsedFile) -> None:
 
 def _unknown_unit(s: TokenStream, file: ParsedFile) -> None:
     """Something that begins no unit: a misspelt keyword, a habit, or garbage."""
-    word = s.current
-    close = closest(word.text, (*UNIT_KEYWORDS, "include")) if s.at_name() else None
+    token = s.current
+    close = closest(token.text, (*UNIT_KEYWORDS, "include")) if s.at_name() else None
     if close in UNIT_KEYWORDS and s.ahead(1).kind is TokenKind.NAME:
-        s.report(messages.MISSPELT_KEYWORD, word.span, word=word.text, close=close)
+        s.report(messages.MISSPELT_KEYWORD, token.span, keyword=token.text, close=close)
         s.advance()
         file.units.append(unit(s, _KINDS[close]))
         return
-    if word.text == ";":
+    if token.text == ";":
         s.advance()
-        s.report(messages.EXPECTED_UNIT, word.span, hint="leave the ; out: a unit ends with }", found=word)
+        s.report(messages.EXPECTED_UNIT, token.span, hint="leave the ; out: a unit ends with }", found=token)
         return
-    if word.text in FOREIGN_UNITS and word.kind is TokenKind.KEYWORD and s.ahead(1).text not in UNIT_KEYWORDS:
-        raise s.fail(messages.EXPECTED_UNIT, hint=FOREIGN_UNITS[word.text], found=word)
-    if word.text in FOREIGN_UNITS:
-        s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=FOREIGN_UNITS[word.text])
+    if (
+        token.text in FOREIGN_UNITS
+        and token.kind is TokenKind.KEYWORD
+        and s.ahead(1).text not in UNIT_KEYWORDS
+    ):
+        raise s.fail(messages.EXPECTED_UNIT, hint=FOREIGN_UNITS[token.text], found=token)
+    if token.text in FOREIGN_UNITS:
+        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=FOREIGN_UNITS[token.text])
         if s.ahead(1).text in UNIT_KEYWORDS:
             s.advance()
             return
-        if word.text == "template":
+        if token.text == "template":
             while not (s.at_end() or s.at(">", "{", ";")):
                 s.advance()
             s.accept(">")
             return
-        if word.text in _IMPORTS:
+        if token.text in _IMPORTS:
             s.skip_unit()
             return
         raise SyntaxRecovery
     hint = f"did you mean '{close}'?" if close else None
-    raise s.fail(messages.EXPECTED_UNIT, hint=hint, found=word)
+    raise s.fail(messages.EXPECTED_UNIT, hint=hint, found=token)
 
 
 def _include(s: TokenStream) -> Include:

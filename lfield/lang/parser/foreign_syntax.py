@@ -60,16 +60,16 @@ def at_word_operator(s: TokenStream) -> bool:
 
 def word_operator(s: TokenStream) -> tuple[Span, str]:
     """Report the operator here and skip it; its place and the operator of L, "" for none."""
-    start, word = s.current.span, s.current.text
-    operator, instead = WORD_OPERATORS.get(word, ("", "write pow(x, y)"))
+    start, keyword = s.current.span, s.current.text
+    operator, instead = WORD_OPERATORS.get(keyword, ("", "write pow(x, y)"))
     s.advance()
-    if word == "*" or s.at("in") or (word == "is" and s.at("not")):
-        word = "**" if word == "*" else f"{word} {s.current.text}"
-        if word == "is not":
+    if keyword == "*" or s.at("in") or (keyword == "is" and s.at("not")):
+        keyword = "**" if keyword == "*" else f"{keyword} {s.current.text}"
+        if keyword == "is not":
             operator, instead = "!=", "write !="
         s.advance()
     place = start.to(s.previous.span)
-    s.report(messages.FOREIGN_OPERATOR, place, operator=word, instead=instead)
+    s.report(messages.FOREIGN_OPERATOR, place, operator=keyword, instead=instead)
     return place, operator
 
 
@@ -86,15 +86,15 @@ def at_word_prefix(s: TokenStream) -> bool:
 
 def word_prefix(s: TokenStream) -> Token:
     """Report the word here and skip it, or raise SyntaxRecovery."""
-    word = s.advance()
-    if s.current.kind is TokenKind.STRING and word.text not in WORD_PREFIXES:
-        instead = _JOIN if word.text in ("f", "F", "fr", "rf") else f"leave the {word.text} out"
-        s.report(messages.FOREIGN_KEYWORD, word.span, word=f'{word.text}"..."', instead=instead)
-        return word
-    s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=WORD_PREFIXES[word.text])
-    if word.text == "lambda":
+    token = s.advance()
+    if s.current.kind is TokenKind.STRING and token.text not in WORD_PREFIXES:
+        instead = _JOIN if token.text in ("f", "F", "fr", "rf") else f"leave the {token.text} out"
+        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=f'{token.text}"..."', instead=instead)
+        return token
+    s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=WORD_PREFIXES[token.text])
+    if token.text == "lambda":
         raise SyntaxRecovery
-    return word
+    return token
 
 
 def std_member(s: TokenStream) -> SyntaxRecovery:
@@ -165,14 +165,14 @@ def cast(s: TokenStream) -> SyntaxRecovery:
     """Report `static_cast<int>(...)` or another call with type arguments; raise what this returns."""
     name = s.current
     instead = _CONVERSIONS if name.text in _CASTS else CONTAINERS.get(name.text, NO_GENERICS)
-    s.report(messages.FOREIGN_KEYWORD, name.span, word=f"{name.text}<...>", instead=instead)
+    s.report(messages.FOREIGN_KEYWORD, name.span, keyword=f"{name.text}<...>", instead=instead)
     return SyntaxRecovery()
 
 
 def qualified(s: TokenStream, named: TypeName) -> None:
     """Report the `unsigned`, `::` and `<...>` around the name of a type, and skip them."""
     if named.name in _SIZES and s.at(*PRIMITIVES, *_SIZES):
-        s.report(messages.FOREIGN_KEYWORD, named.span, word=named.name, instead="in L it is called int")
+        s.report(messages.FOREIGN_KEYWORD, named.span, keyword=named.name, instead="in L it is called int")
         while s.at(*PRIMITIVES, *_SIZES):
             s.advance()
         named.name = BAD_TYPE
@@ -187,8 +187,8 @@ def qualified(s: TokenStream, named: TypeName) -> None:
     elif s.at("<") and _arguments_end(s, 0):
         instead = CONTAINERS.get(named.name, NO_GENERICS)
         _skip_arguments(s)
-        word = named.span.to(s.previous.span).text
-        s.report(messages.FOREIGN_KEYWORD, named.span, word=word, instead=instead)
+        text = named.span.to(s.previous.span).text
+        s.report(messages.FOREIGN_KEYWORD, named.span, keyword=text, instead=instead)
         named.name = BAD_TYPE
 
 
@@ -204,8 +204,8 @@ def pointer(s: TokenStream, named: TypeName) -> None:
     sign = s.advance()
     if named.name not in (BAD_TYPE, *FOREIGN_TYPE_HINTS):
         instead = f"leave the {sign.text} out: variables of classes and arrays are references and may be null"
-        word = f"{named.name}{sign.text}"
-        s.report(messages.FOREIGN_KEYWORD, sign.span, word=word, instead=instead)
+        text = f"{named.name}{sign.text}"
+        s.report(messages.FOREIGN_KEYWORD, sign.span, keyword=text, instead=instead)
 
 
 def sized_name(s: TokenStream, declared: TypeName, name: str) -> None:
@@ -224,8 +224,8 @@ def local_method(s: TokenStream, declared: TypeName, name: str) -> SyntaxRecover
     """Report `int f() { ... }` or `Foo f(1);` inside a method; raise what this returns."""
     is_class = declared.name not in (*PRIMITIVES, "void", BAD_TYPE) and not declared.dimensions
     instead = f"write {declared} {name} = new {declared}(...);" if is_class else _MOVE_METHOD
-    word = f"{declared.span.text} {name}(...)"
-    s.report(messages.FOREIGN_KEYWORD, declared.span, word=word, instead=instead)
+    text = f"{declared.span.text} {name}(...)"
+    s.report(messages.FOREIGN_KEYWORD, declared.span, keyword=text, instead=instead)
     s.accept("(")
     s.skip_parentheses(1)
     return SyntaxRecovery()
@@ -245,11 +245,11 @@ def foreign_each(s: TokenStream) -> None:
     at = 1 if s.at("(") else 0
     while s.ahead(at).text not in ("in", "of", "{", ";", ")") and s.ahead(at).kind is not TokenKind.END:
         at += 1
-    word, instead = s.ahead(at), _EACH
+    token, instead = s.ahead(at), _EACH
     if s.ahead(at + 1).text == "range":
         bound = s.ahead(at + 3).text if s.ahead(at + 4).text == ")" else "n"
         instead = f"write for (int i = 0; i < {bound}; i += 1) {{ ... }}"
-    s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=instead)
+    s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=instead)
     if s.accept("("):
         s.skip_parentheses(1)
     while not (s.at_end() or s.at("{", "}", ";", ":") or s.first_on_line()):
@@ -264,8 +264,8 @@ def at_except(s: TokenStream) -> bool:
 
 def skip_except(s: TokenStream) -> None:
     """Report an `except` and skip its head."""
-    word = s.current
-    s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead=FOREIGN_STATEMENTS[word.text])
+    token = s.current
+    s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=FOREIGN_STATEMENTS[token.text])
     while not (s.at_end() or s.at("{", "}", ";", ":")):
         s.advance()
     s.accept(":")
@@ -297,7 +297,7 @@ def at_foreign_statement(s: TokenStream) -> bool:
 def foreign_statement(s: TokenStream, keyword: str) -> Stmt:
     """A statement of another language: reported; its block, if it has one, is skipped."""
     span = s.current.span
-    s.report(messages.FOREIGN_KEYWORD, span, word=keyword, instead=FOREIGN_STATEMENTS[keyword])
+    s.report(messages.FOREIGN_KEYWORD, span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword])
     while not s.at_end() and not s.at(";", "{", "}"):
         s.advance()
     if s.at("{"):

@@ -128,9 +128,11 @@ def _if(s: TokenStream) -> Stmt:
 
 def _at_further(s: TokenStream) -> bool:
     """Whether an `else if` follows; the stream is then at its `if`. That of another language is reported."""
-    word = s.current.text
-    if s.at_name() and word in ("elif", "elsif", "elseif", "elseIf"):
-        s.report(messages.FOREIGN_KEYWORD, s.current.span, word=word, instead=FOREIGN_STATEMENTS[word])
+    keyword = s.current.text
+    if s.at_name() and keyword in ("elif", "elsif", "elseif", "elseIf"):
+        s.report(
+            messages.FOREIGN_KEYWORD, s.current.span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword]
+        )
         return True
     if s.at("else") and s.ahead(1).text == "if":
         s.advance()
@@ -188,7 +190,7 @@ def _counting_for(s: TokenStream, where: Span, start: Stmt | None) -> For:
 def _each(s: TokenStream, where: Span, start: Stmt | None) -> Each:
     """`T name : array`, behind the name."""
     if not s.at(":"):
-        raise s.fail(messages.FOREIGN_KEYWORD, word=s.current.text, instead=_EACH)
+        raise s.fail(messages.FOREIGN_KEYWORD, keyword=s.current.text, instead=_EACH)
     if not isinstance(start, Declare) or start.value is not None:
         raise s.fail(messages.EXPECTED_SYMBOL, hint=_EACH, what="';'", found=s.current)
     s.advance()
@@ -275,20 +277,20 @@ def _catch_clause(s: TokenStream) -> list[Catch]:
 
 
 def _together(s: TokenStream) -> Stmt:
-    word = s.advance()
-    return Together(word.span, _braced(s, word))
+    token = s.advance()
+    return Together(token.span, _braced(s, token))
 
 
 def _within(s: TokenStream) -> Stmt:
-    word = s.advance()
+    token = s.advance()
     seconds = parenthesised(s, "write the seconds in parentheses: within (30) { ... }")
-    return Within(word.span, seconds, _braced(s, word))
+    return Within(token.span, seconds, _braced(s, token))
 
 
 def _reserve(s: TokenStream) -> Stmt:
-    word = s.advance()
+    token = s.advance()
     who = parenthesised(s, "write the resource in parentheses: reserve (arm) { ... }")
-    return Reserve(word.span, who, _braced(s, word))
+    return Reserve(token.span, who, _braced(s, token))
 
 
 def _finally(s: TokenStream) -> Stmt:
@@ -322,13 +324,13 @@ def _is_soft_keyword(s: TokenStream) -> bool:
 def _simple(s: TokenStream) -> Stmt:
     """A declaration or an expression with its `;`."""
     if s.at_name():
-        word = s.current.text
-        if word in _SOFT_KEYWORDS and _is_soft_keyword(s):
-            return _SOFT_KEYWORDS[word](s)
-        if word in FOREIGN_STATEMENTS and at_foreign_statement(s):
-            return foreign_statement(s, word)
-        if block_ahead(s) and (close := closest(word, _HEADS)):
-            return _misspelt(s, word, close)
+        keyword = s.current.text
+        if keyword in _SOFT_KEYWORDS and _is_soft_keyword(s):
+            return _SOFT_KEYWORDS[keyword](s)
+        if keyword in FOREIGN_STATEMENTS and at_foreign_statement(s):
+            return foreign_statement(s, keyword)
+        if block_ahead(s) and (close := closest(keyword, _HEADS)):
+            return _misspelt(s, keyword, close)
     found = _declaration(s) if at_declaration(s) else _evaluate(s)
     s.semicolon(semicolon_hint(s))
     return found
@@ -337,7 +339,7 @@ def _simple(s: TokenStream) -> Stmt:
 def _misspelt(s: TokenStream, keyword: str, close: str) -> Stmt:
     """`whlie (...) {` or `esle {`: reported; only its block is read."""
     span = s.current.span
-    s.report(messages.MISSPELT_KEYWORD, span, word=keyword, close=close)
+    s.report(messages.MISSPELT_KEYWORD, span, keyword=keyword, close=close)
     for _ in range(block_ahead(s)):
         s.advance()
     return BlockStmt(span, [BadStmt(span), statement(s)])

@@ -129,7 +129,7 @@ class TokenStream:
     def expect_name(self, what: str, hint: str | None = None) -> Token:
         """Take a name, or fail."""
         if self.current.kind is TokenKind.KEYWORD:
-            raise self.fail(messages.RESERVED_NAME, word=self.current.text)
+            raise self.fail(messages.RESERVED_NAME, keyword=self.current.text)
         if not self.at_name():
             raise self.fail(messages.EXPECTED_NAME, hint=hint, what=what, found=self.current)
         return self.advance()

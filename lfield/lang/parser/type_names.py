@@ -72,8 +72,8 @@ def parameter_modifier(s: TokenStream) -> None:
         following.kind is s.current.kind and s.ahead(2).text not in (",", ")")
     )
     if is_type:
-        word = s.advance()
-        s.report(messages.FOREIGN_KEYWORD, word.span, word=word.text, instead="leave it out")
+        token = s.advance()
+        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead="leave it out")
 
 
 def misplaced_brackets(s: TokenStream, declared: TypeName, name: str) -> None:

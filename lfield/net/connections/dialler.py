@@ -76,7 +76,7 @@ class Dialler:
     async def _run(self) -> None:
         wait, now = FIRST_RETRY, self._clock.monotonic
         while self._owner.needs_link(self._host):
-            began = now()
+            start = now()
             there = self._owner.link_of(self._host)
             if there is not None and not there.is_suspected:
                 await there.suspected.wait()
@@ -94,7 +94,7 @@ class Dialler:
                 elif reason:
                     self._report(session, reason)
             # A slow attempt needs no further delay: the path may just have returned.
-            await asyncio.sleep(max(FIRST_RETRY, wait - (now() - began)))
+            await asyncio.sleep(max(FIRST_RETRY, wait - (now() - start)))
             wait = min(LAST_RETRY, wait * 1.5)
 
     async def _dial(self, session: Session) -> str:

@@ -115,9 +115,9 @@ class TlsLink(StreamLink):
         coming, channel = self._remaining, self._channel
         if coming is None or channel is None or self.closed:
             return False
-        began = self._scheduler.busy()
+        start = self._scheduler.busy()
         more = next(coming, coming) is None
-        self._spent += self._scheduler.busy() - began
+        self._spent += self._scheduler.busy() - start
         if more and not channel.proven:
             return True
         self._remaining = None

@@ -73,11 +73,11 @@ class DatagramPort:
         self._socket.close()
 
     def _read(self) -> None:
-        now, began = self._loop.time(), self._busy()
+        now, start = self._loop.time(), self._busy()
         if now - self._since >= CPU_WINDOW:
             self._since, self._spent = now, 0.0
         self._receive()
-        self._spent += self._busy() - began
+        self._spent += self._busy() - start
         if self._spent > CPU_BUDGET:
             self._loop.remove_reader(self._socket.fileno())
             self._waiting = self._loop.call_at(self._since + CPU_WINDOW, self._resume_reading)

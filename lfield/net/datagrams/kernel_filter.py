@@ -90,7 +90,7 @@ def _senders(senders: list[Flooder], place: int) -> list[tuple[int, int, int, in
     """Instructions that drop these senders, with addresses at an offset, and accept all others."""
     code = []
     for one in senders:
-        word = int.from_bytes(one.address[-4:])
+        ip_bits = int.from_bytes(one.address[-4:])
         port = [] if one.port == ANY_PORT else [(_LDH, 0, 0, 0), (_JEQ, 0, 1, one.port)]
-        code += [(_LD, 0, 0, place), (_JEQ, 0, len(port) + 1, word), *port, (_RET, 0, 0, _NONE)]
+        code += [(_LD, 0, 0, place), (_JEQ, 0, len(port) + 1, ip_bits), *port, (_RET, 0, 0, _NONE)]
     return [*code, (_RET, 0, 0, _ALL)]

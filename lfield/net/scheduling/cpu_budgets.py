@@ -141,9 +141,9 @@ class CpuBudgets:
     def may_report(self, member: str, now: float) -> bool:
         """Whether to log that a member is over its budget: once, with a crowd or after OVER_FOR."""
         account = self._account(member, now)
-        is_news = account.is_crowded or now - account.over_since >= MAX_EXCESS_TIME
-        is_news, account.is_reported = is_news and not account.is_reported, account.is_reported or is_news
-        return is_news
+        is_new = account.is_crowded or now - account.over_since >= MAX_EXCESS_TIME
+        is_new, account.is_reported = is_new and not account.is_reported, account.is_reported or is_new
+        return is_new
 
     @staticmethod
     def _on_probed(account: _Account, seconds: float, now: float, weight: int) -> None:

@@ -54,23 +54,23 @@ class FairQueue(Generic[G]):
             return None
         self._remaining -= 1
         person = next(iter(queue))
-        guests = queue[person]
-        guest = next(iter(guests))
+        clients = queue[person]
+        client = next(iter(clients))
         queue.move_to_end(person)
-        guests.move_to_end(guest)
-        return guest
+        clients.move_to_end(client)
+        return client
 
     def set_rank(self, person: str, rank: QueueRank) -> None:
         """Move an identity, waiting or not, to the end of another rank."""
         if self.ranks.get(person, QueueRank.FIRST) is rank:
             return
-        guests = self._queue_of(person).pop(person, None)
+        clients = self._queue_of(person).pop(person, None)
         if rank is QueueRank.FIRST:
             del self.ranks[person]
         else:
             self.ranks[person] = rank
-        if guests is not None:
-            self._queue_of(person)[person] = guests
+        if clients is not None:
+            self._queue_of(person)[person] = clients
 
     def charge(self, seconds: float) -> None:
         """Charge the last turn with its duration."""

@@ -86,8 +86,8 @@ class HandshakeScheduler(Generic[G]):
         for queue in list(self._queues):
             self._queues.append(self._queues.pop(0))
             queue.start_round()
-            if (guest := queue.next()) is not None:
-                return guest
+            if (client := queue.next()) is not None:
+                return client
         return None
 
     def charge(self, seconds: float, now: float) -> None:

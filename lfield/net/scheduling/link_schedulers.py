@@ -93,13 +93,13 @@ class LinkScheduler:
         self._queue.remove(link)
 
     def _process(self) -> None:
-        began = self.busy()
-        while (guest := self._queue.next()) is not None:
-            if not guest.process_next():
-                self._queue.remove(guest)
+        start = self.busy()
+        while (client := self._queue.next()) is not None:
+            if not client.process_next():
+                self._queue.remove(client)
             now = self.busy()
-            self._queue.charge(now - began)
-            began = now
+            self._queue.charge(now - start)
+            start = now
 
     def _next_round(self) -> None:
         self._timer = None
@@ -137,10 +137,10 @@ class HandshakeRunner:
     def _process(self) -> None:
         loop, self._timer = asyncio.get_running_loop(), None
         while (link := self._scheduler.next(loop.time())) is not None:
-            began = self._busy()
+            start = self._busy()
             if not link.advance_handshake():
                 self._scheduler.remove(link)
-            self._scheduler.charge(self._busy() - began, loop.time())
+            self._scheduler.charge(self._busy() - start, loop.time())
         due = self._scheduler.due(loop.time())
         if due < math.inf:
             # Timers of some loops fire up to a millisecond early.
@@ -195,10 +195,10 @@ class MemberScheduler:
             self._spent_at_once = 0.0
             if queue.charged:
                 queue.start_round()
-        began, exempt = self._busy(), self._exempt()
+        start, exempt = self._busy(), self._exempt()
         if not link.receive_frame(data):
             return False
-        spent = self._busy() - began
+        spent = self._busy() - start
         self._processed_at = now = loop.time()
         self._spent_at_once += spent
         if member in self._links:
@@ -239,12 +239,12 @@ class MemberScheduler:
             self._links.pop(member, None)
 
     def _process(self) -> None:
-        loop, began = asyncio.get_running_loop(), self._busy()
+        loop, start = asyncio.get_running_loop(), self._busy()
         while (link := self._queue.next()) is not None:
             exempt = self._exempt()
             more = link.process_next()
             ended = self._busy()
-            spent, began = ended - began, ended
+            spent, start = ended - start, ended
             self._queue.charge(spent)
             self._processed_at = now = loop.time()
             self._on_processed(link, spent - (self._exempt() - exempt), now, more=more)

@@ -340,7 +340,7 @@ class OrderProtocol:
 
     def _send_around(self, name: str, host: _Host) -> None:
         """Ask a host that has answered to relay the order to one that has not."""
-        others = [other for other, seen in self._hosts.items() if other != name and seen.has_answered]
+        others = [other for other, state in self._hosts.items() if other != name and state.has_answered]
         if others:
             self._queue(others[host.attempts % len(others)], host, 0, (0,))
 

@@ -132,12 +132,12 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
 
 def primitive_sheet(registry: Registry, primitive: Primitive) -> Sheet:
     """A primitive: its portals, its providers, and the primitives that it serves."""
-    nobody = ["Nothing that we ship serves it: a mission's own resource types may."]
+    none = ["Nothing that we ship serves it: a mission's own resource types may."]
     rows = {
         "id": code(primitive.id),
         "meaning": primitive.meaning,
         "portals": [line for portal in primitive.portals.values() for line in _portal(portal)],
-        "served by": list(_served_by(registry, primitive.name)) or nobody,
+        "served by": list(_served_by(registry, primitive.name)) or none,
         "serves": _serves_too(registry, primitive.name),
         "attributes": _attributes_of(registry, primitive.name),
     }

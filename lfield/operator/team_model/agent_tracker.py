@@ -58,7 +58,7 @@ class _Hop:
     size: int = 0
     seconds: float | None = None
     failed: str = ""
-    came: bool = False
+    has_arrived: bool = False
 
 
 @dataclass(slots=True)
@@ -83,7 +83,7 @@ class _Agent:
     detail: str = ""
     doubt: str = ""
     trail: list[_Hop] = field(default_factory=list)
-    came: deque[float] = field(default_factory=deque)
+    arrivals: deque[float] = field(default_factory=deque)
     #: The last reported position on each host: it is not reported again as long as it is unchanged.
     positions: dict[str, ProgramPosition] = field(default_factory=dict)
     #: The newest hop of the newest start that each host has reported in its incarnation.
@@ -107,7 +107,7 @@ class _Agent:
             self.generation = self.sequence = self.hops = 0
             self.counted = False
             self.trail.clear()
-            self.came.clear()
+            self.arrivals.clear()
             self.to = self.finished = self.detail = self.doubt = ""
 
     def set_running(self, host: str, generation: int, sequence: int, when: float) -> None:
@@ -268,10 +268,10 @@ class AgentTracker:
         """Arrivals of each coordinator within the last minute."""
         found = {}
         for name, agent in self._known.items():
-            while agent.came and agent.came[0] < now - MINUTE:
-                agent.came.popleft()
+            while agent.arrivals and agent.arrivals[0] < now - MINUTE:
+                agent.arrivals.popleft()
             if self._is_coordinator(name):
-                found[name] = float(len(agent.came))
+                found[name] = float(len(agent.arrivals))
         return found
 
     def snapshot(self, now: float, fresh: Mapping[str, bool]) -> dict[str, AgentState]:
@@ -331,10 +331,10 @@ def _on_hop(agent: _Agent, host: str, event: HopEvent, when: float, *, is_past: 
             if hop is None:
                 hop = _Hop(generation, sequence, of, host, when, size=size)
                 agent.add(hop)
-            if not is_old and not hop.came:
-                hop.came = True
+            if not is_old and not hop.has_arrived:
+                hop.has_arrived = True
                 agent.hops += 1
-                agent.came.append(when)
+                agent.arrivals.append(when)
                 agent.on_arrival(host, generation, sequence, when)
         case events.MigrationConfirmed(_, _, _, to, seconds):
             if hop is not None:

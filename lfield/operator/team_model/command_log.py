@@ -49,9 +49,9 @@ class _Command:
         troubles: dict[str, str] = {}
         for name, answer in self.answers.items():
             host = hosts.get(name)
-            is_as_wanted = host is not None and host.linked and _IS_DONE[self.order](host)
+            is_executed = host is not None and host.linked and _IS_DONE[self.order](host)
             if isinstance(answer, EmergencyStopResult):
-                if is_as_wanted or host is None or not host.linked:
+                if is_executed or host is None or not host.linked:
                     done.append(name)
                 unconfirmed |= {
                     device: why for device, why in answer.devices.items() if why and device in unsafe
@@ -60,7 +60,7 @@ class _Command:
                     troubles[name] = answer.trouble
             elif answer is None:
                 asked.append(name)
-            elif is_as_wanted:
+            elif is_executed:
                 done.append(name)
             else:
                 unreached[name] = _NOT_DONE if host is not None and host.linked else answer

@@ -71,13 +71,16 @@ class DeviceTracker:
 
     def on_snapshot(self, devices: Iterable[DeviceStatus], now: float) -> None:
         """The state of all devices of the host."""
-        for told in devices:
-            device = self._device(told.name)
-            device.latched, device.confirmed = told.latched, bool(told.latched) and told.moving != UNCONFIRMED
-            device.moving = "" if told.moving == UNCONFIRMED else told.moving
-            device.moves = True if told.latched else device.moves
-            if told.silent is not None:
-                device.last_contact, device.values = now - told.silent, told.telemetry
+        for reported in devices:
+            device = self._device(reported.name)
+            device.latched, device.confirmed = (
+                reported.latched,
+                bool(reported.latched) and reported.moving != UNCONFIRMED,
+            )
+            device.moving = "" if reported.moving == UNCONFIRMED else reported.moving
+            device.moves = True if reported.latched else device.moves
+            if reported.silent is not None:
+                device.last_contact, device.values = now - reported.silent, reported.telemetry
 
     def on_restarted(self) -> None:
         """A new incarnation of the host, which reports the states of its devices again."""

@@ -222,14 +222,14 @@ class AgentState:
 
 @dataclass(frozen=True, slots=True)
 class OfferState:
-    """Whether an agent can be called, as reported by the host `told_by`: its own if linked, else any.
+    """Whether an agent can be called, as reported by the host `reported_by`: its own if linked, else any.
 
     `refusal` is why not, '' if it can. `apart` are the hosts that report otherwise, with their reasons.
     """
 
     agent: str
     type: str
-    told_by: str
+    reported_by: str
     refusal: str
     fresh: bool
     apart: Mapping[str, str] = field(default_factory=dict)

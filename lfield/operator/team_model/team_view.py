@@ -81,16 +81,16 @@ class TeamView:
     def start_log(self, before: Iterable[tuple[str, int, Event]], now: float, wall: float) -> None:
         """The earlier events: of each the host, its incarnation, and the event."""
         self.revision += 1
-        told = []
+        records = []
         for name, incarnation, event in before:
             host, what = self._host(name), event.what
             comes = host.first_after is not None and event.number > host.first_after
             same = host.incarnation == incarnation
             if isinstance(what, LogEvent) and not (comes and same):
                 when = host.when(event.up, now) if same else min(now, now - wall + event.at)
-                told.append(LogRecord(name, when, event.stamp, what))
+                records.append(LogRecord(name, when, event.stamp, what))
                 host.on_log_event(what)
-        self._log.start(told)
+        self._log.start(records)
 
     def on_order(self, order: OrderKind, hosts: Collection[str], now: float) -> int:
         """An order is sent to those hosts; hosts with unknown addresses count as unreached. Returns its
@@ -224,11 +224,11 @@ class TeamView:
         found = {}
         for agent, names in tellers.items():
             enrolled = self._agents.entry(agent)
-            teller = min(names, key=lambda name: (not fresh[name], name != enrolled.host))
-            refusal = self._hosts[teller].offers[agent]
-            told = {name: self._hosts[name].offers[agent] for name in names if fresh[name]}
-            apart = {name: other for name, other in told.items() if bool(other) != bool(refusal)}
-            found[agent] = OfferState(agent, enrolled.type, teller, refusal, fresh[teller], apart)
+            reporter = min(names, key=lambda name: (not fresh[name], name != enrolled.host))
+            refusal = self._hosts[reporter].offers[agent]
+            reported = {name: self._hosts[name].offers[agent] for name in names if fresh[name]}
+            apart = {name: other for name, other in reported.items() if bool(other) != bool(refusal)}
+            found[agent] = OfferState(agent, enrolled.type, reporter, refusal, fresh[reporter], apart)
         return found
 
     def _stop(self, now: float, orders: Sequence[OrderState]) -> StopState:

@@ -50,7 +50,7 @@ DEFAULT_INSTRUMENTS = Instruments()
 
 def instruments_of(manifest: DeviceManifest) -> Instruments:
     """The quantities of a device type: by their usual names in vehicles, where type and unit match."""
-    told = {quantity.name: quantity for quantity in manifest.telemetry}
+    telemetry = {quantity.name: quantity for quantity in manifest.telemetry}
     arrays = [quantity for quantity in manifest.telemetry if quantity.type == "real[]"]
     places = [
         q.name
@@ -62,12 +62,12 @@ def instruments_of(manifest: DeviceManifest) -> Instruments:
         moves=bool(manifest.safe_states),
         place=places[0] if places else "",
         earth=earths[0] if earths else "",
-        heading=_named(told, "real", "rad", DEFAULT_INSTRUMENTS.heading, "course"),
-        speed=_named(told, "real", "m/s", DEFAULT_INSTRUMENTS.speed, "speed"),
-        height=_named(told, "real", "m", DEFAULT_INSTRUMENTS.height),
-        battery=_named(told, "real", "", DEFAULT_INSTRUMENTS.battery),
-        mode=_named(told, "string", "", DEFAULT_INSTRUMENTS.mode),
-        armed=_named(told, "boolean", "", DEFAULT_INSTRUMENTS.armed),
+        heading=_named(telemetry, "real", "rad", DEFAULT_INSTRUMENTS.heading, "course"),
+        speed=_named(telemetry, "real", "m/s", DEFAULT_INSTRUMENTS.speed, "speed"),
+        height=_named(telemetry, "real", "m", DEFAULT_INSTRUMENTS.height),
+        battery=_named(telemetry, "real", "", DEFAULT_INSTRUMENTS.battery),
+        mode=_named(telemetry, "string", "", DEFAULT_INSTRUMENTS.mode),
+        armed=_named(telemetry, "boolean", "", DEFAULT_INSTRUMENTS.armed),
     )
 
 

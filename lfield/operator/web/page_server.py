@@ -121,16 +121,18 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
     about = (
         None if tiles is None else {"least": tiles.min_zoom, "most": tiles.max_zoom, "credit": tiles.credit}
     )
-    looks = PageSnapshots(served.source, lambda: served.actions.denied_orders, about, served.clock.monotonic)
+    snapshots = PageSnapshots(
+        served.source, lambda: served.actions.denied_orders, about, served.clock.monotonic
+    )
     page(served.title)
 
     @app.get("/look")
     async def snapshot(after: int = 0) -> Response:
-        return _json(looks.snapshot(after))
+        return _json(snapshots.snapshot(after))
 
     @app.get("/plots")
     async def plots() -> Response:
-        return _json(looks.plots())
+        return _json(snapshots.plots())
 
     @app.post("/act")
     async def act(request: Request) -> Response:

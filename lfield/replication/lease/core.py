@@ -145,8 +145,8 @@ class Quorum:
         if not (held or self._needed_members or self._is_member):
             return []
         # A host without a lease cannot act, even if reachable: others may have to take over.
-        told = held if self.lease.holds(now) else []
-        beat = Heartbeat(self._incarnation, self.lease.next_heartbeat(now), self.terminations.digest, told)
+        leased = held if self.lease.holds(now) else []
+        beat = Heartbeat(self._incarnation, self.lease.next_heartbeat(now), self.terminations.digest, leased)
         return [SendQuorumMessage(host, beat) for host in self.members.others]
 
     @property
@@ -312,8 +312,8 @@ class Quorum:
             return LeaseRecord(agent, place, self.members.own_name, alive.generation, ended=ended)
         if claimed := self._failover.claimed_generation(agent):
             return LeaseRecord(agent, place, self.members.own_name, claimed, ended=ended)
-        host, generation, heard = self._holders.get(agent, ("", 0, now))
-        return LeaseRecord(agent, place, host, generation, bounded_duration(now - heard), ended)
+        host, generation, last_contact = self._holders.get(agent, ("", 0, now))
+        return LeaseRecord(agent, place, host, generation, bounded_duration(now - last_contact), ended)
 
 
 def _correction(host: str, record: LeaseRecord) -> SendQuorumMessage:

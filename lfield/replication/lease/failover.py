@@ -157,8 +157,10 @@ class Failover:
     def _suspect_at(self, agent: str, saved: Checkpoint, now: float) -> float:
         # While the last known holder may still have a lease, a failover is not justified.
         silence = max(saved.interval, self._members.grace_period)
-        heard = self._last_holder.setdefault(agent, now)
-        return max(heard + silence, self._back_off_until.get(agent, heard)) + self._delays[agent]
+        last_contact = self._last_holder.setdefault(agent, now)
+        return (
+            max(last_contact + silence, self._back_off_until.get(agent, last_contact)) + self._delays[agent]
+        )
 
     def _advance(self, agent: str, attempt: FailoverAttempt, now: float) -> list[Effect]:
         match attempt.phase:

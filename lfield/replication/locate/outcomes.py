@@ -51,7 +51,7 @@ StateRecords = Sequence[CoordinatorState]
 
 
 def resolve_outcomes(
-    homes: Mapping[str, str], records: Mapping[str, StateRecords], absent: UnavailableHosts
+    homes: Mapping[str, str], records: Mapping[str, StateRecords], unavailable: UnavailableHosts
 ) -> dict[str, CoordinatorOutcome]:
     """The coordinators that have ended, are lost or are unheard.
 
@@ -61,7 +61,7 @@ def resolve_outcomes(
     found = {}
     for agent, home in homes.items():
         by_host = {host: [r for r in rows if r.agent == agent] for host, rows in records.items()}
-        if fate := _ClusterQuery(agent, by_host, absent).outcome(home):
+        if fate := _ClusterQuery(agent, by_host, unavailable).outcome(home):
             found[agent] = fate
     return found
 
@@ -97,14 +97,17 @@ class OutcomeResolver:
         self._newest: dict[tuple[str, int], CoordinatorState] = {}
 
     def resolve(
-        self, records: Mapping[str, StateRecords], absent: UnavailableHosts
+        self, records: Mapping[str, StateRecords], unavailable: UnavailableHosts
     ) -> dict[str, CoordinatorOutcome]:
         """The outcomes that are certain now."""
         remembered = {"": list(self._newest.values())}
-        before, self._before = self._before, resolve_outcomes(self._homes, {**remembered, **records}, absent)
+        before, self._before = (
+            self._before,
+            resolve_outcomes(self._homes, {**remembered, **records}, unavailable),
+        )
         for host, rows in records.items():
             for row in rows:
-                self._note_state(_past_state(row, host, absent.state_ids.get(host, 0)))
+                self._note_state(_past_state(row, host, unavailable.state_ids.get(host, 0)))
         return {agent: fate for agent, fate in self._before.items() if _is_certain(fate, before.get(agent))}
 
     def _note_state(self, row: CoordinatorState) -> None:
@@ -134,8 +137,10 @@ def _is_certain(fate: CoordinatorOutcome, before: CoordinatorOutcome | None) -> 
 class _ClusterQuery:
     """What all answering hosts know of one coordinator."""
 
-    def __init__(self, agent: str, records: Mapping[str, StateRecords], absent: UnavailableHosts) -> None:
-        self.agent, self.records, self.absent = agent, records, absent
+    def __init__(
+        self, agent: str, records: Mapping[str, StateRecords], unavailable: UnavailableHosts
+    ) -> None:
+        self.agent, self.records, self.unavailable = agent, records, unavailable
 
     def outcome(self, home: str) -> CoordinatorOutcome | None:
         """The outcome; None while the coordinator is or may be alive on a reachable host.
@@ -144,15 +149,15 @@ class _ClusterQuery:
         lost.
         """
         rows = [row for known in self.records.values() for row in known]
-        gave_way = {row.generation for row in rows if row.outcome == "superseded"}
-        starts = sorted({row.generation for row in rows} - gave_way, reverse=True)
+        superseded = {row.generation for row in rows if row.outcome == "superseded"}
+        starts = sorted({row.generation for row in rows} - superseded, reverse=True)
         ended = {row.generation: row for row in rows if row.state == "EXITED" and row.outcome != "lost"}
         if any(
             row.state in _ALIVE for row in rows if row.generation in starts and row.generation not in ended
         ):
             return None
         if not starts:
-            return self._no_start_found(home, gave_way=bool(gave_way))
+            return self._no_start_found(home, is_superseded=bool(superseded))
         found = [self._start(generation, ended.get(generation)) for generation in starts]
         fate = next((fate for fate in found if fate is None or fate.outcome != "lost"), found[0])
         return replace(fate, starts=tuple(starts)) if fate and fate.outcome == "lost" else fate
@@ -164,13 +169,15 @@ class _ClusterQuery:
             else self._missing_start(generation)
         )
 
-    def _no_start_found(self, home: str, *, gave_way: bool) -> CoordinatorOutcome | None:
+    def _no_start_found(self, home: str, *, is_superseded: bool) -> CoordinatorOutcome | None:
         """The outcome when no answering host knows a live start."""
-        if gave_way:
+        if is_superseded:
             return self._lost_unless_elsewhere("no host knows the start that superseded the others")
-        if home in self.absent.ended:
+        if home in self.unavailable.ended:
             return self._lost_unless_elsewhere(f"its host {home} is gone")
-        return self._silent(home, f"it starts on {home}, and") if home in self.absent.silent_for else None
+        return (
+            self._silent(home, f"it starts on {home}, and") if home in self.unavailable.silent_for else None
+        )
 
     def _missing_start(self, generation: int) -> CoordinatorOutcome | None:
         """The outcome of a start that no answering host has, by its last known location."""
@@ -182,34 +189,34 @@ class _ClusterQuery:
                 return self._lost_unless_elsewhere(row.detail)
         last = max(rows, key=lambda row: row.sequence)
         where, way = last.where, f"it moved to {last.where} (transfer {last.sequence})"
-        if where in self.absent.ended:
+        if where in self.unavailable.ended:
             return self._lost_unless_elsewhere(f"{way}, which is gone")
-        if where in self.absent.silent_for:
+        if where in self.unavailable.silent_for:
             return self._silent(where, f"{way}, and")
         there = known.get(where)
         if there is None or any(row.sequence >= last.sequence for row in there):
             return None
-        if self.absent.state_ids.get(where) == last.receiver_memory:
+        if self.unavailable.state_ids.get(where) == last.receiver_memory:
             # It is in transit to that incarnation, or waits there for its devices.
             return None
         return self._lost_unless_elsewhere(f"{way}, which was restarted")
 
     def _lost_unless_elsewhere(self, how: str) -> CoordinatorOutcome | None:
         """Lost, unless it moved on to a host that does not answer."""
-        if self.absent.reachable_by_others:
+        if self.unavailable.reachable_by_others:
             return None
-        if self.absent.has_journals:
+        if self.unavailable.has_journals:
             return CoordinatorOutcome(
                 self.agent, "unheard", f"{how}; it resumes from that host's journal when the host restarts"
             )
-        if self.absent.silent_for:
+        if self.unavailable.silent_for:
             return self._silent(
-                min(self.absent.silent_for), f"{how}, but it may have moved on from there, and"
+                min(self.unavailable.silent_for), f"{how}, but it may have moved on from there, and"
             )
         return CoordinatorOutcome(self.agent, "lost", how)
 
     def _silent(self, host: str, how: str) -> CoordinatorOutcome:
-        seconds = self.absent.silent_for[host]
+        seconds = self.unavailable.silent_for[host]
         return CoordinatorOutcome(
             self.agent, "unheard", f"{how} {host} has been unreachable for {seconds:.0f} s"
         )

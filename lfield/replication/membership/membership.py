@@ -187,12 +187,12 @@ class Membership:
                 self._on_counter(LivenessCounter(self._here, self._incarnation, self._count))
             self._probe(self._missing(now))
         listeners = self._gossip_targets() if self._changes else []
-        told = [(host, news) for host in listeners if (news := self._gossip_for(host))]
-        if told:
+        messages = [(host, gossip) for host in listeners if (gossip := self._gossip_for(host))]
+        if messages:
             self._next_gossip_at = now + GOSSIP_EVERY
         behind = any(self._gossiped_until.get(host, 0) < self._number for host in listeners)
         self.due = min(self._next_heartbeat, self._next_gossip_at) if behind else self._next_heartbeat
-        return told
+        return messages
 
     def _gossip_targets(self) -> list[str]:
         to = self._neighbours.chosen | self._gossipers
@@ -265,8 +265,8 @@ class Membership:
         if question.host == self._here:
             idle = self._count >= self._promised
             own = question.incarnation == self._incarnation
-            wanted = question.count if own else self._count + 1
-            self._promised = max(self._promised, min(wanted, self._count + HEARTBEAT_CREDIT))
+            requested = question.count if own else self._count + 1
+            self._promised = max(self._promised, min(requested, self._count + HEARTBEAT_CREDIT))
             if idle:
                 self._run_now(now)
         elif question.incarnation:
@@ -330,14 +330,14 @@ class Membership:
         A host is unheard when no host has had a heartbeat from it for `lost_after` seconds, or for `unmet`
         seconds if this host never received one.
         """
-        unheard, elsewhere = {}, []
+        silent_for, elsewhere = {}, []
         silent_hosts = [host for host in self._others if host not in answered and host not in self.ended]
         self.suspected = set(silent_hosts) - self.linked
         for host in silent_hosts:
             last = now if host in self.linked else self._last_evidence.get(host)
             silent = now - (self._since.setdefault(host, now) if last is None else last)
             if silent >= (unmet if last is None else max(lost_after, SUSPICION_TIMEOUT)):
-                unheard[host] = silent
+                silent_for[host] = silent
             else:
                 elsewhere.append(host)
-        return UnavailableHosts(self.ended, unheard, elsewhere, self._incarnations)
+        return UnavailableHosts(self.ended, silent_for, elsewhere, self._incarnations)

@@ -44,8 +44,8 @@ class Termination:
         copy.mark_ended(outcome, detail, self._host)
         message = Terminated(copy.agent, copy.generation, outcome, detail, self._host)
         self._unconfirmed[copy.agent, copy.generation] = message, set(self._peers)
-        told: list[Effect] = [Send(host, message) for host in sorted(self._peers & self._links.keys())]
-        return self._copies.persist(copy) + told
+        sends: list[Effect] = [Send(host, message) for host in sorted(self._peers & self._links.keys())]
+        return self._copies.persist(copy) + sends
 
     def on_restored(self, copy: CoordinatorCopy) -> None:
         """Restore a termination from before a restart: the confirmations are unknown."""

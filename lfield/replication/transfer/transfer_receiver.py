@@ -62,8 +62,8 @@ class TransferReceiver:
         """
         start = header.agent, header.generation
         copy = self._copies.find(*start)
-        seen = copy is not None and (copy.state != "ABSENT" or copy.sequence >= header.sequence)
-        if seen or start in self._copies.parked or header.receiver_memory != self._state_id:
+        is_known = copy is not None and (copy.state != "ABSENT" or copy.sequence >= header.sequence)
+        if is_known or start in self._copies.parked or header.receiver_memory != self._state_id:
             return None
         here, memory = self._own.host, header.receiver_memory
         return CoordinatorState(
@@ -115,9 +115,9 @@ class TransferReceiver:
     ) -> list[Effect]:
         """Decide on a new number: the verdict is stored before it is sent."""
         effects = self._inject_block(copy, header, block, inject)
-        taken = copy.state == "RUN" and copy.sequence == header.sequence and copy.refusal is None
+        is_accepted = copy.state == "RUN" and copy.sequence == header.sequence and copy.refusal is None
         effects += self._copies.persist(copy) if self._copies.has_journal else []
-        return [*effects, ResumeCopy(copy.agent, copy.generation)] if taken else effects
+        return [*effects, ResumeCopy(copy.agent, copy.generation)] if is_accepted else effects
 
     def _inject_block(
         self, copy: CoordinatorCopy, header: Transfer, block: Buffer, inject: InjectHook

@@ -103,7 +103,7 @@ class ProcessLoop(asyncio.BaseEventLoop):
         self.frozen = self.dead = False
         self._backlog: list[Callable[[], object]] = []
         self._wake: PlannedEvent | None = None
-        self._woken_at = math.inf
+        self._wake_time = math.inf
         self._rounds = 0
         #: Computing time that has not been waited for.
         self._owed = 0.0
@@ -211,15 +211,15 @@ class ProcessLoop(asyncio.BaseEventLoop):
 
     def _wake_at(self, when: float) -> None:
         if self._wake is not None:
-            if self._woken_at <= when and self._wake.event is not None:
+            if self._wake_time <= when and self._wake.event is not None:
                 return
             self._wake.cancel()
-        self._woken_at = when
+        self._wake_time = when
         self._wake = self._timeline.at(when, self._on_wake)
 
     def _on_wake(self) -> None:
         self._wake = None
-        self._woken_at = math.inf
+        self._wake_time = math.inf
         if self.dead:
             return
         if self.frozen or self._held:

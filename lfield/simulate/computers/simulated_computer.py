@@ -128,7 +128,7 @@ class _Loop(ProcessLoop):
         self, made: Callable[[], asyncio.SubprocessProtocol], *command: str, **_: Any
     ) -> tuple[asyncio.SubprocessTransport, asyncio.SubprocessProtocol]:
         """See asyncio; `python -m MODULE` is one of the computer's programs."""
-        module, *words = command[command.index("-m") + 1 :] if "-m" in command else [""]
+        module, *arguments = command[command.index("-m") + 1 :] if "-m" in command else [""]
         program = self._computer.programs.get(module)
         if program is None:
             unsupported(f"start {' '.join(map(str, command))}")
@@ -136,8 +136,8 @@ class _Loop(ProcessLoop):
         self._process.children.append(child)
         transport = ChildProcess(self, child, protocol)
         protocol.connection_made(transport)
-        begin = partial(child.start, program, words, transport.stdout)
-        child.loop.soon(begin, self.machine.rng.uniform(*START_TIMES))
+        start = partial(child.start, program, arguments, transport.stdout)
+        child.loop.soon(start, self.machine.rng.uniform(*START_TIMES))
         return transport, protocol
 
     # --- what a simulated loop has beyond asyncio's: see lfield.event_loop.SimulatedLoop

@@ -45,7 +45,7 @@ _ACTS = {
     "lfield.beyond": "{0}",
 }
 #: Harmless devices by number: null, zero, full, random, urandom and the terminal.
-_NOWHERE = {*(os.makedev(1, minor) for minor in (3, 5, 7, 8, 9)), os.makedev(5, 0)}
+_HARMLESS_DEVICES = {*(os.makedev(1, minor) for minor in (3, 5, 7, 8, 9)), os.makedev(5, 0)}
 
 
 class IoGuard:
@@ -141,7 +141,7 @@ def _is_device_path(path: str | bytes | os.PathLike[str]) -> bool:
         real = os.path.realpath(os.fsdecode(path))
         return real.startswith("/dev/") and not real.startswith("/dev/shm/")
     kind = stat.S_IFMT(found.st_mode)
-    is_device = kind in (stat.S_IFCHR, stat.S_IFBLK) and found.st_rdev not in _NOWHERE
+    is_device = kind in (stat.S_IFCHR, stat.S_IFBLK) and found.st_rdev not in _HARMLESS_DEVICES
     return is_device or kind == stat.S_IFIFO
 
 

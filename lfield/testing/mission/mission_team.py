@@ -359,8 +359,8 @@ class MissionTeam:
         self._be_open()
         order = Pause(len(self.marks).to_bytes(16), lift)
         for life in self._fleet.lives.values():
-            word = with_epoch(order, life.core.orders.epochs)
-            life.process.loop.enter(partial(life.host.on_message, "", word, cast(Link, _TestOperator)))
+            command = with_epoch(order, life.core.orders.epochs)
+            life.process.loop.enter(partial(life.host.on_message, "", command, cast(Link, _TestOperator)))
 
     def close(self) -> None:
         """Ends everything immediately; recorded data remains.

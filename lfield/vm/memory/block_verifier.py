@@ -70,7 +70,7 @@ class BlockVerifier:
         self.schema = HeapSchema(program, layouts, members)
         self.suspension_points = SuspensionPoints(self.schema)
         #: The first words of a block of this program.
-        self._beginning = _MAGIC.to_bytes(8, "little") + program.digest
+        self._prefix = _MAGIC.to_bytes(8, "little") + program.digest
         #: The numbers of the resources.
         self._resources = {
             i
@@ -81,7 +81,7 @@ class BlockVerifier:
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A migrating coordinator's block from its bytes (`limit` in words). Raises BlockError."""
         size = len(image)
-        may_be_sound = size <= 8 * limit and not size % 8 and image[:_BEFORE_TOP] == self._beginning
+        may_be_sound = size <= 8 * limit and not size % 8 and image[:_BEFORE_TOP] == self._prefix
         if self._space.is_native and may_be_sound:
             data = self._copied(image, limit)
             if self._space.can_migrate(data, size // 8, self.suspension_points):

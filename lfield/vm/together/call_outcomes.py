@@ -34,8 +34,8 @@ class CallOutcomes:
     Raises Trap when the heap cannot hold the results.
     """
 
-    def __init__(self, scheduler: Scheduler, visits: Itinerary) -> None:
-        self._scheduler, self._itinerary = scheduler, visits
+    def __init__(self, scheduler: Scheduler, itinerary: Itinerary) -> None:
+        self._scheduler, self._itinerary = scheduler, itinerary
         self._program = scheduler.program
 
     def fetch(self, agent: Agent, thread: int, number: int) -> PendingCall | None:

@@ -95,12 +95,12 @@ class CallStarter:
     def __init__(
         self,
         scheduler: Scheduler,
-        visits: Itinerary,
+        itinerary: Itinerary,
         held: HeldReservations,
         outcomes: CallOutcomes,
         limits: Deadlines,
     ) -> None:
-        self._scheduler, self._itinerary, self._held_reservations = scheduler, visits, held
+        self._scheduler, self._itinerary, self._held_reservations = scheduler, itinerary, held
         self._outcomes, self._deadlines = outcomes, limits
 
     def start_local_calls(self, agent: Agent, thread: int) -> bool:

@@ -45,15 +45,15 @@ class TogetherHandlers:
     def __init__(
         self,
         scheduler: Scheduler,
-        visits: Itinerary,
+        itinerary: Itinerary,
         held: HeldReservations,
         cancelling: Cancellation,
         limits: Deadlines,
     ) -> None:
-        self._scheduler, self._itinerary, self._cancellation = scheduler, visits, cancelling
+        self._scheduler, self._itinerary, self._cancellation = scheduler, itinerary, cancelling
         self._deadlines = limits
-        self._outcomes = CallOutcomes(scheduler, visits)
-        self._starter = CallStarter(scheduler, visits, held, self._outcomes, limits)
+        self._outcomes = CallOutcomes(scheduler, itinerary)
+        self._starter = CallStarter(scheduler, itinerary, held, self._outcomes, limits)
 
     def handlers(self) -> dict[str, Handler]:
         """The handlers by name. They raise HeapFull, and run again after the collection."""

@@ -56,8 +56,8 @@ def _set_in(lines: Iterator[str]) -> Iterator[str]:
     depth = 0
     for line in map(str.strip, lines):
         text = line.partition(";;")[0]
-        word = text.split(maxsplit=1)[0].rstrip(")") if text.strip() else ""
-        closed = len(text) - len(text.lstrip(")")) + (word in _CLOSES)
+        token = text.split(maxsplit=1)[0].rstrip(")") if text.strip() else ""
+        closed = len(text) - len(text.lstrip(")")) + (token in _CLOSES)
         if line:
             yield "  " * min(depth - closed, _DEEPEST) + line
-        depth += text.count("(") - text.count(")") + (word in (*_OPENS, "else")) - (word in _CLOSES)
+        depth += text.count("(") - text.count(")") + (token in (*_OPENS, "else")) - (token in _CLOSES)

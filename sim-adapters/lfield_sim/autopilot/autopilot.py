@@ -208,8 +208,8 @@ class Autopilot(Pilot):
         self.takeoff_goal = height if height is not None and 0.0 < height < 1e4 else None
         if height is None:
             self.say(f"Using default takeoff altitude: {self.takeoff_height:.1f} m\t")
-        wanted = self.takeoff_height if height is None else height
-        if self.vehicle.airborne and self.homing.ground - self.vehicle.place[2] > wanted:
+        target = self.takeoff_height if height is None else height
+        if self.vehicle.airborne and self.homing.ground - self.vehicle.place[2] > target:
             self.say("Already higher than takeoff altitude\t")
             return self.command_role(Role.HOLD)
         return self.command_role(Role.TAKEOFF)

@@ -62,22 +62,22 @@ class GroundVehicle(Vehicle):
         """Advances time by `dt` seconds."""
         before, heading = self.velocity, self.yaw
         north, east, _ = self._kept_in(self._target_velocity())
-        wanted, along = math.hypot(north, east), math.hypot(*before[:2])
-        course = math.atan2(east, north) if wanted > 1e-3 else self.yaw_goal
+        target_speed, along = math.hypot(north, east), math.hypot(*before[:2])
+        course = math.atan2(east, north) if target_speed > 1e-3 else self.yaw_goal
         if self._brakes_first(course, along):
-            wanted, course = 0.0, None
+            target_speed, course = 0.0, None
         turn = self._turning(along) * dt
         if self.yaw_rate_goal is not None:
             # With a yaw rate it keeps its speed along its heading.
             self.yaw = wrap(self.yaw + max(-turn, min(turn, self.yaw_rate_goal * dt)))
         elif course is not None:
             self.yaw = wrap(self.yaw + max(-turn, min(turn, wrap(course - self.yaw))))
-            wanted = self._turning_speed(wanted, abs(wrap(course - self.yaw)))
-        wanted += self._overshoot(wanted, along, dt)
+            target_speed = self._turning_speed(target_speed, abs(wrap(course - self.yaw)))
+        target_speed += self._overshoot(target_speed, along, dt)
         self.yaw_rate = wrap(self.yaw - heading) / dt
         limits = self.limits
         felt = math.copysign(math.hypot(*self.acceleration[:2]), self._pushing)
-        (push, _) = eased((felt, 0.0), (wanted - along, 0.0), limits.acceleration, limits.jerk, dt)
+        (push, _) = eased((felt, 0.0), (target_speed - along, 0.0), limits.acceleration, limits.jerk, dt)
         if isinstance(self.goal, Roll):
             push = -self.limits.rolls_out * along - FRICTION
         speed = max(0.0, along + push * dt)

@@ -164,9 +164,9 @@ def _jump(pilot: Pilot, item: MissionItem) -> None:
     if item.command == JUMP_TO_TAG:
         tags = (n for n, each in enumerate(mission.items) if each.command == TAG and each.values[0] == goal)
         goal = next(tags, -1)
-    taken = mission.jumps.get(here, 0)
-    if (times < 0 or taken < times) and mission.jump(goal):
-        mission.jumps[here] = taken + 1
+    count = mission.jumps.get(here, 0)
+    if (times < 0 or count < times) and mission.jump(goal):
+        mission.jumps[here] = count + 1
 
 
 def _done(pilot: Pilot, item: MissionItem) -> bool:

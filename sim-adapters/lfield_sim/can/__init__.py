@@ -77,7 +77,7 @@ class CanSim:
         for binding in devices:
             text = spec_of(binding)
             specs.setdefault(parse(text).id, text)
-        chosen = [word for text in specs.values() for word in ("--device", text)]
+        chosen = [argument for text in specs.values() for argument in ("--device", text)]
         return ["--listen", "socketcand:127.0.0.1:0", *chosen]
 
     def run(self, args: argparse.Namespace) -> int:
@@ -94,7 +94,7 @@ class CanSim:
         from lfield_sim.can.can_server import serve
         from lfield_sim.can.device_specs import build, parse
 
-        doors = [parse_listen(text) for text in args.listen or ["socketcand:127.0.0.1:0"]]
+        endpoints = [parse_listen(text) for text in args.listen or ["socketcand:127.0.0.1:0"]]
         specs = [parse(text) for text in args.device]
         names = {spec.id: spec.name for spec in specs}
         faults = Faults(FAULTS, names)
@@ -104,7 +104,7 @@ class CanSim:
             raise UsageError(f"--fault: {error}") from None
         devices = build(specs, faults)
         await serve(
-            doors,
+            endpoints,
             devices,
             faults,
             StateLog(args.log, {device.id: device.facts for device in devices}),

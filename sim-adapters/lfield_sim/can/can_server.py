@@ -26,14 +26,14 @@ async def serve(
 ) -> None:
     """Serves devices (`names`: by id) through adapters (kind, host, port). Raises AddressError."""
     hub = BusHub(devices, faults, bitrate, log.write_changes)
-    doors: list[BusAdapter] = []
+    adapters: list[BusAdapter] = []
     try:
         for place in places:
-            doors.append(await _make_adapter(hub, *place))
-            doors[-1].plug()
-        faults.watch(lambda: _plug(doors, out=bool(faults.get("unplug"))))
-        endpoint, *others = [door.endpoint for door in doors]
-        _plug(doors, out=bool(faults.get("unplug")))
+            adapters.append(await _make_adapter(hub, *place))
+            adapters[-1].plug()
+        faults.watch(lambda: _plug(adapters, out=bool(faults.get("unplug"))))
+        endpoint, *others = [adapter.endpoint for adapter in adapters]
+        _plug(adapters, out=bool(faults.get("unplug")))
         await serve_until_stopped(
             "can",
             endpoint,
@@ -45,24 +45,24 @@ async def serve(
         )
     finally:
         hub.stop()
-        for door in doors:
-            door.close()
+        for adapter in adapters:
+            adapter.close()
         log.close()
 
 
 def _plug(adapters: Sequence[BusAdapter], *, out: bool) -> None:
     """Unplugs all adapters, or plugs them in."""
-    for door in adapters:
+    for adapter in adapters:
         if out:
-            door.unplug()
-        elif not door.plugged:
-            door.plug()
+            adapter.unplug()
+        elif not adapter.plugged:
+            adapter.plug()
 
 
 async def _make_adapter(hub: BusHub, kind: str, place: str, port: int) -> BusAdapter:
     """An adapter that is not plugged in yet. Raises AddressError."""
     if kind == "slcan-pty":
         return SlcanAdapter(hub, place)
-    door = SocketcandAdapter(hub)
-    await door.listen(place, port)
-    return door
+    adapter = SocketcandAdapter(hub)
+    await adapter.listen(place, port)
+    return adapter

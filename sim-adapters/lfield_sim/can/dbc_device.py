@@ -122,11 +122,11 @@ class DbcDevice:
                 self._command_age = 0.0
 
     def _move(self, place: SignalName, signal: Signal, tripped: bool, dt: float) -> None:
-        words = _terms(signal.name)
-        if words & _HEAT_TERMS:
+        terms = _terms(signal.name)
+        if terms & _HEAT_TERMS:
             goal = OVERHEATED if self._flaw("overheat") else AMBIENT
             self._values[place] = _within(signal, goal)
-        elif words & _FAULT_TERMS:
+        elif terms & _FAULT_TERMS:
             self._values[place] = _within(signal, float(tripped))
         elif place in self._data.links and not self._flaw("stuck"):
             self._follow(place, signal, tripped, dt)
@@ -170,8 +170,8 @@ def load(file: str, *, node: str = "", commands: str = "", command: str = "", st
     except OSError as error:
         raise InputFileError(file, error_reason(error)) from None
     except Exception as error:  # cantools raises exceptions of its parsers
-        words = str(error).split("\n")[0]
-        raise BindingError([f"{file} cannot be read as a DBC file: {words}"]) from None
+        problem = str(error).split("\n")[0]
+        raise BindingError([f"{file} cannot be read as a DBC file: {problem}"]) from None
     plain = [m for m in database.messages if not m.is_multiplexed() and _can_be_sent(m)]
     links = {_place(plain, status): _place(plain, command)} if command or status else {}
     if commands:
@@ -210,7 +210,7 @@ def _key(identifier: int, extended: bool) -> int:
 
 def _terms(name: str) -> frozenset[str]:
     """Splits `TargetWidth` and `target_width` into words."""
-    return frozenset(word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
+    return frozenset(term.lower() for term in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])|\d+", name))
 
 
 def _links(messages: Iterable[Message], own: list[Message]) -> dict[SignalName, SignalName]:
@@ -220,7 +220,7 @@ def _links(messages: Iterable[Message], own: list[Message]) -> dict[SignalName, 
     }
     places = [(m.name, s.name) for m in own for s in m.signals]
     named = [(place, _terms(place[1]) - _STATUS_TERMS) for place in places]
-    return {place: commands[words] for place, words in named if words in commands}
+    return {place: commands[terms] for place, terms in named if terms in commands}
 
 
 def _senders(messages: Iterable[Message]) -> list[str]:

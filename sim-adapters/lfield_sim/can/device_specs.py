@@ -116,10 +116,10 @@ def number(spec: DeviceSpec, key: str) -> float:
 
 def _choice(spec: DeviceSpec, key: str, choices: Sequence[str]) -> int:
     """The index of an option's word, the first by default. Raises UsageError."""
-    word = spec.options.get(key, choices[0])
-    if word not in choices:
-        raise UsageError(f"{key} of {spec.kind} must be one of {', '.join(choices)}, not '{word}'")
-    return choices.index(word)
+    value = spec.options.get(key, choices[0])
+    if value not in choices:
+        raise UsageError(f"{key} of {spec.kind} must be one of {', '.join(choices)}, not '{value}'")
+    return choices.index(value)
 
 
 def _odrive(spec: DeviceSpec, flaw: FaultLookup) -> BusDevice:

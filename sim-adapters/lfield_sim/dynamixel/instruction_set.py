@@ -106,10 +106,12 @@ def _each(packet: InstructionPacket, protocol: int, servos: Sequence[Servo]) -> 
         mine = servo.id == packet.id
         if not mine and packet.id != BROADCAST and servo.secondary != packet.id:
             continue
-        roll_call = packet.id == BROADCAST and packet.instruction == Instruction.PING and packet.is_valid
+        is_broadcast_ping = (
+            packet.id == BROADCAST and packet.instruction == Instruction.PING and packet.is_valid
+        )
         level, id, baud = servo.table["status_return_level"], servo.id, servo.baud
         error, data = _execute(servo, packet, protocol, secondary=not mine and packet.id != BROADCAST)
-        if (mine or roll_call) and level >= _LEVELS.get(_known(packet.instruction), 2):
+        if (mine or is_broadcast_ping) and level >= _LEVELS.get(_known(packet.instruction), 2):
             answers.append(ServoAnswer(servo, id, baud, error, data))
     return InstructionOutcome(answers)
 

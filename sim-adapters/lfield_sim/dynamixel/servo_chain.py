@@ -158,11 +158,11 @@ class ServoChain:
 
         The line is low where any sender has it low.
         """
-        begun, ends = self._free, self._free
+        start, ends = self._free, self._free
         replies: list[TimedReply] = []
         for answer in sorted(answers, key=lambda answer: answer.servo.return_delay):
-            self._free = begun
-            starts = begun + answer.servo.return_delay
+            self._free = start
+            starts = start + answer.servo.return_delay
             reply = self._reply(answer, self._status(answer, protocol))
             if replies and starts < ends and reply.data:
                 both = itertools.zip_longest(replies[-1].data, reply.data, fillvalue=0xFF)

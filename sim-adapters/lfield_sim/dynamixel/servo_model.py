@@ -327,7 +327,7 @@ MODELS: Mapping[str, ServoModel] = MappingProxyType(
 
 def model_named(name: str) -> ServoModel:
     """The model of that name, ignoring a suffix -T or -R. Raises UsageError."""
-    wanted = name.upper().removesuffix("-T").removesuffix("-R")
-    if wanted not in MODELS:
+    base_name = name.upper().removesuffix("-T").removesuffix("-R")
+    if base_name not in MODELS:
         raise UsageError(f"there is no fake of the servo '{name}'; there are: {', '.join(MODELS)}")
-    return MODELS[wanted]
+    return MODELS[base_name]

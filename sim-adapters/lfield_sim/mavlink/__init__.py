@@ -119,11 +119,11 @@ class MavlinkSim:
                 stands.setdefault(number, _stand(device.frame, device.sim))
             for name, value in _set_up(device, made[number]).items():
                 parameters.append(f"--param={name}@{number}={value:.9g}")
-        words = [word for each in made.values() for word in ("--vehicle", str(each))]
-        words += [f"--stand={number}:{each}" for number, each in stands.items()]
+        vehicle_options = [argument for each in made.values() for argument in ("--vehicle", str(each))]
+        vehicle_options += [f"--stand={number}:{each}" for number, each in stands.items()]
         at = next((d.frame.origin for d in devices if d.frame is not None and d.frame.origin), None)
-        words += [f"--origin={at.latitude!r},{at.longitude!r},{at.altitude!r}"] if at else []
-        return ["--listen", "udp:127.0.0.1:0", *words, *parameters]
+        vehicle_options += [f"--origin={at.latitude!r},{at.longitude!r},{at.altitude!r}"] if at else []
+        return ["--listen", "udp:127.0.0.1:0", *vehicle_options, *parameters]
 
     def run(self, args: argparse.Namespace) -> int:
         """Serves until it is stopped; returns 0."""
@@ -132,7 +132,7 @@ class MavlinkSim:
 
     async def serve(self, args: argparse.Namespace) -> None:
         """As `run`, on the running loop."""
-        where, wanted = parse_listen(args.listen), vehicles(args)
+        where, chosen = parse_listen(args.listen), vehicles(args)
         given, limits = settings(args), speeds(args)
         try:
             from lfield_sim.mavlink.geo import GeoOrigin
@@ -142,7 +142,7 @@ class MavlinkSim:
         number = secrets.randbits(BOARD_BITS) if args.board is None else args.board
         field = GeoOrigin(*args.origin).on_ellipsoid if args.origin else None
         setup = LinkSetup(
-            wanted,
+            chosen,
             args.battery,
             args.capacity,
             limits,

@@ -37,10 +37,10 @@ def second_answer(sender: MessageSender, command: MavCommand) -> MavResult | Non
 
 def _arm(sender: MessageSender, command: MavCommand) -> CommandAnswer:
     force = command.whole(2) == FORCE
-    wanted = command.whole(1)
-    if wanted not in (0, 1):
+    requested = command.whole(1)
+    if requested not in (0, 1):
         return MavResult.UNSUPPORTED, []
-    return (sender.autopilot.arm(force=force) if wanted else sender.autopilot.disarm(force=force)), []
+    return (sender.autopilot.arm(force=force) if requested else sender.autopilot.disarm(force=force)), []
 
 
 def _takeoff(sender: MessageSender, command: MavCommand) -> CommandAnswer:

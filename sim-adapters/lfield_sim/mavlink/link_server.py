@@ -171,7 +171,7 @@ async def open_endpoint(server: LinkServer, transport: str, host: str, port: int
             return PtyEndpoint(server)
         if transport == "tcp" or isinstance(loop, SimulatedLoop):
             return TcpEndpoint(await loop.create_server(lambda: _Connection(server), host, port))
-        _, door = await loop.create_datagram_endpoint(lambda: UdpEndpoint(server), (host, port))
-        return door
+        _, endpoint = await loop.create_datagram_endpoint(lambda: UdpEndpoint(server), (host, port))
+        return endpoint
     except OSError as error:
         raise AddressError(f"{transport}:{host}:{port}", error.strerror or str(error)) from None

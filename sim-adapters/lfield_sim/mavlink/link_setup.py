@@ -99,10 +99,12 @@ class LinkSetup:
                 if level.of_capacity:
                     autopilot.parameters[level.threshold] = LOW * self.capacity
         known = autopilot.parameters
-        wanted: Mapping[str, float] = {}
+        required: Mapping[str, float] = {}
         if self.state:
-            wanted = setup_parameters(option.flavour, option.kind, self.state, station=station(option.system))
-        for given in (wanted, self.parameters.get(0, {}), self.parameters.get(option.system, {})):
+            required = setup_parameters(
+                option.flavour, option.kind, self.state, station=station(option.system)
+            )
+        for given in (required, self.parameters.get(0, {}), self.parameters.get(option.system, {})):
             known.update({name: value for name, value in given.items() if name in known})
         autopilot.apply_parameters()
         return fake
@@ -130,16 +132,16 @@ async def serve(
 ) -> None:
     """Opens the endpoint, reports it, and serves until it is stopped. Raises AddressError."""
     server = LinkServer(link, log.write_changes)
-    door = await open_endpoint(server, *where)
+    endpoint = await open_endpoint(server, *where)
     ticking = asyncio.get_running_loop().create_task(server.tick())
     try:
         await serve_until_stopped(
-            "mavlink", door.endpoint, setup.summary, faults,
+            "mavlink", endpoint.endpoint, setup.summary, faults,
             devices=setup.devices, until_stdin_closes=until_stdin_closes,
             facts={str(each.system): each.autopilot.facts for each in link.vehicles},
             places={str(each.system): partial(setup.place, each) for each in link.vehicles},
         )  # fmt: skip
     finally:
         ticking.cancel()
-        door.close()
+        endpoint.close()
         log.close()

@@ -209,9 +209,9 @@ class MavlinkFake:
 
     def _on_request_data_stream(self, message: Any) -> list[Any]:
         every = [kind for kinds in DATA_STREAMS.values() for kind in kinds]
-        wanted = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else every
+        messages = DATA_STREAMS.get(message.req_stream_id, ()) if message.req_stream_id else every
         if self.autopilot.flavour.heeds_groups:
-            self.sender.stream_group(wanted, float(message.req_message_rate) if message.start_stop else 0.0)
+            self.sender.stream_group(messages, float(message.req_message_rate) if message.start_stop else 0.0)
         return []
 
     def _on_timesync(self, message: Any) -> list[Any]:

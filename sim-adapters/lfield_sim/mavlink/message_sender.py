@@ -152,21 +152,21 @@ class MessageSender:
     def _news_of_home(self) -> list[int]:
         """Unrequested messages: ArduPilot's home when it is set, and the origin once."""
         before, self._home = self._home, self._known_home
-        taken = self.autopilot.flavour.sends_home and self._home not in (before, None)
-        owes = self._owes_origin or (taken and before is None)
-        told = owes and has_origin(self.autopilot)
-        self._owes_origin = self._owes_origin and not told
-        return [GPS_GLOBAL_ORIGIN] * told + [HOME_POSITION] * taken
+        is_sent = self.autopilot.flavour.sends_home and self._home not in (before, None)
+        owes = self._owes_origin or (is_sent and before is None)
+        has_new_origin = owes and has_origin(self.autopilot)
+        self._owes_origin = self._owes_origin and not has_new_origin
+        return [GPS_GLOBAL_ORIGIN] * has_new_origin + [HOME_POSITION] * is_sent
 
     def _is_news(self, kind: int) -> bool:
         """Whether a message is due: CURRENT_MODE at a change, else twice a second."""
         if kind != CURRENT_MODE:
             return True
         pilot = self.autopilot
-        told = pilot.mode, pilot.intended
-        if told == self._sent_mode[0] and pilot.now - self._sent_mode[1] < MODE_PAUSE:
+        mode = pilot.mode, pilot.intended
+        if mode == self._sent_mode[0] and pilot.now - self._sent_mode[1] < MODE_PAUSE:
             return False
-        self._sent_mode = told, pilot.now
+        self._sent_mode = mode, pilot.now
         return True
 
     def reboot(self) -> MavResult:

@@ -39,7 +39,7 @@ class Records:
 
     async def read_raw(self, index, subindex):
         if (index, subindex) not in self.values:
-            raise SdoRefused("axis", "no such object", 0x06020000)
+            raise SdoRefused("axis", "no such object")
         return struct.pack("<I", self.values[index, subindex])
 
     async def read(self, index, subindex=0):
@@ -48,7 +48,7 @@ class Records:
     async def write_raw(self, index, subindex, data):
         value, now = int.from_bytes(data, "little"), self.values.get((index, subindex))
         if now is None or self.refuses(index, subindex, value, now):
-            raise SdoRefused("axis", "refused", 0x08000022)
+            raise SdoRefused("axis", "refused")
         self.values[index, subindex] = value
 
 

@@ -34,7 +34,7 @@ class HopSteps:
         self._made.hops.append((HopStep.SENT, self._clock.now, to, header, *target))
 
     def on_arriving(self, host: str, header: Transfer) -> None:
-        self._made.hops.append((HopStep.CAME, self._clock.now, host, header))
+        self._made.hops.append((HopStep.ARRIVED, self._clock.now, host, header))
 
     def on_running(self, name: str, generation: int) -> None:
         agent = self._made._machine.agents.get(name)

@@ -204,7 +204,7 @@ def test_the_watchdog_tells_what_is_and_what_must_be():
 
 def test_older_cameras_are_triggered_by_the_older_command():
     class Old(StandIn):
-        async def command(self, *words, once=False, optional=False, absent=""):
+        async def command(self, *words, once=False, optional=False, component=""):
             await super().command(*words, once=once)
             return not optional
 

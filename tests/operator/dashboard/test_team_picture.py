@@ -289,7 +289,7 @@ def test_a_pause_and_offers_come_and_go() -> None:
     assert story.seen.paused == ("alpha",)
     assert story.seen.offers["one"].refusal == "it has died"
     two = story.seen.offers["two"]
-    assert (two.told_by, two.refusal, two.apart) == ("beta", "unreachable", {"alpha": ""})
+    assert (two.reported_by, two.refusal, two.apart) == ("beta", "unreachable", {"alpha": ""})
     story.tell("alpha", PauseChanged("anna", True))
     assert story.seen.paused == ()
 

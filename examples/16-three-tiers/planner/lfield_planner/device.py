@@ -75,10 +75,10 @@ class PlannerDevice(Device):
 
     def _read(self, answer: str) -> list[int]:
         try:
-            told = json.loads(answer)
+            reply = json.loads(answer)
         except ValueError:
-            told = None
-        match told:
+            reply = None
+        match reply:
             case {"tour": [*tour]} if all(type(site) is int for site in tour):
                 return tour
             case {"error": str(reason)}:

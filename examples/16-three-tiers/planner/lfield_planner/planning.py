@@ -29,22 +29,22 @@ def plan(sites: Sequence[Place], worth: Sequence[float], start: Place, reach: fl
     solver = _silent()
     legs = {(a, b): solver.addBinary() for a in range(home) for b in (*range(first), home) if a != b}
     turn = [solver.addVariable(0, home) for _ in places]
-    length = sum(math.dist(places[a], places[b]) * taken for (a, b), taken in legs.items())
+    length = sum(math.dist(places[a], places[b]) * chosen for (a, b), chosen in legs.items())
     solver.addConstr(length <= reach)
     solver.addConstr(sum(legs[first, b] for b in (*range(first), home)) == 1)
     for site in range(first):
-        comes = sum(taken for (_, b), taken in legs.items() if b == site)
-        goes = sum(taken for (a, _), taken in legs.items() if a == site)
+        comes = sum(chosen for (_, b), chosen in legs.items() if b == site)
+        goes = sum(chosen for (a, _), chosen in legs.items() if a == site)
         solver.addConstr(comes == goes)
         solver.addConstr(comes <= 1)
-    for (a, b), taken in legs.items():
-        solver.addConstr(turn[b] >= turn[a] + 1 - (home + 1) * (1 - taken))
-    gained = sum(worth[b] * taken for (_, b), taken in legs.items() if b < first)
+    for (a, b), chosen in legs.items():
+        solver.addConstr(turn[b] >= turn[a] + 1 - (home + 1) * (1 - chosen))
+    gained = sum(worth[b] * chosen for (_, b), chosen in legs.items() if b < first)
     # The total length weighs less than the least worth of a site.
     solver.maximize(gained - 0.5 * min(worth, default=1.0) / max(reach, 1.0) * length)
     if solver.getModelStatus() != highspy.HighsModelStatus.kOptimal:
         raise ValueError(f"there is no way home of {reach:.1f} m")
-    found = {a: b for (a, b), taken in legs.items() if solver.val(taken) > 0.5}
+    found = {a: b for (a, b), chosen in legs.items() if solver.val(chosen) > 0.5}
     tour = [found[first]]
     while tour[-1] != home:
         tour.append(found[tour[-1]])

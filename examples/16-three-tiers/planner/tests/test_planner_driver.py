@@ -49,11 +49,11 @@ def length(start, sites, tour):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_no_other_way_is_better(seed):
-    dice = random.Random(seed)
-    sites = [(dice.uniform(-40, 40), dice.uniform(-40, 40)) for _ in range(dice.randint(0, 5))]
-    worth = [dice.choice((1.0, 3.0)) for _ in sites]
-    start = dice.choice((HOME, (dice.uniform(-20, 20), 5.0)))
-    reach = dice.uniform(math.dist(start, HOME) + 0.1, 250.0)
+    rng = random.Random(seed)
+    sites = [(rng.uniform(-40, 40), rng.uniform(-40, 40)) for _ in range(rng.randint(0, 5))]
+    worth = [rng.choice((1.0, 3.0)) for _ in sites]
+    start = rng.choice((HOME, (rng.uniform(-20, 20), 5.0)))
+    reach = rng.uniform(math.dist(start, HOME) + 0.1, 250.0)
     ways = (
         way for count in range(len(sites) + 1) for way in itertools.permutations(range(len(sites)), count)
     )
@@ -102,7 +102,7 @@ SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
 
 @pytest.mark.process
 @pytest.mark.parametrize(
-    ("said", "told"),
+    ("said", "problem"),
     [
         ("", "process:: it ended without an answer|its answer is invalid: ''"),
         ('{"error": "out of memory"}', "it failed: out of memory"),
@@ -113,12 +113,12 @@ SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
         ('{"tour": [0, 1]}', "its plan is invalid: it is 34 m long, more than 30 m"),
     ],
 )
-def test_a_planner_that_fails_or_answers_nonsense_is_not_believed(said, told, tmp_path):
+def test_a_planner_that_fails_or_answers_nonsense_is_not_believed(said, problem, tmp_path):
     bench = planner(sys.executable, "-c", STUB, said, str(tmp_path / "pid"))
 
     async def story(device):
         for _ in range(2):
-            with pytest.raises(DeviceError, match=told):
+            with pytest.raises(DeviceError, match=problem):
                 await device.execute("tour", (*SITES, 30.0))
         await bench.until(lambda: bench.values["failures"] == 2)
 
@@ -206,7 +206,7 @@ def test_the_fake_is_the_planner_with_what_can_be_wrong():
         )
 
         async def story(device):
-            for fault, told in (
+            for fault, problem in (
                 ("silent=true", "it ended without an answer"),
                 ("fails=no licence", "it failed: no licence"),
                 ("nonsense=unknown", "there is no site 2"),
@@ -215,7 +215,7 @@ def test_the_fake_is_the_planner_with_what_can_be_wrong():
                 ("nonsense=42", "its answer is invalid"),
             ):
                 fake.fault(fault)
-                with pytest.raises(DeviceError, match=told):
+                with pytest.raises(DeviceError, match=problem):
                     await device.execute("tour", (*SITES, 30.0))
                 fake.fault("silent=false", "fails=", "nonsense=", "slow=0")
                 assert await device.execute("tour", (*SITES, 35.0)) == [0, 1]

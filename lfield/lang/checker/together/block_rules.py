@@ -33,7 +33,7 @@ def check_coordinator_block(body: BodyContext, keyword: Span) -> None:
         hint=hint,
         viewer=describe(unit),
         unit=unit.name,
-        word=keyword.text,
+        keyword=keyword.text,
     )
 
 

@@ -44,8 +44,8 @@ def result_target(
         symbols.report(messages.TOGETHER_TARGET, target.span)
         return None
     if target.type != call.type and UNKNOWN not in (target.type, call.type):
-        wanted, given = with_article(target.type), with_article(call.type)
-        symbols.report(messages.TOGETHER_TYPE, target.span, wanted=wanted, given=given)
+        expected, given = with_article(target.type), with_article(call.type)
+        symbols.report(messages.TOGETHER_TYPE, target.span, expected=expected, given=given)
         return None
     return target
 

@@ -56,11 +56,11 @@ def mark_started_calls(symbols: Symbols, body: list[Stmt], *, whole: bool) -> No
     aliases = Aliases(body if blocks else [])
     for block in blocks:
         before = len(symbols.found.found)
-        begun = _StartedCalls(symbols).collect(block)
-        if not begun and whole and len(symbols.found.found) == before:
+        started = _StartedCalls(symbols).collect(block)
+        if not started and whole and len(symbols.found.found) == before:
             symbols.report(messages.TOGETHER_EMPTY, block.span)
-        check_targets(symbols, block, begun)
-        check_uses(symbols, block, [one.start for one in begun], aliases)
+        check_targets(symbols, block, started)
+        check_uses(symbols, block, [one.start for one in started], aliases)
 
 
 class _StartedCalls:
@@ -117,7 +117,7 @@ class _StartedCalls:
         """Report the calls inside an expression."""
         for one in descendants(value):
             if _portal_call(one) is one and place.barring_keyword:
-                self.symbols.report(messages.TOGETHER_BARRED, one.span, word=place.barring_keyword)
+                self.symbols.report(messages.TOGETHER_BARRED, one.span, keyword=place.barring_keyword)
             elif _portal_call(one) is one:
                 self.symbols.report(messages.TOGETHER_INSIDE, one.span)
 

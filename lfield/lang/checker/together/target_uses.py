@@ -52,10 +52,10 @@ def check_uses(symbols: Symbols, block: Together, started: Sequence[StartCall], 
         if name in variables and id(read.expr) not in whole:
             symbols.report(messages.TOGETHER_USED, span, name=name.name)
             continue
-        seen = [
+        uses = [
             arrays[one] for one in aliases.related(name) if one in arrays and read.is_affected_by(arrays[one])
         ]
-        first = min(seen, key=lambda one: one.place, default=None)
+        first = min(uses, key=lambda one: one.place, default=None)
         if first is None or not name.name:
             continue
         if first.name is not name:

@@ -100,9 +100,9 @@ class EventFollower:
     async def _follow(self, host: str) -> None:
         cursor = self._cursors[host]
         while True:
-            why, unheard = await self._once(host, cursor)
+            why, is_unreached = await self._once(host, cursor)
             self._handler.on_unlinked(host, why)
-            await asyncio.sleep(cursor.next_retry(unreached=unheard))
+            await asyncio.sleep(cursor.next_retry(unreached=is_unreached))
 
     async def _once(self, host: str, cursor: StreamCursor) -> tuple[str, bool]:
         """Follow a host until its link ends; returns the reason, and whether the host never answered."""

@@ -243,18 +243,18 @@ class MethodLowering:
         operands = self._operands(i)
         lines = []
         for line in ROWS[row_name(self._prepared, self._method.slots, i)].strip().splitlines():
-            word, _, rest = line.strip().partition(" ")
-            if word == "leave":
+            keyword, _, rest = line.strip().partition(" ")
+            if keyword == "leave":
                 lines += self._leave(filled(rest, operands), i.pc, refund)
-            elif word == "null":
+            elif keyword == "null":
                 lines += self._null(operands["slots"][rest], i, refund)
-            elif word == "zero":
+            elif keyword == "zero":
                 trap = self._traps.number("ArithmeticException", "division by zero")
                 lines += self._trap(filled(rest, operands), trap, i.pc, refund)
-            elif word == "over":
+            elif keyword == "over":
                 trap = self._traps.number("ArithmeticException", "the result does not fit an int")
                 lines += self._trap(filled(rest, operands), trap, i.pc, refund)
-            elif word == "index":
+            elif keyword == "index":
                 lines += self._index(filled(rest, operands), i.pc, refund)
             else:
                 lines.append(filled(line.strip(), operands))
@@ -297,9 +297,11 @@ class MethodLowering:
         """The values of a row's braces."""
         slots: dict[str, int] = {}
         operands: dict[str, Any] = {"slots": slots}
-        for number, (pushed, takes) in enumerate(zip(i.arguments, i.row.argument_kinds or (), strict=False)):
+        for number, (pushed, expected_kind) in enumerate(
+            zip(i.arguments, i.row.argument_kinds or (), strict=False)
+        ):
             slots[str(number)] = pushed
-            operands[str(number)] = self._value(pushed, "f64" if takes == "real" else "i64")
+            operands[str(number)] = self._value(pushed, "f64" if expected_kind == "real" else "i64")
         if i.into >= 0:
             operands["a"], operands["into"] = self.slots.target(i.into), i.into
         elif i.row.argument_kinds is None:

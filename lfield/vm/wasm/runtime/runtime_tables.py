@@ -36,7 +36,7 @@ _KINDS = 8
 _HEAD = struct.Struct("<20i")
 _RECORD = struct.Struct("<iiii")
 _PAIR = struct.Struct("<ii")
-_STANCE_HEAD = struct.Struct("<5i")
+_SCHEMA_HEAD = struct.Struct("<5i")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,10 +86,10 @@ def suspension_tables(suspension_points: SuspensionPoints) -> bytes:
     ]
     classes = bytes(i in suspension_points.coordinators for i in range(len(core.classes)))
     classes += bytes(-len(classes) % 4)
-    calls_at = _STANCE_HEAD.size + len(classes)
-    head = len(core.classes), _STANCE_HEAD.size, len(quads), calls_at, calls_at + 4 * len(calls)
+    calls_at = _SCHEMA_HEAD.size + len(classes)
+    head = len(core.classes), _SCHEMA_HEAD.size, len(quads), calls_at, calls_at + 4 * len(calls)
     numbers = struct.pack(f"<{len(calls) + len(methods)}i", *calls, *methods)
-    return _STANCE_HEAD.pack(*head) + classes + numbers
+    return _SCHEMA_HEAD.pack(*head) + classes + numbers
 
 
 def _plain(offsets: tuple[int, ...]) -> Expected:

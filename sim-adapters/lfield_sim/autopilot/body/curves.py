@@ -26,12 +26,12 @@ def spline(
     A spline that starts or ends at rest has no neighbour there. `straight_on`: the next leg is straight.
     """
     way = _minus(goal, start)
-    begins = way if before is None else _minus(start, before)
+    starts = way if before is None else _minus(start, before)
     ends = way if after is None else _minus(after, goal if straight_on else start)
-    both = math.hypot(*(b + e for b, e in zip(begins, ends, strict=True)))
+    both = math.hypot(*(b + e for b, e in zip(starts, ends, strict=True)))
     most = LONGEST * math.hypot(*way)
     share = most / both if both > most else 1.0
-    return [_hermite(start, goal, begins, ends, share, number / POINTS) for number in range(1, POINTS + 1)]
+    return [_hermite(start, goal, starts, ends, share, number / POINTS) for number in range(1, POINTS + 1)]
 
 
 def _hermite(

@@ -57,7 +57,9 @@ def new_texts(pilot: Pilot, dt: float) -> list[str]:
     if 0.0 < pilot.uptime - dt < pilot.warm_up:
         before = (pilot.uptime - dt) / pilot.warm_up
         texts = pilot.kind.warming.texts
-        found += [text for at, told in texts if before < at <= pilot.uptime / pilot.warm_up for text in told]
+        found += [
+            text for at, group in texts if before < at <= pilot.uptime / pilot.warm_up for text in group
+        ]
     if pilot.flavour.warning and not pilot.armed and pilot.uptime % WARNED < dt < pilot.uptime:
         unfit = arming_refusal(pilot)
         reasons = unfit.reasons if unfit is not None else None

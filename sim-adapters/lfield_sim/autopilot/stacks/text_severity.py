@@ -92,4 +92,4 @@ def severity_of(text: str, *, rover: bool) -> Severity:
     """The severity of a text."""
     if rover and text in _OF_ROVERS:
         return _OF_ROVERS[text]
-    return next((severity for begins, severity in _SEVERITIES if text.startswith(begins)), Severity.INFO)
+    return next((severity for prefix, severity in _SEVERITIES if text.startswith(prefix)), Severity.INFO)

@@ -26,8 +26,8 @@ class SocketcandProtocol:
 
     def command(self, text: bytes) -> tuple[bytes, CanFrame | None]:
         """Executes the text between `<` and `>`: the answer and the frame to send."""
-        words = text.split()
-        match words:
+        fields = text.split()
+        match fields:
             case [b"echo"]:
                 return b"< echo >", None
             case [b"open", name] if not self._open:

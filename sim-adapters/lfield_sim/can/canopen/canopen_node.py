@@ -107,7 +107,7 @@ class CanopenNode:
         self._emergencies.clear()
         self._since_heartbeat = 0.0
         #: Seconds since the heartbeat monitored by 0x1016; None before the first, and after a loss.
-        self._unheard: float | None = None
+        self._master_silence: float | None = None
         #: Whether that heartbeat was lost.
         self.master_lost = False
 
@@ -147,20 +147,20 @@ class CanopenNode:
 
     def _written(self, key: tuple[int, int], _: int) -> None:
         if key == (0x1016, 1):
-            self._unheard = None
+            self._master_silence = None
 
     def _on_heartbeat(self, node: int) -> None:
         watched = self.objects.get(0x1016, 1)
         if watched & 0xFFFF and watched >> 16 & 0x7F == node:
-            self._unheard = 0.0
+            self._master_silence = 0.0
             if self.master_lost:
                 self.master_lost = False
                 self.on_heartbeat_back()
 
     def _watch_heartbeat(self, dt: float) -> None:
-        if self._unheard is None:
+        if self._master_silence is None:
             return
-        self._unheard += dt
-        if self._unheard > (self.objects.get(0x1016, 1) & 0xFFFF) / 1000.0:
-            self._unheard, self.master_lost = None, True
+        self._master_silence += dt
+        if self._master_silence > (self.objects.get(0x1016, 1) & 0xFFFF) / 1000.0:
+            self._master_silence, self.master_lost = None, True
             self.on_heartbeat_lost()

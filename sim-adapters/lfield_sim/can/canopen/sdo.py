@@ -105,8 +105,8 @@ class ObjectDictionary:
         """Sets an object from the bus. Raises SdoAbort."""
         value = self.check(key, data)
         self._values[key] = value
-        for seen in self._watchers:
-            seen(key, value)
+        for watcher in self._watchers:
+            watcher(key, value)
 
     def write_all(self, writes: Mapping[Key, bytes]) -> None:
         """Sets the values of a PDO before any callback; refused ones are skipped."""
@@ -118,8 +118,8 @@ class ObjectDictionary:
                 continue
         self._values.update(done)
         for key, value in done.items():
-            for seen in self._watchers:
-                seen(key, value)
+            for watcher in self._watchers:
+                watcher(key, value)
 
     def check(self, key: Key, data: bytes) -> int:
         """The number of a write. Raises SdoAbort when the object refuses it."""

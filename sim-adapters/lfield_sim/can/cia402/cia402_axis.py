@@ -130,9 +130,9 @@ class Cia402Axis:
             self._enter(goal)
 
     def _choose_mode(self) -> None:
-        wanted = self.objects.get(0x6060)
-        if self.mode.code != wanted:
-            self.mode = MODES[wanted]()
+        requested = self.objects.get(0x6060)
+        if self.mode.code != requested:
+            self.mode = MODES[requested]()
             self.mode.start(self.drive)
 
     def _enter(self, state: DriveState) -> None:

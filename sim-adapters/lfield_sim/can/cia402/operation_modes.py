@@ -149,10 +149,10 @@ class ProfileTorque(OperationMode):
             drive.torque_demand = 0.0
             return
         objects, rated = drive.objects, drive.motor.data.rated_torque
-        wanted = (objects.get(0x6071) + objects.get(0x60B2)) / 1000.0 * rated
-        wanted = max(-drive.strongest, min(drive.strongest, wanted))
+        target = (objects.get(0x6071) + objects.get(0x60B2)) / 1000.0 * rated
+        target = max(-drive.strongest, min(drive.strongest, target))
         most = self._slope(drive) * dt
-        drive.torque_demand += max(-most, min(most, wanted - drive.torque_demand))
+        drive.torque_demand += max(-most, min(most, target - drive.torque_demand))
         if abs(drive.velocity) >= drive.fastest and drive.velocity * drive.torque_demand > 0.0:
             drive.motor.track(drive.motor.speed, dt, abs(drive.torque_demand))
         else:
@@ -160,8 +160,8 @@ class ProfileTorque(OperationMode):
         drive.profile.position, drive.profile.velocity = drive.position, drive.velocity
 
     def status(self, drive: Cia402Drive) -> int:
-        wanted = 0 if drive.halted else drive.objects.get(0x6071)
-        reached = abs(1000.0 * drive.torque_demand / drive.motor.data.rated_torque - wanted) < 1.0
+        target = 0 if drive.halted else drive.objects.get(0x6071)
+        reached = abs(1000.0 * drive.torque_demand / drive.motor.data.rated_torque - target) < 1.0
         return REACHED * reached
 
     def _slope(self, drive: Cia402Drive) -> float:
@@ -238,9 +238,9 @@ class CyclicVelocity(OperationMode):
     code = cia402_table.CSV
 
     def step(self, drive: Cia402Drive, dt: float) -> None:
-        wanted = _bounded(drive.objects.get(0x60FF) + drive.objects.get(0x60B1), drive)
+        target = _bounded(drive.objects.get(0x60FF) + drive.objects.get(0x60B1), drive)
         objects = drive.objects
-        drive.ramp(wanted, dt, acceleration=objects.get(0x60C5), deceleration=objects.get(0x60C6))
+        drive.ramp(target, dt, acceleration=objects.get(0x60C5), deceleration=objects.get(0x60C6))
 
     def status(self, drive: Cia402Drive) -> int:
         """Bit 12: the drive follows."""

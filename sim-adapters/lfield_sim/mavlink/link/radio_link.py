@@ -93,5 +93,9 @@ class RadioLink:
     def _broken(self, packet: bytes) -> bytes:
         if not self._happens("corrupt"):
             return packet
-        spot = self._random.randrange(len(packet))
-        return packet[:spot] + bytes((packet[spot] ^ 1 << self._random.randrange(8),)) + packet[spot + 1 :]
+        position = self._random.randrange(len(packet))
+        return (
+            packet[:position]
+            + bytes((packet[position] ^ 1 << self._random.randrange(8),))
+            + packet[position + 1 :]
+        )

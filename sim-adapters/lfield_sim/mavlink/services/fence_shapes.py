@@ -75,11 +75,11 @@ def shapes_of(items: Sequence[PlanItem], place: GeoOrigin) -> list[FenceShape]:
     number = 0
     while number < len(items):
         item = items[number]
-        taken = int(item.values[0]) if item.command in POLYGONS else 1
+        count = int(item.values[0]) if item.command in POLYGONS else 1
         if item.command in POLYGONS:
-            corners = tuple(place.local(corner.x, corner.y) for corner in items[number : number + taken])
+            corners = tuple(place.local(corner.x, corner.y) for corner in items[number : number + count])
             shapes.append(FencePolygon(corners, item.command == POLYGON_IN))
         elif item.command in CIRCLES:
             shapes.append(FenceCircle(place.local(item.x, item.y), item.values[0], item.command == CIRCLE_IN))
-        number += taken
+        number += count
     return shapes

@@ -284,10 +284,10 @@ class FtpServer:
         return struct.pack("<I", size) if self.style.creates else b""
 
     def _open(self, peer: Peer, request: FtpPacket, session: _Session) -> int:
-        taken = {number for _, number in self._sessions}
+        used = {number for _, number in self._sessions}
         number = request.session
         if self.style.own_sessions:
-            number = min(set(range(MAX_SESSIONS + 1)) - taken)
+            number = min(set(range(MAX_SESSIONS + 1)) - used)
         if len(self._sessions) >= MAX_SESSIONS:
             raise FileTreeError(self.style.busy)
         self._sessions[peer, number] = session

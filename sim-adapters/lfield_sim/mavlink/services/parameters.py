@@ -149,8 +149,8 @@ class ParameterService(VehicleService):
         self.autopilot.parameters[name] = value
         self.autopilot.apply_parameters()
         # PX4 answers, and then broadcasts the change.
-        told = [self._value(name, named=True)]
-        return told * 2 if self._bytewise and changed else told
+        answers = [self._value(name, named=True)]
+        return answers * 2 if self._bytewise and changed else answers
 
     def _row(self, name: str) -> ParameterRow:
         return self._rows.get(name, ParameterRow(ParameterType.REAL32, 0.0))

@@ -189,8 +189,8 @@ class PlanProtocol:
         peer, upload = _peer(message), self._upload
         if upload is None or (upload.peer, upload.kind) != (peer, kind):
             return [_ack(peer, PlanResult.ERROR, kind)]
-        wanted = len(upload.items)
-        if message.seq != wanted:
+        expected = len(upload.items)
+        if message.seq != expected:
             return self._out_of_turn(upload, message.seq, now)
         item = PlanItem.read(message)
         result = check(item, kind, nan_means_unset=self._style.nan_means_unset)

@@ -192,8 +192,8 @@ class PlanService(VehicleService):
             return int(dialect.MISSION_STATE_COMPLETE)
         if self._flies_missions and (self.autopilot.armed or self._home_first):
             return int(dialect.MISSION_STATE_ACTIVE)
-        begun = mission.last_reached != NO_ITEM
-        return int(dialect.MISSION_STATE_PAUSED if begun else dialect.MISSION_STATE_NOT_STARTED)
+        has_started = mission.last_reached != NO_ITEM
+        return int(dialect.MISSION_STATE_PAUSED if has_started else dialect.MISSION_STATE_NOT_STARTED)
 
     def _on_set_current(self, message: Any) -> list[Any]:
         """ArduPilot reports the new item at once, PX4 in its stream."""
@@ -221,8 +221,8 @@ class PlanService(VehicleService):
     def _start(self, command: MavCommand) -> CommandAnswer:
         """PX4 restarts on the ground for item 0; else 0 means continue."""
         first, pilot = command.whole(1), self.autopilot
-        begun = self._home_first or pilot.vehicle.airborne or not pilot.mission.items
-        goes_on = first < 0 or (first == 0 and begun)
+        has_started = self._home_first or pilot.vehicle.airborne or not pilot.mission.items
+        goes_on = first < 0 or (first == 0 and has_started)
         result = pilot.start_mission(None if goes_on else first)
         if result is MavResult.ACCEPTED:
             # A copter reports it once more than a rover; an armed one starts the item, and reports that.
@@ -238,14 +238,14 @@ class PlanService(VehicleService):
             report_started(self.autopilot, item)
 
     def _pause_or_go_on(self, command: MavCommand) -> CommandAnswer:
-        wanted = command.whole(1)
+        requested = command.whole(1)
         if not self._home_first:
             return MavResult.UNSUPPORTED, []
-        if wanted in (0, 1) and self.autopilot.role is Role.GUIDED:
+        if requested in (0, 1) and self.autopilot.role is Role.GUIDED:
             return MavResult.ACCEPTED, []
-        if wanted not in (0, 1) or (self.autopilot.role is not Role.MISSION and not wanted):
+        if requested not in (0, 1) or (self.autopilot.role is not Role.MISSION and not requested):
             return MavResult.DENIED, []
-        if wanted:
+        if requested:
             return self.autopilot.start_mission(None), []
         return self.autopilot.command_role(Role.HOLD), []
 

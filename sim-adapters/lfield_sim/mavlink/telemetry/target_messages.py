@@ -28,7 +28,7 @@ ONLY_POSITION, NO_SETPOINT = 0xFDF8, 0x3F
 #: type_mask of an ArduCopter's setpoint: a position, or a velocity.
 BY_PLACE, BY_VELOCITY = 0x0DF8, 0x0C07
 #: PX4's value without a position or velocity.
-NOWHERE: Vector = (math.nan, math.nan, math.nan)
+UNDEFINED: Vector = (math.nan, math.nan, math.nan)
 
 
 def goal_of(autopilot: Autopilot) -> Vector | None:
@@ -68,7 +68,7 @@ def position_target_global_int(autopilot: Autopilot, place: GeoOrigin) -> Any:
 
 def position_target_local_ned(autopilot: Autopilot, _: GeoOrigin) -> Any:
     """POSITION_TARGET_LOCAL_NED 85: the present setpoint."""
-    position, velocity, mask = NOWHERE, NOWHERE, NO_SETPOINT
+    position, velocity, mask = UNDEFINED, UNDEFINED, NO_SETPOINT
     if not autopilot.flavour.needs_stream:
         return _ardupilot_setpoint(autopilot)
     match autopilot.vehicle.goal:
