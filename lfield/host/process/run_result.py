@@ -59,7 +59,7 @@ def known_hops(states: Iterable[CoordinatorState]) -> dict[str, int]:
     return found
 
 
-def failure_reason(status: int, errors: Mapping[str, str]) -> str:
+def failure_reason(status: int, errors: dict[str, str]) -> str:
     """The log line that explains an exit status, of the newest error of each code; '' if there is none."""
     if status in (exit_status.DONE, exit_status.INTERRUPTED):
         return ""
