@@ -33,7 +33,8 @@ _EXAMPLES, _LEAST_EXAMPLES = 0.3, 12
 _OWN = tempfile.TemporaryDirectory(prefix="lfield-tests-", ignore_cleanup_errors=True)
 if "PYTEST_XDIST_WORKER" not in os.environ:
     os.environ["XDG_CACHE_HOME"] = os.path.join(_OWN.name, "cache")
-#: Nor is what hosts keep of their starts, which each worker has for itself.
+#: Nor are keys, and what hosts keep of their starts, which each worker has for itself.
+os.environ["XDG_CONFIG_HOME"] = os.path.join(_OWN.name, "config")
 os.environ["XDG_STATE_HOME"] = os.path.join(_OWN.name, "state")
 #: Nor do the commands of tests find, or stop, what else runs on this computer.
 os.environ["LFIELD_RUNS"] = "here"

@@ -39,6 +39,8 @@ from lfield.text.user_dirs import config_dir
 OWN = "me"
 #: The system folder of the keys of hosts, and the environment variable that replaces it.
 SYSTEM, VARIABLE = Path("/etc/lfield/keys"), "LFIELD_KEYS"
+#: The environment variable that names the folder of the CA.
+AUTHORITY_VARIABLE = "LFIELD_AUTHORITY"
 
 
 def find_keys(
@@ -82,6 +84,12 @@ def _default_folders(system: Path) -> list[Path]:
     with suppress(NoHomeFolder, OutputFileError):
         return [system, config_dir() / "keys"]
     return [system]
+
+
+def authority_folder(environment: Mapping[str, str]) -> Path:
+    """The usual folder of the CA. Raises NoHomeFolder."""
+    value = environment.get(AUTHORITY_VARIABLE, "")
+    return Path(value) if value else config_dir() / "authority"
 
 
 def read_keys(folder: Path, holder: Holder) -> Keys:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -203,6 +203,17 @@ class Ledger:
         """The key folders that were made for copying, as far as they exist."""
         found = (self.folder / below for below in _FOLDERS.values())
         return sorted(path for below in found if below.is_dir() for path in below.iterdir() if path.is_dir())
+
+
+def issued_hosts(folder: Path) -> frozenset[str]:
+    """The hosts for which the CA in a folder has issued keys; none if it cannot be read. Does not lock it."""
+    with suppress(KeysError, InputFileError):
+        authority = folders.read_trusted(folder)
+        paths = (folder / ISSUED).glob("*.pem")
+        holders = (identity_in(read_bytes(path, MAX_PEM), authority) for path in paths)
+        with folders.errors_in(folder):
+            return frozenset(who.name for who in holders if who.kind == "host")
+    return frozenset()
 
 
 def create_ledger(folder: Path, at: float, ends: float) -> Ledger:

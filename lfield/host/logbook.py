@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 from typing import TextIO
 
+from lfield.text.log_messages import LogLine
 from lfield.text.terminal_escape import escape, escape_indented, escape_line
 
 
@@ -22,6 +23,8 @@ class Logbook:
         self._is_terminal = self._out is not None and self._out.isatty()
         #: Output that waits for `flush`.
         self.pending: list[str] = []
+        #: The newest error of each code, in the order of time.
+        self.errors: dict[str, str] = {}
 
     def write(self, text: str) -> None:
         """Program output, buffered until `flush`."""
@@ -42,6 +45,9 @@ class Logbook:
         Program output may have several `lines`; all but the first are indented.
         """
         self.flush()
+        if isinstance(text, LogLine) and text.level == "error":
+            self.errors.pop(text.code, None)
+            self.errors[text.code] = text
         if self._log is not None:
             self._log.write((escape_indented if lines else escape_line)(text) + "\n")
             self._log.flush()

@@ -8,9 +8,7 @@ that a host is lost (appendix I). A `#` at the start of a line or after a space 
 from __future__ import annotations
 
 import hashlib
-import re
-from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +18,7 @@ import msgspec
 
 from lfield.errors import ProgramError
 from lfield.lang import messages
+from lfield.lang.deployment_hosts import check_hosts
 from lfield.lang.deployment_line import DeploymentEntry, read_line
 from lfield.lang.tree import UnitKind
 from lfield.text.input_files import MAX_TEXT, invalid_byte, read_bytes
@@ -114,16 +113,18 @@ class Deployment:
 
 
 def parse_deployment(
-    text: str, name: str, units: Mapping[str, UnitKind] | None
+    text: str, name: str, units: Mapping[str, UnitKind] | None, inventory: Collection[str] = ()
 ) -> tuple[Deployment | None, list[Diagnostic]]:
     """The deployment of a text, or None, with all findings.
 
-    `units` are the units of the program with their kinds; None leaves the types unchecked.
+    `units` are the units of the program with their kinds; None leaves the types unchecked. `inventory` has
+    the hosts that are known to have keys.
     """
     source = Source(name, text)
     found = Diagnostics()
     entries = _read_entries(source, found)
     _Checks(found, units).check(entries)
+    check_hosts(entries, inventory, found)
     if all(entry.is_witness for entry in entries) and not found.found:
         found.add(messages.DEPLOY_EMPTY.at(Span(source, 0, 0)))
     if found.errors:
@@ -146,7 +147,7 @@ def read_deployment(path: Path, units: Mapping[str, UnitKind] | None) -> Deploym
 
 
 def read_with_warnings(
-    path: Path, units: Mapping[str, UnitKind] | None
+    path: Path, units: Mapping[str, UnitKind] | None, inventory: Collection[str] = ()
 ) -> tuple[Deployment, list[Diagnostic]]:
     """The deployment of a file and its warnings. Raises as `read_deployment`."""
     data = read_bytes(path, MAX_TEXT)
@@ -155,7 +156,7 @@ def read_with_warnings(
     except UnicodeDecodeError as error:
         where, byte = invalid_byte(str(path), error)
         raise ProgramError([messages.DEPLOY_NOT_TEXT.at(where, byte=byte)]) from None
-    deployment, found = parse_deployment(text, str(path), units)
+    deployment, found = parse_deployment(text, str(path), units, inventory)
     if deployment is None:
         raise ProgramError(found)
     return deployment, found
@@ -176,31 +177,6 @@ def _read_entries(source: Source, found: Diagnostics) -> list[DeploymentEntry]:
             entries.append(entry)
         start += len(line) + 1
     return entries
-
-
-#: Shorter names differ by one letter on purpose.
-_SHORTEST_COMPARED = 4
-
-
-def _resembles(host: str, other: str) -> bool:
-    """Whether two host names differ by one typing mistake (Damerau-Levenshtein distance 1).
-
-    A different last character (alpha1 and alpha2, arm-a and arm-b) and different digits are no mistake.
-    """
-    (name, _, domain), (known, _, known_domain) = host.partition("."), other.partition(".")
-    if domain != known_domain or name[:1] in "0123456789[" or min(len(name), len(known)) < _SHORTEST_COMPARED:
-        return False
-    if re.sub(r"\D", "", name) != re.sub(r"\D", "", known) or name[:-1] == known[:-1]:
-        return False
-    if name.lower() == known.lower():
-        return False  # L709 reports these
-    start = next(
-        (at for at, (one, two) in enumerate(zip(name, known, strict=False)) if one != two), len(known)
-    )
-    rest, known_rest = name[start:], known[start:]
-    substituted = rest[1:] == known_rest[1:]
-    transposed = rest[2:] == known_rest[2:] and rest[:2] == known_rest[1::-1]
-    return substituted or transposed or rest[1:] == known_rest or rest == known_rest[1:]
 
 
 class _Checks:
@@ -226,22 +202,6 @@ class _Checks:
             self.host(entry.host)
             self.port(entry)
         self.witnesses(entries)
-        self.lone_hosts(entries)
-
-    def lone_hosts(self, entries: list[DeploymentEntry]) -> None:
-        """Warn of a host on one line that resembles one on at least as many lines, and earlier if on one."""
-        counts = Counter(entry.host.text for entry in entries)
-        alone: list[str] = []
-        repeated = [host for host, count in counts.items() if count > 1]
-        for entry in entries:
-            host = entry.host.text
-            if counts[host] > 1:
-                continue
-            close = next((other for other in (*repeated, *alone) if _resembles(host, other)), None)
-            if close is not None:
-                line = self.spellings[close.lower()].line
-                self.found.add(messages.LONE_HOST.at(entry.host, host=host, close=close, line=line))
-            alone.append(host)
 
     def type(self, span: Span) -> None:
         name = span.text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from ipaddress import IPv6Address
+from ipaddress import IPv4Address, IPv6Address
 from urllib.parse import unquote_to_bytes
 
 from lfield.lang import messages
@@ -47,6 +47,24 @@ def _is_ipv6(host: str) -> bool:
     except ValueError:
         return False
     return host[0] + host[-1] == "[]" and (zone is None or _NAME.fullmatch(zone) is not None)
+
+
+def is_address(host: str) -> bool:
+    """Whether a host is an IP address and not a name."""
+    try:
+        IPv4Address(host)
+    except ValueError:
+        return _is_ipv6(host)
+    return True
+
+
+def _host_hint(host: str) -> str | None:
+    """What is wrong with a host of valid characters; None if it is valid."""
+    if re.fullmatch(r"[0-9]+(\.+[0-9]*)+", host) and not is_address(host):
+        return "an IPv4 address has four numbers from 0 to 255, as in 192.168.1.5"
+    if host.startswith(".") or ".." in host:
+        return "a host name has letters or digits before and after each dot"
+    return None
 
 
 class _Malformed(Exception):
@@ -134,6 +152,8 @@ class _Reader:
         host = _part(span, 0, len(span.text) if at < 0 else at)
         if not (_NAME.fullmatch(host.text) or _is_ipv6(host.text)) or len(host.text) > _LONGEST_HOST:
             self.report(messages.DEPLOY_HOST, host, host=host.text[:60])
+        elif hint := _host_hint(host.text):
+            self.found.add(messages.DEPLOY_HOST.at(host, hint=hint, host=host.text[:60]))
         if at < 0:
             return host, host, None
         written = _part(span, at + 1, len(span.text))

@@ -518,4 +518,5 @@ LONE_HOST = _message(
     "the host '{host}' occurs on this line only and resembles '{close}' on line {line}",
     "did you mean '{close}'?",
 )
+UNKNOWN_HOST = _message("L908", "the host '{host}' is unknown: {reason}", "check its name")
 UNKNOWN_AGENT = _message("L907", "the deployment has no {type} with the id '{id}'", "check the argument")

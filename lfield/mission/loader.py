@@ -369,8 +369,8 @@ def _without_fakes(mission: Mission, devices: Path) -> Sequence[ReportableFindin
     return []
 
 
-def check_file(path: Path) -> Sequence[ReportableFinding]:
-    """The findings of a program, or of a deployment (with its program, if it exists)."""
+def check_file(path: Path, inventory: Collection[str] = ()) -> Sequence[ReportableFinding]:
+    """The findings of a program, or of a deployment with its program; `inventory`: hosts that have keys."""
     if path.suffix != ".dL":
         try:
             return compile_file(path)[1]
@@ -391,7 +391,7 @@ def check_file(path: Path) -> Sequence[ReportableFinding]:
         except ProgramError as error:
             found = list(error.diagnostics)
     try:
-        deployment, warnings = read_with_warnings(path, units)
+        deployment, warnings = read_with_warnings(path, units, inventory)
         found += warnings
         if units is not None and checked is not None and checked.program is not None:
             found += argument_findings(checked.program.units, deployment)

@@ -62,10 +62,10 @@ def render_findings(findings: Sequence[ReportableFinding]) -> str:
 
 
 def tally(errors: int, warnings: int) -> str:
-    """The number of findings: "no mistakes", "1 error", "2 errors, 1 warning"."""
+    """The number of findings: "no errors", "1 error", "2 errors, 1 warning"."""
     counts = [
         f"{count} {noun}{'s' * (count != 1)}"
         for count, noun in ((errors, "error"), (warnings, "warning"))
         if count
     ]
-    return ", ".join(counts if errors else ["no mistakes", *counts])
+    return ", ".join(counts if errors else ["no errors", *counts])

@@ -90,3 +90,23 @@ def test_a_caret_under_the_part_that_is_wrong() -> None:
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     with pytest.raises(InputFileError):
         read_deployment(tmp_path / "nobody.dL", UNITS)
+
+
+SIX = "//Arm:a@alpha\n//Arm:b@bravo\n//Arm:c@chrlie\n//Arm:d@zulu\n//Arm:e@port\n//Arm:f@post\n"
+
+
+@pytest.mark.parametrize(
+    ("inventory", "unknown"),
+    [
+        ((), []),
+        # Of another team.
+        (("xray", "yankee"), []),
+        (("alpha", "bravo", "charlie", "port", "post"), ["chrlie", "zulu"]),
+        (("alpha", "bravo", "chrlie", "zulu", "port", "post"), []),
+    ],
+)
+def test_a_host_without_keys_in_a_team_with_keys_is_unknown(inventory, unknown) -> None:
+    _, found = parse_deployment(SIX, "mission.dL", UNITS, inventory)
+    assert [diagnostic.span.text for diagnostic in found if diagnostic.code == "L908"] == unknown
+    hints = {diagnostic.span.text: diagnostic.hint for diagnostic in found}
+    assert hints.get("chrlie") in (None, "did you mean 'charlie'?")

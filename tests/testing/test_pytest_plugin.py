@@ -40,9 +40,12 @@ def project(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def run(folder: Path, *words: str) -> tuple[int, str]:
+def run(folder: Path, *words: str, pytest_variables: bool = False) -> tuple[int, str]:
     """A command of Python in a project; its status, and what it says."""
-    environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST")}
+    kept = ("PYTEST_ADDOPTS",) if pytest_variables else ()
+    environment = {
+        name: value for name, value in os.environ.items() if name in kept or not name.startswith("PYTEST")
+    }
     done = subprocess.run(
         [sys.executable, *words], cwd=folder, env=environment, capture_output=True, text=True, timeout=240.0
     )
@@ -92,6 +95,68 @@ def test_the_words_of_lfield_test_may_stand_in_any_order(project):
     assert said.startswith("lfield: unrecognized arguments: --xyzzy")
 
 
+#: Configurations of a surrounding project for plugins that are not installed, or with errors.
+FOREIGN = {
+    "option": (
+        "pytest.ini",
+        "[pytest]\naddopts = --no-such-option=3 --strict-markers\nmarkers = ours: kept\n",
+    ),
+    "plugin": ("setup.cfg", "[tool:pytest]\naddopts = -p no_such_plugin\n"),
+    "required": ("tox.ini", "[pytest]\nrequired_plugins = pytest-no-such-plugin>=3\n"),
+    "version": ("pytest.ini", "[pytest]\nminversion = 99\n"),
+    "setting": ("pytest.ini", "[pytest]\nno_such_setting = 3\nfilterwarnings = error\n"),
+    "strict": ("pyproject.toml", '[tool.pytest.ini_options]\nno_such = 3\naddopts = "--strict-config"\n'),
+    "section": ("setup.cfg", "[pytest]\naddopts = -q\n"),
+    "damaged": ("pyproject.toml", "[tool.pytest.ini_options\n"),
+}
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize("name", FOREIGN)
+def test_a_configuration_that_pytest_refuses_is_ignored(project, name):
+    file, text = FOREIGN[name]
+    (project / file).write_text(text)
+    missions = project / "missions"
+    missions.mkdir()
+    for each in ("walk.L", "walk.dL", "test_walk.py"):
+        (project / each).rename(missions / each)
+    (missions / "conftest.py").write_text(
+        "import pytest\n@pytest.fixture(autouse=True)\ndef mine():\n    yield 1\n"
+    )
+    status, said = run(project, "-m", "lfield", "test", "missions", "-k", "it_ends", "-v")
+    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
+    assert ("configuration ignored" in said) == (name not in ("setting", "strict")), said
+    assert "warning" not in said
+
+
+def test_the_rest_of_a_configuration_with_a_refused_option_is_kept(project):
+    (project / "pytest.ini").write_text(
+        FOREIGN["option"][1] + "filterwarnings = error\npythonpath = sources\n"
+    )
+    (project / "sources").mkdir()
+    (project / "sources" / "of_mine.py").write_text("")
+    (project / "test_walk.py").write_text(
+        "import pytest, of_mine\n@pytest.mark.ours\ndef test_it_ends():\n    pass\n"
+    )
+    status, said = run(project, "-m", "lfield", "test")
+    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
+
+
+def test_options_of_the_environment_that_pytest_refuses_are_ignored(project, monkeypatch):
+    monkeypatch.setenv("PYTEST_ADDOPTS", "--no-such-option")
+    status, said = run(project, "-m", "lfield", "test", "-k", "it_ends", pytest_variables=True)
+    assert (status, "1 passed" in said) == (exit_status.DONE, True), said
+
+
+def test_a_conftest_that_fails_is_reported_as_such(project):
+    (project / "conftest.py").write_text("import no_such_module\n")
+    (project / "pytest.ini").write_text(FOREIGN["option"][1])
+    status, said = run(project, "-m", "lfield", "test")
+    assert status == exit_status.USAGE
+    assert "No module named 'no_such_module'" in said
+    assert "ignored" not in said
+
+
 MOVES = """
 import pytest
 from pathlib import Path
@@ -101,12 +166,12 @@ FLIGHT = Path({flight!r})
 @pytest.mark.parametrize("way", ["a/b", "a-b", "long"], ids=["a/b", "a-b", "x" * 300])
 def test_it_moves(lfield_mission, way):
     team = lfield_mission(FLIGHT)
-    team.run(9.0)
+    team.run(12.0)
     assert team.has_moved
 
 def test_two_teams(lfield_mission):
     for seed in (1, 2):
-        lfield_mission(FLIGHT, seed=seed).run(9.0)
+        lfield_mission(FLIGHT, seed=seed).run(12.0)
 """
 
 

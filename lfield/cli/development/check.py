@@ -64,7 +64,24 @@ def _findings(path: Path) -> list[ReportableFinding]:
 
     if path.suffix == bundle.SUFFIX:
         return [PlainFinding(warning, "warning", "bundle-warning") for warning in bundle.read(path).warnings]
-    found = list(check_file(path))
+    found = list(check_file(path, _hosts_with_keys() if path.suffix == ".dL" else ()))
     if path.suffix == ".dL" and not any(finding.severity == "error" for finding in found):
         found += mission_problems(path)
     return found
+
+
+def _hosts_with_keys() -> frozenset[str]:
+    """The hosts for which the authority of this user has made keys: an inventory of the team."""
+    from lfield.authority.keystore import authority_folder
+    from lfield.errors import NoHomeFolder
+
+    try:
+        folder = authority_folder(os.environ)
+    except NoHomeFolder:
+        return frozenset()
+    if not folder.is_dir():
+        return frozenset()
+    # It loads cryptography.
+    from lfield.authority.ledger import issued_hosts
+
+    return issued_hosts(folder)

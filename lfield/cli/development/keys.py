@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 _AUTHORITY_DAYS, _DAYS, _MAX_DAYS = 3650, 365, 36500
 #: Browsers take nothing of a page that lasts longer.
 _MAX_PAGE_DAYS = 398
-#: Where the authority is, when it is not in the usual folder.
-_VARIABLE = "LFIELD_AUTHORITY"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -75,7 +73,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--authority",
             metavar="DIR",
             type=Path,
-            help=f"directory of the authority (default: ${_VARIABLE}, or ~/.config/lfield/authority)",
+            help="directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)",
         )
 
 
@@ -108,12 +106,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _authority(named: Path | None) -> Path:
-    from lfield.text.user_dirs import config_dir
+    from lfield.authority.keystore import authority_folder
 
-    if named is not None:
-        return named
-    value = os.environ.get(_VARIABLE, "")
-    return Path(value) if value else config_dir() / "authority"
+    return named or authority_folder(os.environ)
 
 
 def _ends(args: argparse.Namespace, at: float, default: int = _DAYS) -> float:

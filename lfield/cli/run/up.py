@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.mission_argument import add_bindings, add_mission, add_program, mission_path, setup_command
-from lfield.errors import DevicesError, OutputFileError, UsageError
+from lfield.errors import DevicesError, LfieldError, OutputFileError, UsageError
 from lfield.text.number_arguments import real_above_0, whole_between
 
 #: Default of --lasts (s).
@@ -204,6 +204,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     if not _may_start(mission, name, args):
         return exit_status.FAILED
     with (
+        _refusal_reported(args),
         _control_socket(mission, name, args) as socket,
         _setup_named(args, name),
         _journal(mission, name, args) as journal,
@@ -225,6 +226,19 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
                 engine=args.engine,
             )
         )
+
+
+@contextmanager
+def _refusal_reported(args: argparse.Namespace) -> Iterator[None]:
+    """Tells `--all` why this host cannot start."""
+    from lfield.host.process.run_result import RunResult, refusal_reason
+
+    try:
+        yield
+    except LfieldError as error:
+        if args.result_fd is not None:
+            RunResult(reason=refusal_reason(error)).write(args.result_fd)
+        raise
 
 
 @contextmanager

@@ -16,15 +16,18 @@ import signal
 import socket
 import sys
 from asyncio.subprocess import PIPE, Process
-from contextlib import suppress
 from typing import TYPE_CHECKING, TextIO
+
+from msgspec.structs import replace
 
 from lfield import exit_status
 from lfield.cli.mission_argument import mission_path, setup_command
 from lfield.cli.run.host_keys import ephemeral_keys
+from lfield.cli.run.run_summary import summary
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.process import parent_pipe
+from lfield.host.process.run_result import RunResult, read_result
 from lfield.host.process.shutdown_signals import REPEAT_WINDOW, ShutdownSignals, install_signal_handlers
 from lfield.mission.team import parse_maps
 from lfield.net.local_addresses import open_listening_socket
@@ -67,29 +70,6 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace, report: Call
         return asyncio.run(_HostProcesses(mission, file, args, reserved, addresses, sockets).run())
 
 
-def summary(statuses: Mapping[str, int], status: int, seconds: float, hops: int) -> str:
-    """The last line of a run after `seconds`: mission completed, or which hosts failed and how.
-
-    `hops` are those of all coordinators.
-    """
-    end = f"after {seconds:.0f} s, {hops} hop{'s' * (hops != 1)}; exit status {status}"
-    if status == exit_status.DONE:
-        return f"mission completed {end}"
-    failed = [host for host, each in statuses.items() if each and each == status]
-    where = f" on {', '.join(failed)}" if failed else ""
-    how = "stopped" if status == exit_status.INTERRUPTED else "failed"
-    meaning = exit_status.MEANINGS.get(status, "a host was killed").partition(";")[0]
-    return f"mission {how}{where} {end}: {meaning.removeprefix('the mission failed: ')}"
-
-
-def _read_count(pipe: int) -> int:
-    """The number in a pipe, 0 where a host was killed before it wrote one."""
-    os.set_blocking(pipe, False)
-    with suppress(BlockingIOError), os.fdopen(pipe, "rb") as reader:
-        return int(reader.read(20) or 0)
-    return 0
-
-
 class _HostProcesses:
     def __init__(
         self,
@@ -105,8 +85,10 @@ class _HostProcesses:
         self.keys = ephemeral_keys(addresses, mission.release)
         self.children: dict[str, Process] = {}
         self.pipes: list[asyncio.ReadTransport] = []
-        #: Pipes to which the hosts write how many hops their coordinators made.
-        self.results: list[int] = []
+        #: Pipes to which the hosts write their results.
+        self.results: dict[str, int] = {}
+        #: Why hosts were killed.
+        self.killed: dict[str, str] = {}
         self.width = max(len(host) for host in addresses)
         self.stop_signals = ShutdownSignals(SystemClock(), self.stop_again)
         #: Set when the remaining hosts must stop.
@@ -144,15 +126,24 @@ class _HostProcesses:
             status = exit_status.most_severe([self.refused, *statuses])
         seconds = asyncio.get_running_loop().time() - started
         ended = dict(zip(self.addresses, statuses, strict=True))
-        print(summary(ended, status, seconds, sum(map(_read_count, self.results))), file=sys.stderr)
+        print(summary(self.killed_first(ended), status, seconds, self.read_results()), file=sys.stderr)
         return status
+
+    def killed_first(self, statuses: Mapping[str, int]) -> dict[str, int]:
+        """The exit statuses, first those of killed hosts: they are the cause of the others."""
+        return {host: statuses[host] for host in [*self.killed, *statuses]}
+
+    def read_results(self) -> dict[str, RunResult]:
+        """The results of all hosts."""
+        read = {host: read_result(pipe) for host, pipe in self.results.items()}
+        return read | {host: replace(read[host], reason=reason) for host, reason in self.killed.items()}
 
     async def start(self, host: str) -> list[asyncio.Task[None]]:
         """Start the process of a host; returns the tasks that forward its output."""
         listening = self.reserved[host][0]
         (out, stdout), (err, stderr) = await self.pipe(), await self.pipe()
         result, written = os.pipe()
-        self.results.append(result)
+        self.results[host] = result
         child = await asyncio.create_subprocess_exec(
             *self.command(host, listening.fileno(), self.keys[host]),
             f"--result-fd={written}",
@@ -252,11 +243,15 @@ class _HostProcesses:
 
     def signal_status(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: its devices are not confirmed to be safe."""
-        self.show(host, f"ended by {number.name}", sys.stderr)
         devices = [device for device in self.mission.devices_of(host) if not device.is_sensor]
-        for device in devices:
-            problem = f"{device.name} NOT SAFE: not confirmed to be in its safe state '{device.safe_state}'"
-            self.show(host, problem, sys.stderr)
+        lines = [f"killed ({number.name})"]
+        lines += [
+            f"{device.name} NOT SAFE: not confirmed to be in its safe state '{device.safe_state}'"
+            for device in devices
+        ]
+        for line in lines:
+            self.show(host, line, sys.stderr)
+        self.killed[host] = "; ".join(lines)
         return exit_status.UNSAFE if devices else exit_status.FAILED
 
     async def stop_on_signal(self) -> None:

@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import os
+import signal
 import sys
+import termios
 from collections.abc import Mapping
+from contextlib import suppress
+from typing import TextIO
 
 from rich.live import Live
 
@@ -35,9 +40,11 @@ class LiveView:
         )
         self._state = TeamWatch(build_inventory(mission.name, mission.team, mission), SystemClock())
         self._tasks: list[asyncio.Task[None]] = []
+        self._echo = _TerminalEcho(sys.stderr)
 
     def start(self) -> None:
         """Start to draw, in the running loop. Lines for this terminal then go through `print`."""
+        self._echo.disable()
         self._live.start()
         follower = EventFollower(
             observer_transport(connect_timeout=INTERVAL),
@@ -71,3 +78,39 @@ class LiveView:
         # Rich draws the last picture in full, and cannot erase more lines than the terminal has.
         self._live.update("", refresh=True)
         self._live.stop()
+        self._echo.restore()
+
+
+class _TerminalEcho:
+    """The echo of keys on a terminal: `^C` and Enter would move the cursor, and a line of the table stay."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+        self._is_disabled = False
+
+    def disable(self) -> None:
+        """Disable it, unless this process is in the background: the kernel would stop it."""
+        # No controlling terminal, or none that can be set.
+        with suppress(OSError, termios.error):
+            if os.tcgetpgrp(self._stream.fileno()) == os.getpgrp():
+                self._is_disabled = self._set(is_on=False)
+
+    def restore(self) -> None:
+        """Enable it again."""
+        if self._is_disabled:
+            # The process may have been moved to the background.
+            before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGTTOU})
+            try:
+                with suppress(OSError, termios.error):
+                    self._set(is_on=True)
+            finally:
+                signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+    def _set(self, *, is_on: bool) -> bool:
+        """Returns whether it was different before."""
+        settings = termios.tcgetattr(self._stream.fileno())
+        flags = settings[3] | termios.ECHO if is_on else settings[3] & ~termios.ECHO
+        has_changed = flags != settings[3]
+        settings[3] = flags
+        termios.tcsetattr(self._stream.fileno(), termios.TCSANOW, settings)
+        return bool(has_changed)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import gc
-import os
 import signal
 import sys
 import time
@@ -29,6 +28,7 @@ from lfield.host.process.credentials import (
 )
 from lfield.host.process.mission_completion import wait_until_done
 from lfield.host.process.parent_pipe import ParentPipe
+from lfield.host.process.run_result import RunResult, failure_reason, known_hops
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
 from lfield.journal.journal import Journal
 from lfield.mission.access.signed_bundle import signing_time
@@ -67,7 +67,7 @@ async def run_host(
 
     `journal` is closed at the end; without one the host starts its coordinators after the reports of all
     hosts. `control_socket` is the address for local commands. `engine` selects the engine, overriding the
-    bindings. The hops of its coordinators are written to `result_fd`. Without `credentials` it serves local
+    bindings. Its `RunResult` is written to `result_fd`. Without `credentials` it serves local
     commands only.
 
     Raises AddressError, DevicesError and KeysError when it cannot start.
@@ -99,14 +99,9 @@ async def run_host(
         ParentPipe(sys.stdin.fileno(), host.on_host_exited, partial(signals.request, is_repeatable=False))
     status = await run_until_exit(host, signals, lost_after, _freeze_gc)
     if result_fd is not None:
-        os.write(result_fd, b"%d" % _hops(host))
+        hops = known_hops(host.mobility.known_states())
+        RunResult(hops, failure_reason(status, logbook.errors)).write(result_fd)
     return status
-
-
-def _hops(host: Host) -> int:
-    """The hops of the coordinators that run on this host or have ended here."""
-    here = {"RUN": "", "EXITED": host.name}
-    return sum(known.hops for known in host.mobility.known_states() if here.get(known.state) == known.where)
 
 
 class _Identity(NamedTuple):

@@ -49,7 +49,8 @@ def _unknown_ids(units: Sequence[tree.Unit], ids: Mapping[str, list[str]]) -> It
 def _unknown_id(span: Span, id: str, resource: str, ids: Mapping[str, list[str]]) -> Iterator[Diagnostic]:
     known = ids.get(resource, [])
     if id not in known:
-        hint = did_you_mean(id, known) or f"its agents: {listed(known)}"
+        none = f"no agent of type {resource} is deployed"
+        hint = did_you_mean(id, known) or (f"its agents: {listed(known)}" if known else none)
         yield messages.UNKNOWN_AGENT.at(span, hint=hint, id=id, type=resource)
 
 

@@ -256,8 +256,8 @@ def test_the_class_of_what_is_no_capability(run):
 
 
 def test_ours_and_a_mission_without_mistakes(run):
-    assert run("check") == (0, ["no mistakes"], [])
-    assert run("check", "mission.capabilities.yaml") == (0, ["no mistakes"], [])
+    assert run("check") == (0, ["no errors"], [])
+    assert run("check", "mission.capabilities.yaml") == (0, ["no errors"], [])
 
 
 def test_all_mistakes_of_all_files(run):
@@ -282,7 +282,7 @@ def test_warnings_are_no_mistakes(run):
     text = MISSION.replace("    id: skill.juggling\n", "    id: skill.throwing\n")
     (run.folder / "mission.capabilities.yaml").write_text(text)
     status, out, err = run("check", "mission.capabilities.yaml")
-    assert (status, out) == (0, ["no mistakes, 1 warning"])
+    assert (status, out) == (0, ["no errors, 1 warning"])
     assert "warning[C190]" in err[0]
 
 
@@ -321,7 +321,7 @@ resource Copter {
 def test_a_resource_that_only_has_the_name_of_ours_is_no_mistake(run):
     (run.folder / "own.L").write_text(OWN_COPTER)
     status, out, err = run("check", "--program", "own.L")
-    assert (status, out) == (0, ["no mistakes"])
+    assert (status, out) == (0, ["no errors"])
     assert len(err) == 1
     assert err[0].startswith("note: resource Copter of the program does not serve Move, Climb, Turn, ")
     assert err[0].endswith(" and ReadBattery, unlike the one in lfield: it lacks the portals")
@@ -369,7 +369,7 @@ def test_files_that_cannot_be_read(run):
 def test_what_the_importer_of_0_3_made_still_reads(run):
     """`capabilities import` is gone: files that it wrote are registries like any other."""
     shutil.copy(IMPORTED, run.folder / "imported.yaml")
-    assert run("check", "imported.yaml") == (0, ["no mistakes"], [])
+    assert run("check", "imported.yaml") == (0, ["no errors"], [])
     assert run("import", "mule.json")[0] == 64
 
 

@@ -80,3 +80,37 @@ def test_a_terminal_obeys_nothing_of_it(tmp_path: Path, capsys: pytest.CaptureFi
     deployment.write_text("//Arm:a\x1b[31mb@here\n")
     assert main(["check", str(deployment)]) == 65
     assert "\x1b" not in capsys.readouterr().err
+
+
+def test_hosts_with_keys_are_the_inventory_of_a_team(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("LFIELD_AUTHORITY", str(tmp_path / "authority"))
+    (tmp_path / "m.L").write_text("resource Arm { init(string[] arg) { } }\n")
+    deployment = tmp_path / "m.dL"
+    deployment.write_text("//Arm:a@alpha\n//Arm:z@zulu\n")
+    assert findings(capsys, deployment) == (0, [])
+    assert [main(["keys", "init"]), main(["keys", "host", "alpha", "bravo"])] == [0, 0]
+    capsys.readouterr()
+    status, found = findings(capsys, deployment)
+    assert (status, [each["code"] for each in found]) == (0, ["L908"])
+    assert found[0]["hint"] == "hosts with keys: alpha and bravo"
+    (tmp_path / "authority" / "authority.pem").write_text("damaged")
+    assert findings(capsys, deployment) == (0, [])
+
+
+@pytest.mark.parametrize(
+    ("line", "hint"),
+    [("//Arm:one@alpha", "its agents: one"), ("//Boss:two@alpha", "no agent of type Arm is deployed")],
+)
+def test_an_unknown_agent_is_reported_with_the_agents_of_its_type(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], line: str, hint: str
+) -> None:
+    (tmp_path / "m.L").write_text(
+        "resource Arm { init(string[] arg) { } }\n"
+        'coordinator Boss { init(string[] arg) { Arm arm = findArm("elsewhere"); arm.agent(); } }\n'
+    )
+    deployment = tmp_path / "m.dL"
+    deployment.write_text(f"{line}\n//Boss:boss@alpha\n")
+    status, found = findings(capsys, deployment)
+    assert (status, [each["code"] for each in found], found[0]["hint"]) == (0, ["L907"], hint)

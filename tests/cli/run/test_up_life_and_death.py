@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import socket
 import time
@@ -75,8 +76,11 @@ def test_a_coordinator_lost_with_a_killed_child_of_all(lfield):
     team.wait_for(r"bravo \| far receives")
     os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 1
-    assert "bravo | ended by SIGKILL" in team.err
-    assert "alpha | tom lost: it moved to bravo (transfer 1), which is gone" in team.err
+    assert "bravo | killed (SIGKILL)" in team.err
+    lost = "tom lost: it moved to bravo (transfer 1), which is gone"
+    assert f"alpha | {lost}" in team.err
+    end = re.sub(r"after \d+ s", "after N s", team.err[-1])
+    assert end == f"mission failed on bravo after N s, 1 hop; exit status 1: killed (SIGKILL); alpha: {lost}"
 
 
 PREPARED = (
@@ -158,7 +162,7 @@ def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_ot
     team.wait_for("wing: at ")
     os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 3
-    assert "bravo | ended by SIGKILL" in team.err
+    assert "bravo | killed (SIGKILL)" in team.err
     assert "bravo | wing.fc NOT SAFE: not confirmed to be in its safe state 'land'" in team.err
     assert "lead.fc: NOT SAFE" not in team.said
     # Its fake has gone with it, but what that stands for would not: the guard goes on trying.

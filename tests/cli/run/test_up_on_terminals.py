@@ -6,6 +6,7 @@ import os
 import pty
 import subprocess
 import sys
+import termios
 
 import pytest
 
@@ -73,3 +74,42 @@ def test_a_bundle_of_another_person_cannot_control_the_terminal(lfield):
     out, status = on_a_terminal(lfield, "inspect", "mission.lfm")
     assert (status, b"\x1b" in out) == (0, False)
     assert r"serial:/dev/tty\u{1b}[31mX:57600" in out.decode()
+
+
+#: Makes the terminal of stdin the controlling terminal, so that Ctrl-C there is a signal.
+CONTROLLED = (
+    "import fcntl, os, sys, termios; os.setsid(); fcntl.ioctl(0, termios.TIOCSCTTY, 0); "
+    "os.execv(sys.argv[1], sys.argv[1:])"
+)
+
+
+def echoes(terminal: int) -> bool:
+    return bool(termios.tcgetattr(terminal)[3] & termios.ECHO)
+
+
+def test_keys_do_not_move_the_cursor_of_the_live_table(lfield):
+    """The echo of Ctrl-C and Enter would leave a line of the table in the log."""
+    deployment = lfield.mission(
+        'coordinator Boss { init(string[] arg) { print("begins"); sleep(1000.0); } }', "//Boss:boss@alpha\n"
+    )
+    terminal, end = pty.openpty()
+    words = (sys.executable, "-P", "-m", "lfield", "up", "--deploy", str(deployment), "--all", "--until-done")
+    process = subprocess.Popen(
+        [sys.executable, "-c", CONTROLLED, *words],
+        **dict.fromkeys(("stdin", "stdout", "stderr"), end),
+        cwd=lfield.folder,
+        env=lfield.environment | {"TERM": "xterm"},
+    )
+    assert echoes(end)
+    out = b""
+    keys = iter([b"\r", b"\x03"])
+    while b"mission stopped" not in out:
+        out += os.read(terminal, 1 << 16)
+        if b"boss: begins" in out and (key := next(keys, None)):
+            assert not echoes(end)
+            os.write(terminal, key)
+    assert process.wait(60) == 130
+    assert b"^C" not in out
+    assert echoes(end)
+    os.close(end)
+    os.close(terminal)

@@ -1,0 +1,52 @@
+"""The last line of `lfield up --all`: mission completed, or what failed and where."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+
+from lfield import exit_status
+from lfield.host.process.run_result import RunResult
+
+#: The most hosts with reasons in the line; it must stay readable in a team of many.
+MAX_REASONS = 2
+
+
+def summary(
+    statuses: Mapping[str, int], status: int, seconds: float, results: Mapping[str, RunResult]
+) -> str:
+    """The last line of a run after `seconds`, from the exit status and the result of each host.
+
+    The order of `statuses` is that of the reasons, after their severity.
+    """
+    hops = total_hops(results)
+    end = f"after {seconds:.0f} s, {hops} hop{'s' * (hops != 1)}; exit status {status}"
+    if status == exit_status.DONE:
+        return f"mission completed {end}"
+    if status == exit_status.INTERRUPTED:
+        return f"mission stopped {end}: interrupted"
+    failed = [host for host, each in statuses.items() if each == status]
+    others = [host for host, each in statuses.items() if each not in (exit_status.DONE, status)]
+    reasons: dict[str, str] = {}
+    for host in failed + others:
+        reason = results[host].reason
+        if reason and reason not in reasons.values():
+            reasons[host] = reason
+    if not reasons:
+        where = f" on {', '.join(failed)}" if failed else ""
+        meaning = exit_status.MEANINGS.get(status, "a host was killed").partition(";")[0]
+        return f"mission failed{where} {end}: {meaning.removeprefix('the mission failed: ')}"
+    (first, reason), *rest = reasons.items()
+    parts = [reason, *(f"{host}: {text}" for host, text in rest[: MAX_REASONS - 1])]
+    if len(rest) >= MAX_REASONS:
+        parts.append(f"failures on {len(rest) - MAX_REASONS + 1} more hosts")
+    return f"mission failed on {first} {end}: {'; '.join(parts)}"
+
+
+def total_hops(results: Mapping[str, RunResult]) -> int:
+    """The hops of coordinators: the most that a host knows of each start, as a killed one reports none."""
+    most: dict[str, int] = defaultdict(int)
+    for result in results.values():
+        for start, hops in result.hops.items():
+            most[start] = max(most[start], hops)
+    return sum(most.values())
