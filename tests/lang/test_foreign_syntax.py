@@ -1,7 +1,8 @@
 """Syntax of Python, C++, Java and ROS: each gets an error with a hint that says what L has instead.
 
 `cases.txt` holds the snippets, `findings.txt` what is reported for each: place, code, sentence and hint.
-`python tests/lang/test_foreign_syntax.py` rewrites the latter.
+`python tests/lang/test_foreign_syntax.py` rewrites the latter. `suggestions.txt` holds each hint that shows
+L, with its L in backticks and snippets that follow it: they compile.
 """
 
 from __future__ import annotations
@@ -31,9 +32,15 @@ resource R {{
     }}
 }}
 coordinator C {{
-    init(string[] arg) {{ }}
+    R arm;
+    init(string[] arg) {{
+        arm = findR("r");
+        {coordinator}
+    }}
 }}
 """
+#: How deep the parts of the program are indented.
+DEPTHS = {"unit": 0, "member": 4, "statement": 8, "coordinator": 8}
 
 
 def blocks(name: str) -> list[str]:
@@ -46,9 +53,10 @@ def cases() -> list[str]:
 
 
 def findings(case: str) -> list[Diagnostic]:
-    kind, _, text = case.replace("\n    ", "\n").partition(": ")
-    parts = {"unit": "", "member": "", "statement": "n = 1;"} | {kind: text}
-    return check_text(PROGRAM.format(**parts)).diagnostics
+    kind, _, text = case.partition(": ")
+    text = text.replace("\n    ", "\n" + " " * DEPTHS[kind])
+    parts = {"unit": "", "member": "", "statement": "n = 1;", "coordinator": ""} | {kind: text}
+    return check_text(PROGRAM.format(**parts), str(FOLDER / "program.L")).diagnostics
 
 
 def described(case: str) -> str:
@@ -71,6 +79,43 @@ def test_the_findings_are_those_of_the_golden_file(case: str) -> None:
 def test_the_first_finding_is_an_error_with_a_hint(case: str) -> None:
     first = findings(case)[0]
     assert (first.severity, bool(first.hint)) == ("error", True)
+
+
+def suggestions() -> dict[str, list[str]]:
+    """The snippets that follow each hint. A hint has its L in backticks."""
+    found = [block.split("\n    ") for block in blocks("suggestions.txt")]
+    return {hint: snippets for hint, *snippets in found}
+
+
+def pattern(code: str) -> re.Pattern[str]:
+    """What matches L that is written as a hint shows it: names that stand for others, and `...`, are free."""
+    placeholders = r"\b(?:Name|name|object|array|x|y|T|t|seconds|reason|value|from|to)\b|\.\.\.|\?"
+    free = {"...": ".*", "?": r"\S+"}
+    parts, at = [], 0
+    for place in re.finditer(placeholders, code):
+        parts += [re.escape(code[at : place.start()]), free.get(place.group(), r"[\w. ]+")]
+        at = place.end()
+    return re.compile("".join([*parts, re.escape(code[at:])]))
+
+
+def test_every_hint_that_shows_l_has_a_snippet_that_follows_it() -> None:
+    shown = {
+        found.hint for case in cases() for found in findings(case) if re.search(r"[][(){}=|<]|&&", found.hint)
+    }
+    assert sorted(shown - {hint.replace("`", "") for hint in suggestions()}) == []
+
+
+def test_every_suggestion_is_a_hint_of_a_case() -> None:
+    hints = {found.hint for case in cases() for found in findings(case)}
+    assert sorted({hint.replace("`", "") for hint in suggestions()} - hints) == []
+
+
+@pytest.mark.parametrize("hint", suggestions())
+def test_the_l_that_a_hint_suggests_compiles(hint: str) -> None:
+    snippets = suggestions()[hint]
+    text = "\n".join(snippets)
+    assert [code for code in re.findall("`(.*?)`", hint) if not pattern(code).search(text)] == []
+    assert [(snippet, found.message) for snippet in snippets for found in findings(snippet)] == []
 
 
 if __name__ == "__main__":

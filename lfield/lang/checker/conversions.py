@@ -143,13 +143,20 @@ def of_methods(methods: Sequence[Method]) -> list[OverloadCandidate[Method]]:
 
 
 def choose_overload(
-    symbols: Symbols, span: Span, candidates: Sequence[OverloadCandidate[Chosen]], given: Sequence[Expr]
+    symbols: Symbols,
+    span: Span,
+    candidates: Sequence[OverloadCandidate[Chosen]],
+    given: Sequence[Expr],
+    hint: str | None = None,
 ) -> tuple[Chosen, list[Expr]] | None:
-    """The best candidate and the converted arguments; None when there is none or an argument is in error."""
+    """The best candidate and the converted arguments; None when there is none or an argument is in error.
+
+    `hint` replaces the list of the candidates.
+    """
     costs = [(c.cost(given), c) for c in candidates]
     fitting = [(price, c) for price, c in costs if price is not None]
     if not fitting:
-        _report_mismatch(symbols, span, candidates, given)
+        _report_mismatch(symbols, span, candidates, given, hint)
         return None
     least = min(price for price, _ in fitting)
     best = [c for price, c in fitting if price == least]
@@ -170,12 +177,21 @@ def choose_overload(
 
 
 def _report_mismatch(
-    symbols: Symbols, span: Span, candidates: Sequence[OverloadCandidate[Chosen]], given: Sequence[Expr]
+    symbols: Symbols,
+    span: Span,
+    candidates: Sequence[OverloadCandidate[Chosen]],
+    given: Sequence[Expr],
+    hint: str | None,
 ) -> None:
     if len(candidates) > 1:
         everything = listed(map(str, candidates))
         symbols.report(
-            messages.NO_OVERLOAD, span, name=candidates[0].name, given=_types(given), candidates=everything
+            messages.NO_OVERLOAD,
+            span,
+            hint=hint,
+            name=candidates[0].name,
+            given=_types(given),
+            candidates=everything,
         )
         return
     only = candidates[0]

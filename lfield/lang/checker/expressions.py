@@ -8,6 +8,7 @@ from lfield.lang.checker.conversions import require_type, unknown, with_article
 from lfield.lang.checker.declaration_pass import first_instruction
 from lfield.lang.checker.scope import BodyContext
 from lfield.lang.checker.visibility import visible_type
+from lfield.lang.parser.foreign_words import FOREIGN_NAMES
 from lfield.lang.tree_traversal import left_spine, leftmost_operand
 from lfield.lang.types import (
     BOOLEAN,
@@ -22,6 +23,7 @@ from lfield.lang.types import (
     Type,
 )
 
+_NAMED_ARGUMENT = "arguments have no names: write the value alone; == compares"
 _LITERALS: dict[type, Type] = {bool: BOOLEAN, int: INT, float: REAL, str: STRING}
 
 
@@ -159,12 +161,29 @@ def _called(raw: syntax.Expr) -> str:
 
 
 def _call(body: BodyContext, raw: syntax.Call) -> tree.Expr:
-    given = [value(body, argument) for argument in raw.arguments]
-    if isinstance(raw.function, syntax.Name):
-        return call_resolution.check_bare_call(body, raw, raw.function, given)
-    return call_resolution.check_member_call(
-        body, raw, raw.function, evaluated(body, raw.function.object), given
-    )
+    function = raw.function
+    if isinstance(function, syntax.Name):
+        given = _arguments(body, raw)
+        return (
+            unknown(raw.span)
+            if given is None
+            else call_resolution.check_bare_call(body, raw, function, given)
+        )
+    owner = evaluated(body, function.object)
+    if owner.type is UNKNOWN and function.object.span.text in FOREIGN_NAMES:
+        return unknown(raw.span)  # `rclpy.spin(node)`: the arguments are foreign too.
+    given = _arguments(body, raw)
+    if given is None:
+        return unknown(raw.span)
+    return call_resolution.check_member_call(body, raw, function, owner, given)
+
+
+def _arguments(body: BodyContext, raw: syntax.Call) -> list[tree.Expr] | None:
+    """The values of the arguments; None if one has a name, as in `f(n=1)`, which is reported."""
+    if named := [argument for argument in raw.arguments if isinstance(argument, syntax.Assign)]:
+        body.report(messages.ASSIGNMENT_HERE, named[0].sign, hint=_NAMED_ARGUMENT)
+        return None
+    return [value(body, argument) for argument in raw.arguments]
 
 
 def _index(body: BodyContext, raw: syntax.Index) -> tree.Expr:

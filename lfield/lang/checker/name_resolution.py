@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from lfield.lang import messages, syntax, tree
 from lfield.lang.checker.conversions import unknown, with_article
 from lfield.lang.checker.scope import BodyContext
@@ -10,6 +12,9 @@ from lfield.lang.language_library import EXCEPTION_METHODS, PROXY_METHODS, STRIN
 from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
 from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
 from lfield.text.suggestions import did_you_mean, listed
+
+#: A member behind a name, as in `math.sqrt`.
+_MEMBER = re.compile(r"\s*\.\s*(\w+)")
 
 
 def check_variable(body: BodyContext, raw: syntax.Name) -> tree.Expr:
@@ -31,7 +36,7 @@ def _unknown_variable(body: BodyContext, raw: syntax.Name) -> None:
     elif name in body.symbols.units:
         _type_as_value(body, raw, body.symbols.units[name])
     elif not (body.scope.is_uncertain() or body.is_broken()):
-        body.report(messages.UNKNOWN_NAME, raw.span, hint=_variable_hint(body, name), name=name)
+        body.report(messages.UNKNOWN_NAME, raw.span, hint=_variable_hint(body, raw), name=name)
 
 
 def _type_as_value(body: BodyContext, raw: syntax.Name, unit: tree.Unit) -> None:
@@ -44,8 +49,10 @@ def _type_as_value(body: BodyContext, raw: syntax.Name, unit: tree.Unit) -> None
     body.report(messages.TYPE_AS_VALUE, raw.span, name=unit.name, instead=instead)
 
 
-def _variable_hint(body: BodyContext, name: str) -> str | None:
-    if foreign := variable_hint(name) or FOREIGN_STATEMENTS.get(name):
+def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
+    name = raw.name
+    member = _MEMBER.match(raw.span.source.text, raw.span.end)
+    if foreign := variable_hint(name, member[1] if member else "") or FOREIGN_STATEMENTS.get(name):
         return foreign
     known = [*body.scope.names(), *(f.name for f in body.unit.fields), "true", "false", "null"]
     return did_you_mean(name, known)

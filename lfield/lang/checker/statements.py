@@ -214,9 +214,9 @@ def _return(body: BodyContext, raw: syntax.Return) -> tree.Stmt:
             body.report(messages.RETURN_SOMETHING, raw.span, method=name, expected=with_article(expected))
         return tree.Return(raw.span, None)
     if expected == VOID:
-        evaluated(body, raw.value)
-        hint = _NO_RESULT_HINTS.get(method.kind)
-        body.report(messages.RETURN_NOTHING, raw.value.span, hint=hint, method=name)
+        if evaluated(body, raw.value).type is not UNKNOWN:
+            hint = _NO_RESULT_HINTS.get(method.kind)
+            body.report(messages.RETURN_NOTHING, raw.value.span, hint=hint, method=name)
         return tree.Return(raw.span, None)
     given = require_type(
         body.symbols, value(body, raw.value), expected, messages.RETURN_MISMATCH, method=name

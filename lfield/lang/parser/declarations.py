@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from lfield.lang import messages
 from lfield.lang.parser.expressions import expression
+from lfield.lang.parser.foreign_syntax import at_walrus, walrus
 from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS, FOREIGN_STATEMENTS, METHOD_ENDS, METHOD_WORDS
+from lfield.lang.parser.local_variables import initial_value
+from lfield.lang.parser.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.statements import block
 from lfield.lang.parser.token_stream import (
     PRIMITIVES,
@@ -127,12 +130,9 @@ def _modifiers(s: TokenStream) -> _Modifiers:
             s.advance()
             found.portal = True
         elif s.at_name() and s.at(*FOREIGN_MODIFIERS) and s.ahead(1).text not in ("(", "=", ";"):
-            s.report(
-                messages.FOREIGN_KEYWORD,
-                s.advance().span,
-                keyword=keyword,
-                instead=FOREIGN_MODIFIERS[keyword],
-            )
+            span = s.advance().span
+            if not found.foreign and s.current.text not in METHOD_WORDS:  # One report is enough.
+                s.report(messages.FOREIGN_KEYWORD, span, keyword=keyword, instead=FOREIGN_MODIFIERS[keyword])
             found.foreign = True
         else:
             break
@@ -145,6 +145,8 @@ def _respelt(s: TokenStream) -> str | None:
     if not (
         s.at_name() and s.ahead(1).text.isidentifier() and (following.isidentifier() or following == "(")
     ):
+        return None
+    if s.at(*_NESTED_UNITS, *METHOD_WORDS):
         return None
     # A capital letter begins the name of a type: `Report observe()` is not a misspelt portal.
     close = closest(s.current.text, (*_MODIFIERS, "portal")) if s.current.text[0].islower() else None
@@ -189,6 +191,8 @@ def _foreign_member(s: TokenStream) -> None:
         )
     if not s.at_name():
         return
+    if s.at("pass") and (following.text in (";", "}") or following.span.line > s.current.span.line):
+        raise s.fail(messages.FOREIGN_KEYWORD, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword])
     if following.text == ":" and s.ahead(2).text.isidentifier():
         hint = f"the type comes first: {s.ahead(2).text} {keyword};"
         raise s.fail(messages.EXPECTED_MEMBER, hint=hint, found=s.current)
@@ -216,8 +220,9 @@ def _field(s: TokenStream, made: Unit, modifiers: _Modifiers, declared: TypeName
     misplaced_brackets(s, declared, name.text)
     field = Field(declared, name.text, modifiers.public, None, name.span)
     made.fields.append(field)
-    if s.accept("="):
-        field.value = expression(s)
+    field.value = initial_value(s, declared)
+    if at_walrus(s):
+        raise walrus(s)
     if s.at(","):
         raise s.fail(messages.ONE_VARIABLE)
     s.semicolon()
@@ -240,6 +245,10 @@ def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
 def _misplaced_result(s: TokenStream) -> TypeName | None:
     """Report the type before the name of a portal, as in `portal real p()`; the type, or None without one."""
     first = s.current
+    if s.at("async", *METHOD_WORDS) and s.ahead(1).kind is TokenKind.NAME:
+        token = s.advance()
+        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead="leave it out")
+        return None
     is_type = s.at_name() and (s.ahead(1).kind is TokenKind.NAME or s.ahead(1).text in _AFTER_TYPE)
     if not is_type and not s.at("emit", "void", *PRIMITIVES):
         return None
@@ -260,6 +269,10 @@ def _misplaced_result(s: TokenStream) -> TypeName | None:
 def _foreign_ending(s: TokenStream, method: Method) -> None:
     """`-> real`, `: real`, `throws X`, `const` behind the parameters: reported, and skipped."""
     token = s.current
+    if s.at(":") and s.ahead(1).span.line > token.span.line:
+        report_colon(s)
+        skip_python_block(s, token.span)
+        raise SyntaxRecovery
     if s.at("->", ":") or (s.at_name() and s.at("returns")):
         s.advance()
         result = result_type(s) if s.at_name() or s.at("void", *PRIMITIVES) else None
@@ -327,6 +340,9 @@ def _parameters(s: TokenStream) -> list[ParameterDecl]:
 
 def _parameter(s: TokenStream) -> ParameterDecl:
     parameter_modifier(s)
+    if s.at("self") and s.ahead(1).text in (",", ")"):
+        instead = "leave it out: in every method, this is the object"
+        raise s.fail(messages.FOREIGN_KEYWORD, keyword="self", instead=instead)
     if s.at_name() and s.ahead(1).text == ":":
         order = f"the type comes first: {s.ahead(2).text} {s.current.text}"
         raise s.fail(messages.EXPECTED_NAME, hint=order, what="a type", found=s.current)

@@ -7,15 +7,19 @@ import math
 from lfield.lang import messages
 from lfield.lang.parser.foreign_syntax import (
     at_cast,
+    at_walrus,
     at_word_operator,
     at_word_prefix,
     cast,
+    foreign_init,
+    lacks_operator,
     std_member,
-    touches,
+    walrus,
     word_operator,
     word_prefix,
 )
-from lfield.lang.parser.foreign_words import FOREIGN_SYMBOLS, WORD_OPERATORS
+from lfield.lang.parser.foreign_words import FOREIGN_NAMES, FOREIGN_SYMBOLS, JOIN, WORD_OPERATORS
+from lfield.lang.parser.python_blocks import bare_condition_hint, skip_bare_condition
 from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
 from lfield.lang.parser.type_names import brackets, element_name
 from lfield.lang.scanner import FOREIGN_OPERATORS, Token, TokenKind
@@ -64,8 +68,8 @@ INSTEAD = {
     "&": "write && for a condition; L has no bit operators",
     "|": "write || for a condition; L has no bit operators",
     "=>": "did you mean >= ?",
-    "->": "members are reached with a point: object.name",
-    "::": "members are reached with a point: object.name",
+    "->": "members are reached with a dot: object.name",
+    "::": "members are reached with a dot: object.name",
 }
 #: `=`, and what calculates with the old value.
 ASSIGNMENTS = ("=", "+=", "-=", "*=", "/=", "%=")
@@ -84,9 +88,8 @@ def expression(s: TokenStream) -> Expr:
             return _ternary(s, left)
         if s.at("::"):
             raise std_member(s)
-        if s.at(":") and s.ahead(1).text == "=" and touches(s, 1):
-            s.report(messages.FOREIGN_OPERATOR, s.current.span, operator=":=", instead="write =")
-            raise SyntaxRecovery
+        if at_walrus(s):
+            raise walrus(s)
         if s.at(*FOREIGN_OPERATORS):
             return _foreign(s, left)
         return left
@@ -111,14 +114,18 @@ def _elements(s: TokenStream, start: Span, made: TypeName | None) -> Expr:
     return s.bounded(Elements(start.to(s.previous.span), height, made, found))
 
 
-def parenthesised(s: TokenStream, hint: str = "a condition is in parentheses") -> Expr:
+def parenthesised(s: TokenStream, hint: str | None = None) -> Expr:
     """`(condition)`. A mistake inside is skipped, so that the statement after it is still read."""
     opening = s.current
+    if not s.at("("):
+        hint = hint or bare_condition_hint(s)
+        s.report(messages.EXPECTED_SYMBOL, opening.span, hint=hint, what="'('", found=opening)
+        skip_bare_condition(s)
+        return Bad(opening.span, 1)
     found: list[Expr] = []
 
     def parse() -> None:
-        if not s.accept("("):
-            raise s.fail(messages.EXPECTED_SYMBOL, hint=hint, what="'('", found=s.current)
+        s.advance()
         found.append(expression(s))
         s.close(")", opening)
 
@@ -135,6 +142,8 @@ def arguments(s: TokenStream) -> list[Expr]:
         found.append(expression(s))
         while s.accept(","):
             found.append(expression(s))
+    if lacks_operator(s):
+        raise s.fail(messages.EXPECTED_SYMBOL, hint=JOIN, what="')'", found=s.current)
     s.close(")", opening)
     return found
 
@@ -166,7 +175,8 @@ def _word_binary(s: TokenStream, left: Expr, strength: int) -> Expr:
     """`a and b`: reported, and read as `a && b`."""
     place, operator = word_operator(s)
     with s.nested():
-        right = _binary(s, strength + 1)
+        is_none = operator in ("==", "!=") and s.at("None")
+        right = Literal_(s.advance().span, 1, None) if is_none else _binary(s, strength + 1)
     height = max(left.height, 1 + right.height)
     span = left.span.to(right.span)
     if not operator:
@@ -202,6 +212,8 @@ def _postfix(s: TokenStream) -> Expr:
     while True:
         if s.at("."):
             s.advance()
+            if s.at("init") and isinstance(found, Name) and found.name in FOREIGN_NAMES:
+                raise foreign_init(s, found.name)
             name = s.expect_name("the name of a member")
             found = Member(found.span.to(name.span), found.height, found, name.text, name.span)
         elif s.at("("):
@@ -328,12 +340,12 @@ def _ternary(s: TokenStream, condition: Expr) -> Expr:
 def _foreign(s: TokenStream, left: Expr) -> Expr:
     """An operator that L does not have: reported, and skipped with its right side."""
     sign = s.advance()
-    target = left.span.text if isinstance(left, Name) else "x"
+    target = left.span.text if isinstance(left, Name | Member | Index) else s.current.text
     instead = INSTEAD.get(sign.text, "L has no bit operators")
     if sign.text in ("++", "--"):
-        instead = f"write {target} {sign.text[0]}= 1;"
+        instead = f"write {target} {sign.text[0]}= 1"
     if sign.text == "<<" and target in ("cout", "cerr"):
-        s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead="write print(text)")
+        s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead="write print(...)")
         raise SyntaxRecovery
     s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead=instead)
     if sign.text not in ("++", "--") or isinstance(left, Bad):

@@ -11,12 +11,16 @@ from lfield.lang import messages
 from lfield.lang.parser.foreign_words import (
     CONTAINERS,
     FOREIGN_STATEMENTS,
+    FOREIGN_SYMBOLS,
     FOREIGN_TYPE_HINTS,
+    JOIN,
+    METHOD_WORDS,
     NO_GENERICS,
-    STD_MEMBERS,
     WORD_OPERATORS,
     WORD_PREFIXES,
+    qualified_hint,
 )
+from lfield.lang.parser.python_blocks import skip_python_block
 from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import Token, TokenKind
 from lfield.lang.syntax import BAD_TYPE, BadStmt, Stmt, TypeName
@@ -24,15 +28,16 @@ from lfield.text.source_text import Span
 
 _LITERALS = (TokenKind.NAME, TokenKind.INT, TokenKind.REAL, TokenKind.STRING)
 _VALUE_WORDS = ("this", "true", "false", "null", "new")
-_SIZES = ("unsigned", "signed", "long", "short")
+SIZES = ("unsigned", "signed", "long", "short")
 _POINTERS = ("*", "&", "?")
 _CASTS = ("static_cast", "reinterpret_cast", "dynamic_cast", "const_cast")
 _CONVERSIONS = "L converts with functions: i2f, f2i, i2s, f2s, b2s, s2i, s2f"
-_JOIN = 'join text with +, as in "n is " + i2s(n)'
 _MOVE_METHOD = "methods belong directly into a resource, a coordinator or a class: move it there"
-_EACH = "write for (T x : array) { ... }"
-#: `// 2;` behind an operand: a division of Python, not a comment.
-_FLOOR_DIVISION = re.compile(r"\s*//\s*[\w.()]+\s*[;)]")
+_RANGE = "write for (int i = 0; i < {bound}; i += 1) {{ ... }}"
+_EACH = "write the type of the elements: for ({type} {name} : {array}) {{ ... }}"
+_EACH_TYPES = ("auto", "var", "let", "const")
+#: `// 2` or `//=` behind an operand: a division of Python, not a comment.
+_FLOOR_DIVISION = re.compile(r"\s*//(?:=|\s*[\d.]|\s*[\w.()]+\s*[;)])")
 
 
 def is_operand_start(token: Token) -> bool:
@@ -61,7 +66,8 @@ def at_word_operator(s: TokenStream) -> bool:
 def word_operator(s: TokenStream) -> tuple[Span, str]:
     """Report the operator here and skip it; its place and the operator of L, "" for none."""
     start, keyword = s.current.span, s.current.text
-    operator, instead = WORD_OPERATORS.get(keyword, ("", "write pow(x, y)"))
+    power = "write x * x for an int, or pow(x, y), which returns a real"
+    operator, instead = WORD_OPERATORS.get(keyword, ("", power))
     s.advance()
     if keyword == "*" or s.at("in") or (keyword == "is" and s.at("not")):
         keyword = "**" if keyword == "*" else f"{keyword} {s.current.text}"
@@ -69,6 +75,8 @@ def word_operator(s: TokenStream) -> tuple[Span, str]:
             operator, instead = "!=", "write !="
         s.advance()
     place = start.to(s.previous.span)
+    if operator in ("==", "!=") and s.at("None"):
+        instead += " null"
     s.report(messages.FOREIGN_OPERATOR, place, operator=keyword, instead=instead)
     return place, operator
 
@@ -80,7 +88,8 @@ def at_word_prefix(s: TokenStream) -> bool:
     if s.ahead(1).kind is TokenKind.STRING and touches(s, 1):
         return True
     following = s.ahead(1)
-    is_prefix = s.current.text in WORD_PREFIXES and is_operand_start(following)
+    is_lambda = s.at("lambda") and following.text == ":"
+    is_prefix = is_lambda or (s.current.text in WORD_PREFIXES and is_operand_start(following))
     return is_prefix and following.text not in s.end_words
 
 
@@ -88,7 +97,7 @@ def word_prefix(s: TokenStream) -> Token:
     """Report the word here and skip it, or raise SyntaxRecovery."""
     token = s.advance()
     if s.current.kind is TokenKind.STRING and token.text not in WORD_PREFIXES:
-        instead = _JOIN if token.text in ("f", "F", "fr", "rf") else f"leave the {token.text} out"
+        instead = JOIN if token.text in ("f", "F", "fr", "rf") else f"leave the {token.text} out"
         s.report(messages.FOREIGN_KEYWORD, token.span, keyword=f'{token.text}"..."', instead=instead)
         return token
     s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=WORD_PREFIXES[token.text])
@@ -99,10 +108,34 @@ def word_prefix(s: TokenStream) -> Token:
 
 def std_member(s: TokenStream) -> SyntaxRecovery:
     """Report `std::cout` and other names with `::` in an expression; raise what this returns."""
-    member = s.ahead(1).text
-    instead = STD_MEMBERS.get(member, "members are reached with a point: object.name")
-    s.report(messages.FOREIGN_OPERATOR, s.current.span, operator="::", instead=instead)
+    sign, names = s.current.span, [s.previous.text]
+    while s.at("::") and s.ahead(1).text.isidentifier():
+        s.advance()
+        names.append(s.advance().text)
+    s.report(messages.FOREIGN_OPERATOR, sign, operator="::", instead=qualified_hint(names))
     return SyntaxRecovery()
+
+
+def foreign_init(s: TokenStream, module: str) -> SyntaxRecovery:
+    """Report `rclpy.init()`; raise what this returns."""
+    keyword = f"{module}.init"
+    return s.fail(messages.FOREIGN_KEYWORD, keyword=keyword, instead=qualified_hint([module, "init"]))
+
+
+def at_walrus(s: TokenStream) -> bool:
+    """Whether the tokens are `:=`."""
+    return s.at(":") and s.ahead(1).text == "=" and touches(s, 1)
+
+
+def walrus(s: TokenStream) -> SyntaxRecovery:
+    """Report `:=`; raise what this returns."""
+    return s.fail(messages.FOREIGN_OPERATOR, operator=":=", instead="write =")
+
+
+def lacks_operator(s: TokenStream) -> bool:
+    """Whether a string and another operand have no operator between them, as in `"a" n`."""
+    is_operand = is_operand_start(s.current) and not s.first_on_line()
+    return is_operand and TokenKind.STRING in (s.previous.kind, s.current.kind) and s.previous.text != "("
 
 
 def semicolon_hint(s: TokenStream) -> str | None:
@@ -112,10 +145,23 @@ def semicolon_hint(s: TokenStream) -> str | None:
         return "one statement assigns one variable: write a statement for each"
     if previous.kind is here.kind is TokenKind.STRING and previous.span.end == here.span.start:
         return 'a string is in double quotes on one line; a line break in it is written \\n: "a\\nb"'
-    line = previous.span.source.line_text(previous.span.line)
-    if _FLOOR_DIVISION.match(line, previous.span.column - 1 + previous.span.end - previous.span.start):
+    if lacks_operator(s):
+        return JOIN
+    if s.at(":") and not s.first_on_line():
+        name, type = s.previous.text, s.ahead(1).text
+        is_typed = previous.kind is TokenKind.NAME and (type in PRIMITIVES or type.isidentifier())
+        is_typed = is_typed and s.ahead(1).span.line == here.span.line
+        return f"the type comes first: {type} {name};" if is_typed else FOREIGN_SYMBOLS[":"]
+    if at_floor_division(s):
         return "// begins a comment; / divides whole numbers if both sides are int"
     return None
+
+
+def at_floor_division(s: TokenStream) -> bool:
+    """Whether `// 2;` or `//= 2;` follows the previous token: read as a comment, meant as a division."""
+    place = s.previous.span
+    line = place.source.line_text(place.line)
+    return _FLOOR_DIVISION.match(line, place.column - 1 + place.end - place.start) is not None
 
 
 # --- types ----------------------------------------------------------------------------------------------
@@ -171,19 +217,18 @@ def cast(s: TokenStream) -> SyntaxRecovery:
 
 def qualified(s: TokenStream, named: TypeName) -> None:
     """Report the `unsigned`, `::` and `<...>` around the name of a type, and skip them."""
-    if named.name in _SIZES and s.at(*PRIMITIVES, *_SIZES):
+    if named.name in SIZES and s.at(*PRIMITIVES, *SIZES):
         s.report(messages.FOREIGN_KEYWORD, named.span, keyword=named.name, instead="in L it is called int")
-        while s.at(*PRIMITIVES, *_SIZES):
+        while s.at(*PRIMITIVES, *SIZES):
             s.advance()
         named.name = BAD_TYPE
     elif s.at("::"):
-        sign, instead = s.current.span, "write the name of the type alone"
+        sign, names = s.current.span, [named.name]
         while s.accept("::") and (s.at_name() or s.at(*PRIMITIVES)):
-            last = s.advance().text
-            instead = STD_MEMBERS.get(last, instead)
-        s.report(messages.FOREIGN_OPERATOR, sign, operator="::", instead=instead)
+            names.append(s.advance().text)
+            _skip_arguments(s)
+        s.report(messages.FOREIGN_OPERATOR, sign, operator="::", instead=qualified_hint(names))
         named.name = BAD_TYPE
-        _skip_arguments(s)
     elif s.at("<") and _arguments_end(s, 0):
         instead = CONTAINERS.get(named.name, NO_GENERICS)
         _skip_arguments(s)
@@ -222,6 +267,8 @@ def sized_name(s: TokenStream, declared: TypeName, name: str) -> None:
 
 def local_method(s: TokenStream, declared: TypeName, name: str) -> SyntaxRecovery:
     """Report `int f() { ... }` or `Foo f(1);` inside a method; raise what this returns."""
+    if declared.name == BAD_TYPE and declared.span.text != "void":
+        return SyntaxRecovery()  # The type is reported.
     is_class = declared.name not in (*PRIMITIVES, "void", BAD_TYPE) and not declared.dimensions
     instead = f"write {declared} {name} = new {declared}(...);" if is_class else _MOVE_METHOD
     text = f"{declared.span.text} {name}(...)"
@@ -234,27 +281,50 @@ def local_method(s: TokenStream, declared: TypeName, name: str) -> SyntaxRecover
 # --- statements -----------------------------------------------------------------------------------------
 
 
-def at_foreign_each(s: TokenStream) -> bool:
-    """Whether `i in ...` or `(i in ...` follows the `for`."""
+def _each_name(s: TokenStream) -> int:
+    """How far ahead the variable of `for (const auto& x : array)` or `for x in array` is."""
     at = 1 if s.at("(") else 0
-    return s.ahead(at).kind is TokenKind.NAME and s.ahead(at + 1).text in ("in", "of", ",")
+    while s.ahead(at).text in _EACH_TYPES and s.ahead(at + 1).text not in ("in", "of", ":", "="):
+        at += 1
+        while s.ahead(at).text in _POINTERS:
+            at += 1
+    return at
+
+
+def at_foreign_each(s: TokenStream) -> bool:
+    """Whether `x in ...`, `(x in ...`, `(x : ...` or `(auto x : ...` follows the `for`."""
+    at = _each_name(s)
+    return s.ahead(at).kind is TokenKind.NAME and s.ahead(at + 1).text in ("in", "of", ",", ":")
 
 
 def foreign_each(s: TokenStream) -> None:
-    """Report the head of a `for` of Python, and skip it."""
-    at = 1 if s.at("(") else 0
-    while s.ahead(at).text not in ("in", "of", "{", ";", ")") and s.ahead(at).kind is not TokenKind.END:
+    """Report the head of a `for` of Python or C++, and skip it."""
+    first = s.ahead(1 if s.at("(") else 0)
+    at = _each_name(s)
+    name = s.ahead(at)
+    while s.ahead(at).text not in ("in", "of", ":", "{", ";", ")") and s.ahead(at).kind is not TokenKind.END:
         at += 1
-    token, instead = s.ahead(at), _EACH
-    if s.ahead(at + 1).text == "range":
-        bound = s.ahead(at + 3).text if s.ahead(at + 4).text == ")" else "n"
-        instead = f"write for (int i = 0; i < {bound}; i += 1) {{ ... }}"
-    s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=instead)
+    sign, array = s.ahead(at), s.ahead(at + 1)
+    if array.text in ("range", "enumerate", "len") or s.ahead(at + 2).text == "(":
+        bound = s.ahead(at + 3).text if s.ahead(at + 4).text == ")" and array.text == "range" else "n"
+        instead = _RANGE.format(bound=bound)
+    else:
+        instead = each_hint(name.text, array.text if array.kind is TokenKind.NAME else "array")
+    if first is not name and first.text in _EACH_TYPES:
+        s.report(messages.FOREIGN_KEYWORD, first.span, keyword=first.text, instead=instead)
+    elif sign.text == ":":
+        s.report(messages.EXPECTED_SYMBOL, sign.span, hint=instead, what="';'", found=sign)
+    else:
+        s.report(messages.FOREIGN_KEYWORD, sign.span, keyword=sign.text, instead=instead)
     if s.accept("("):
         s.skip_parentheses(1)
     while not (s.at_end() or s.at("{", "}", ";", ":") or s.first_on_line()):
         s.advance()
-    s.accept(":")
+
+
+def each_hint(name: str = "x", array: str = "array", type: str = "int") -> str:
+    """The loop of L over an array."""
+    return _EACH.format(type=type, name=name, array=array)
 
 
 def at_except(s: TokenStream) -> bool:
@@ -268,7 +338,6 @@ def skip_except(s: TokenStream) -> None:
     s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead=FOREIGN_STATEMENTS[token.text])
     while not (s.at_end() or s.at("{", "}", ";", ":")):
         s.advance()
-    s.accept(":")
 
 
 def block_ahead(s: TokenStream) -> int:
@@ -291,19 +360,33 @@ def at_foreign_statement(s: TokenStream) -> bool:
     following = s.ahead(1)
     if following.text in ("(", "{"):
         return block_ahead(s) > 0
+    if following.text == ":":
+        return s.ahead(2).text != "="
+    if s.at("pass"):
+        ends_line = following.span.line > s.current.span.line and following.kind is not TokenKind.SYMBOL
+        return following.text in (";", "}") or ends_line
     return following.kind is TokenKind.KEYWORD or following.text == "!" or is_operand_start(following)
 
 
 def foreign_statement(s: TokenStream, keyword: str) -> Stmt:
     """A statement of another language: reported; its block, if it has one, is skipped."""
-    span = s.current.span
-    s.report(messages.FOREIGN_KEYWORD, span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword])
-    while not s.at_end() and not s.at(";", "{", "}"):
+    head = s.current.span
+    if s.ahead(1).text in METHOD_WORDS:
+        keyword = s.ahead(1).text
+    s.report(messages.FOREIGN_KEYWORD, head, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword])
+    if keyword == "pass":
         s.advance()
-    if s.at("{"):
+        s.accept(";")
+        return BadStmt(head)
+    depth = 0
+    while not s.at_end() and not s.at(";", "{", "}") and not (s.at(":") and depth == 0):
+        depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(s.advance().text, 0)
+    if s.at(":"):
+        skip_python_block(s, head)
+    elif s.at("{"):
         s.skip_braces()
         if keyword == "do" and s.at("while"):
             s.skip_statement()
     else:
         s.accept(";")
-    return BadStmt(span)
+    return BadStmt(head)

@@ -5,18 +5,25 @@ All of them are valid names in L, so they are checked only after an error.
 
 from __future__ import annotations
 
+from lfield.lang.language_library import FUNCTIONS
+
 _ONE_TYPE = "write the type: int x = 1;"
 _NO_LIST = "the length of an array is fixed: write int[] and make a longer array to add elements"
 _NO_MAP = "L has no maps: store keys and values in two arrays, or in an array of objects of a class"
-_NO_MODULES = "L has no modules: call library functions by their name alone, as in sleep(1.0) or print(text)"
-_TOGETHER = "write together { ... } around the portal calls that are to run at the same time"
+_NO_MODULES = "L has no modules: call library functions by their name alone, as in sleep(1.0) or print(...)"
+_TOGETHER = "write together { ... } around the portal calls that should run at the same time"
 _METHOD = "write private void name(...) { ... } inside a resource, a coordinator or a class"
-_PRINT = "write print(text)"
+_PRINT = "write print(...)"
 _IF = "write if (...) ... else if (...) ... else ..."
 _YIELD = "write return with the value; yield() only runs other threads"
 _NO_WAIT = "leave it out: a call returns when it is complete"
 _NO_MODIFIER = "units have no modifier; leave it out"
-_EACH = "write for (T x : array) { ... }"
+_EACH = "write for (int x : array) { ... }, with the type of the elements"
+_NODES = "L has no nodes and topics: write a resource with portals, and call these from a coordinator"
+_SLEEP = "write sleep(1.0), in seconds"
+_NOW = "write now(), in seconds since 1970"
+_THREADS = "declare portals synchronized; for calls that run at the same time write together { ... }"
+JOIN = 'join text with +, as in "n is " + i2s(n)'
 
 #: Type names of other languages and the corresponding L type.
 FOREIGN_TYPES = {
@@ -67,12 +74,9 @@ FOREIGN_TYPE_HINTS = {
     **dict.fromkeys(("auto", "var", "let", "any", "Any", "object", "Object", "dynamic"), _ONE_TYPE),
     **dict.fromkeys(
         ("thread", "Thread", "mutex", "Mutex", "Lock", "future", "Future", "Task"),
-        "declare portals synchronized; for calls that run at the same time write together { ... }",
+        _THREADS,
     ),
-    **dict.fromkeys(
-        ("Node", "Publisher", "Subscription", "Client", "Service", "Timer", "Executor"),
-        "L has no nodes and topics: write a resource with portals, and call these from a coordinator",
-    ),
+    **dict.fromkeys(("Node", "Publisher", "Subscription", "Client", "Service", "Timer", "Executor"), _NODES),
 }
 
 #: Names of values in other languages.
@@ -104,17 +108,13 @@ FOREIGN_NAMES = {
             "numpy",
             "std",
             "Math",
-            "rospy",
+            "Thread",
         ),
         _NO_MODULES,
     ),
-    **dict.fromkeys(
-        ("rclpy", "rclcpp", "node", "executor"),
-        "L has no nodes and topics: write a resource with portals, and call these from a coordinator",
-    ),
-    **dict.fromkeys(("System", "cout", "cerr", "logger", "logging", "console"), "write print(text)"),
+    **dict.fromkeys(("rospy", "rclpy", "rclcpp", "ros", "node", "executor"), _NODES),
+    **dict.fromkeys(("System", "cout", "cerr", "logger", "logging", "console"), _PRINT),
     "super": "L has no inheritance: put an object of the other class into a field",
-    "pass": "leave it out: a block may be empty",
 }
 
 #: Functions of other languages, and what to write.
@@ -149,15 +149,15 @@ FOREIGN_FUNCTIONS = {
     **dict.fromkeys(("lock", "acquire"), "declare the portal synchronized"),
     **dict.fromkeys(("timeout", "wait_for"), "write within (seconds) { ... }"),
     **dict.fromkeys(("until", "unless"), "write while (!(...)) or if (!(...))"),
+    **dict.fromkeys(("exit", "quit", "abort"), 'write throw new Exception("reason");'),
     **dict.fromkeys(("repeat", "times"), "write for (int i = 0; i < n; i += 1) { ... }"),
 }
 
-_TO_JOIN = 'join text with +, as in "n is " + i2s(n)'
 _FIXED = "the length of an array is fixed: make a new array and copy the elements"
 #: Methods of text and of arrays in other languages, and what to write.
 STRING_METHODS = {
     **dict.fromkeys(("equals", "compare", "compareTo", "strcmp"), "write ==, which compares the characters"),
-    **dict.fromkeys(("format", "join", "concat", "append", "f"), _TO_JOIN),
+    **dict.fromkeys(("format", "join", "concat", "append", "f"), JOIN),
     **dict.fromkeys(("size", "len", "count"), "in L it is length()"),
     **dict.fromkeys(("isEmpty", "empty"), 'compare with "", as in s == ""'),
     **dict.fromkeys(("charAt", "at", "get"), "write s.substring(i, i + 1)"),
@@ -213,7 +213,7 @@ METHOD_WORDS = ("def", "func", "fn", "function", "fun", "sub")
 #: Words that begin a statement in other languages, and the equivalent in L.
 FOREIGN_STATEMENTS = {
     **dict.fromkeys(("switch", "case", "match", "when"), _IF),
-    "do": "write while (true) { ... if (...) break; }",
+    "do": "write while (true) { ... if (!(...)) break; }",
     "loop": "write while (true) { ... }",
     "until": "write while (!(...)) { ... }",
     "unless": "write if (!(...)) ...",
@@ -225,6 +225,7 @@ FOREIGN_STATEMENTS = {
     **dict.fromkeys(("const", "constexpr", "final", "volatile", "mutable"), "leave it out"),
     "static": "declare a field of the resource, coordinator or class",
     **dict.fromkeys(("delete", "del", "free"), "objects are freed automatically; leave it out"),
+    "pass": "leave it out: a block may be empty",
     "raise": 'write throw new Exception("reason");',
     "except": "write catch (Exception e) { ... }",
     "assert": 'write if (!(...)) throw new Exception("reason");',
@@ -234,7 +235,7 @@ FOREIGN_STATEMENTS = {
     **dict.fromkeys(("lock", "synchronize", "atomic"), "declare the portal synchronized"),
     **dict.fromkeys(("timeout", "deadline"), "write within (seconds) { ... }"),
     "with": "write try { ... } finally { ... }, within (seconds) { ... } or reserve (arm) { ... }",
-    **dict.fromkeys(("print", "echo"), "write print(text)"),
+    **dict.fromkeys(("print", "echo"), _PRINT),
     **dict.fromkeys(("global", "nonlocal"), "leave it out: fields of the unit are visible in its methods"),
     **dict.fromkeys(METHOD_WORDS, _METHOD),
     **dict.fromkeys(("import", "from", "using", "use"), 'write include "file.L"; at the top of the file'),
@@ -269,10 +270,13 @@ FOREIGN_UNITS = {
             "auto",
             "var",
             "let",
+            "std",
+            "unsigned",
         ),
         "write methods and fields inside a resource, a coordinator or a class",
     ),
-    **dict.fromkeys(METHOD_WORDS, _METHOD),
+    **dict.fromkeys((*METHOD_WORDS, "async"), _METHOD),
+    "pass": "leave it out: a program has no statements outside of methods",
     **dict.fromkeys(("node", "robot", "device", "actor", "server", "service"), "write resource Name { ... }"),
     **dict.fromkeys(("mission", "agent", "process", "task"), "write coordinator Name { ... }"),
     "module": "write resource, coordinator or class Name { ... }",
@@ -287,8 +291,8 @@ WORD_OPERATORS = {
     "mod": ("%", "write %"),
     "div": ("/", "write /: it divides whole numbers if both sides are int"),
     "xor": ("!=", "write !=, for two booleans"),
-    "in": ("", "search the array with a loop: for (T x : array) { ... }"),
-    "not": ("", "search the array with a loop: for (T x : array) { ... }"),
+    "in": ("", "search the array with a loop: for (int x : array) { ... }"),
+    "not": ("", "search the array with a loop: for (int x : array) { ... }"),
     "instanceof": ("", "every variable has one static type"),
     "as": ("", "L converts with functions: i2f, f2i, i2s, f2s, b2s, s2i, s2f"),
 }
@@ -310,13 +314,32 @@ FOREIGN_SYMBOLS = {
     ":": "a block is in braces: { ... }",
     "[": "the elements of an array are in braces: new int[] {1, 2}",
     "emit": "emit belongs in the head of a portal and names its type; in the body write return value;",
-    ".": "write a name before the point",
+    ".": "write a name before the dot",
 }
-#: Members of `std::`.
-STD_MEMBERS = {
-    **dict.fromkeys(("cout", "cerr", "clog", "endl"), _PRINT),
+#: Members of modules and namespaces, as in `ros::spin()`, `std::cout` and `time.sleep(1)`.
+MODULE_MEMBERS = {
+    **dict.fromkeys(
+        ("spin", "spinOnce", "spin_once", "spin_some", "spin_until_future_complete"),
+        "leave it out: a resource waits for calls of its portals",
+    ),
+    **dict.fromkeys(("init", "init_node", "shutdown"), "leave it out: lfield starts and ends every agent"),
+    **dict.fromkeys(("ok", "is_shutdown"), "write true: lfield ends every agent"),
+    **dict.fromkeys(("Duration", "sleep", "sleep_for", "sleep_until", "seconds", "milliseconds"), _SLEEP),
+    **dict.fromkeys(("Rate", "WallRate", "create_rate"), "write sleep(0.1) in the loop for 10 Hz"),
+    **dict.fromkeys(("Time", "time", "now", "monotonic", "get_clock"), _NOW),
+    **dict.fromkeys(
+        (
+            *("cout", "cerr", "clog", "endl", "print", "println", "printf", "info", "warn", "error", "log"),
+            *("loginfo", "logwarn", "logerr", "logdebug"),
+        ),
+        _PRINT,
+    ),
+    **dict.fromkeys(("gather", "create_task", "async"), _TOGETHER),
+    **dict.fromkeys(("make_shared", "make_unique"), "write new Name(...), with the name of a class"),
+    **dict.fromkeys(("exception", "runtime_error"), "write Exception"),
+    "pi": "write 3.141592653589793",
     "string": "write string",
-    **CONTAINERS,
+    **FOREIGN_TYPE_HINTS,
 }
 
 
@@ -327,8 +350,22 @@ def type_hint(name: str) -> str | None:
     return FOREIGN_TYPE_HINTS.get(name)
 
 
-def variable_hint(name: str) -> str | None:
-    """What to write instead of a name of another language, or None."""
+def variable_hint(name: str, member: str = "") -> str | None:
+    """What to write instead of a name of another language, or of a member of it; None for no hint."""
     if name in FOREIGN_VALUES:
         return f"in L it is called {FOREIGN_VALUES[name]}"
-    return FOREIGN_NAMES.get(name)
+    return _member_hint(member) or FOREIGN_NAMES[name] if name in FOREIGN_NAMES else None
+
+
+def qualified_hint(names: list[str]) -> str:
+    """What to write instead of `std::vector` or `ros::spin`, given its parts."""
+    namespace, *members = names
+    hints = [hint for member in members if (hint := _member_hint(member))]
+    # A pointer is what the last part says, as in rclcpp::Node::SharedPtr: the first one says more.
+    return hints[0] if hints else FOREIGN_NAMES.get(namespace, "members are reached with a dot: object.name")
+
+
+def _member_hint(member: str) -> str | None:
+    if member not in MODULE_MEMBERS and any(function.name == member for function in FUNCTIONS):
+        return f"write {member}(...)"
+    return MODULE_MEMBERS.get(member) or FOREIGN_FUNCTIONS.get(member)

@@ -11,29 +11,39 @@ from lfield.lang import messages
 from lfield.lang.parser.expressions import expression, parenthesised
 from lfield.lang.parser.foreign_syntax import (
     at_except,
+    at_floor_division,
     at_foreign_each,
     at_foreign_statement,
+    at_walrus,
     block_ahead,
     foreign_each,
     foreign_statement,
-    local_method,
     semicolon_hint,
     skip_except,
+    walrus,
 )
 from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, FOREIGN_SYMBOLS
+from lfield.lang.parser.local_variables import (
+    counting_for,
+    declaration,
+    each,
+    evaluated,
+    for_start,
+)
+from lfield.lang.parser.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.token_stream import MEMBER_KEYWORDS, TokenStream, UnclosedBrace
-from lfield.lang.parser.type_names import at_declaration, misplaced_brackets, parameter_modifier, type_name
+from lfield.lang.parser.type_names import at_declaration, parameter_modifier, type_name
 from lfield.lang.scanner import Token, TokenKind
 from lfield.lang.syntax import (
+    Bad,
     BadStmt,
     BlockStmt,
     Break,
     Catch,
     Continue,
-    Declare,
     Each,
     Empty,
-    Evaluate,
+    Expr,
     For,
     If,
     Reserve,
@@ -49,7 +59,6 @@ from lfield.text.source_text import Span
 from lfield.text.suggestions import closest
 
 _CATCH = "write catch (Exception e) { ... }"
-_EACH = "write for (T x : array) { ... }"
 #: Words before `{` or `(...) {` that a typing mistake may hide.
 _HEADS = ("if", "else", "while", "for", "try", "catch", "together", "within", "reserve", "finally")
 
@@ -117,8 +126,8 @@ def _if(s: TokenStream) -> Stmt:
     while not found or _at_further(s):
         start = s.advance().span
         condition = parenthesised(s)
-        found.append(If(start, condition, statement(s), None))
-    otherwise = statement(s) if s.accept("else") else None
+        found.append(If(start, condition, _body(s, start, condition), None))
+    otherwise = _body(s, s.advance().span) if s.at("else") else None
     while found:
         found[-1].otherwise = otherwise
         otherwise = found.pop()
@@ -130,14 +139,23 @@ def _at_further(s: TokenStream) -> bool:
     """Whether an `else if` follows; the stream is then at its `if`. That of another language is reported."""
     keyword = s.current.text
     if s.at_name() and keyword in ("elif", "elsif", "elseif", "elseIf"):
-        s.report(
-            messages.FOREIGN_KEYWORD, s.current.span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword]
-        )
+        if s.ahead(1).text == "(":
+            s.report(messages.FOREIGN_KEYWORD, s.current.span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword])
         return True
     if s.at("else") and s.ahead(1).text == "if":
         s.advance()
         return True
     return False
+
+
+def _body(s: TokenStream, head: Span, condition: Expr | None = None) -> Stmt:
+    """The statement behind a head. A block of Python is skipped, and reported unless its condition was."""
+    if not s.at(":"):
+        return statement(s)
+    if not isinstance(condition, Bad):
+        report_colon(s)
+    skip_python_block(s, head)
+    return BadStmt(head)
 
 
 def _else(s: TokenStream) -> Stmt:
@@ -151,7 +169,7 @@ def _catch(s: TokenStream) -> Stmt:
 def _while(s: TokenStream) -> Stmt:
     start = s.advance().span
     condition = parenthesised(s)
-    return While(start, condition, statement(s))
+    return While(start, condition, _body(s, start, condition))
 
 
 def _for(s: TokenStream) -> Stmt:
@@ -159,14 +177,14 @@ def _for(s: TokenStream) -> Stmt:
     where = s.advance().span
     if at_foreign_each(s):
         foreign_each(s)
-        return BlockStmt(where, [BadStmt(where), statement(s)])
+        return BlockStmt(where, [BadStmt(where), _body(s, where, Bad(where, 1))])
     loop: For | Each = For(where, None, None, None, Empty(where))
 
     def head() -> None:
         nonlocal loop
         opening = s.expect("(")
-        start = _for_start(s)
-        loop = _each(s, where, start) if s.at(":", "in", "of") else _counting_for(s, where, start)
+        start = for_start(s)
+        loop = each(s, where, start) if s.at(":", "in", "of") else counting_for(s, where, start)
         s.close(")", opening)
 
     def skip() -> None:
@@ -175,34 +193,8 @@ def _for(s: TokenStream) -> Stmt:
         s.accept(")")
 
     well = s.attempt(head, skip)
-    loop.body = statement(s)
+    loop.body = _body(s, where, None if well else Bad(where, 1))
     return loop if well else BadStmt(where)
-
-
-def _counting_for(s: TokenStream, where: Span, start: Stmt | None) -> For:
-    """`start; condition; step`, behind the start."""
-    s.expect(";")
-    condition = None if s.at(";") else expression(s)
-    s.expect(";")
-    return For(where, start, condition, None if s.at(")") else _evaluate(s), Empty(where))
-
-
-def _each(s: TokenStream, where: Span, start: Stmt | None) -> Each:
-    """`T name : array`, behind the name."""
-    if not s.at(":"):
-        raise s.fail(messages.FOREIGN_KEYWORD, keyword=s.current.text, instead=_EACH)
-    if not isinstance(start, Declare) or start.value is not None:
-        raise s.fail(messages.EXPECTED_SYMBOL, hint=_EACH, what="';'", found=s.current)
-    s.advance()
-    return Each(where, start.type, start.name, start.place, expression(s), Empty(where))
-
-
-def _for_start(s: TokenStream) -> Stmt | None:
-    if s.at(";"):
-        return None
-    if not at_declaration(s):
-        return _evaluate(s)
-    return _declaration(s)
 
 
 def _break(s: TokenStream) -> Stmt:
@@ -234,11 +226,11 @@ def _throw(s: TokenStream) -> Stmt:
 
 def _try(s: TokenStream) -> Stmt:
     span = s.advance().span
-    body = statement(s)
+    body = _body(s, span)
     if at_except(s):
         while at_except(s):
             skip_except(s)
-            statement(s)
+            _body(s, span, Bad(span, 1))
         return BlockStmt(span, [BadStmt(span), body])
     if not s.at("catch") and not isinstance(body, BadStmt) and not _at_finally(s):
         s.report(messages.TRY_WITHOUT_CATCH, span)
@@ -284,13 +276,13 @@ def _together(s: TokenStream) -> Stmt:
 def _within(s: TokenStream) -> Stmt:
     token = s.advance()
     seconds = parenthesised(s, "write the seconds in parentheses: within (30) { ... }")
-    return Within(token.span, seconds, _braced(s, token))
+    return Within(token.span, seconds, _braced(s, token, seconds))
 
 
 def _reserve(s: TokenStream) -> Stmt:
     token = s.advance()
     who = parenthesised(s, "write the resource in parentheses: reserve (arm) { ... }")
-    return Reserve(token.span, who, _braced(s, token))
+    return Reserve(token.span, who, _braced(s, token, who))
 
 
 def _finally(s: TokenStream) -> Stmt:
@@ -301,9 +293,11 @@ def _at_finally(s: TokenStream) -> bool:
     return s.at("finally") and _is_soft_keyword(s)
 
 
-def _braced(s: TokenStream, keyword: Token) -> Stmt:
+def _braced(s: TokenStream, keyword: Token, head: Expr | None = None) -> Stmt:
     """The block behind a word; a statement without braces is reported."""
-    if s.at("(", ":"):
+    if s.at(":"):
+        return _body(s, keyword.span, head)
+    if s.at("("):
         hint = FOREIGN_SYMBOLS.get(s.current.text)
         raise s.fail(messages.EXPECTED_SYMBOL, hint=hint, what="'{'", found=s.current)
     if not s.at("{"):
@@ -315,8 +309,8 @@ def _is_soft_keyword(s: TokenStream) -> bool:
     """Whether the word here begins its block, or what no name can begin."""
     following = s.ahead(1)
     if following.kind is TokenKind.NAME:
-        return s.ahead(2).text in ("(", ".")
-    if following.text == ":":
+        return s.ahead(2).text in ("(", ".", "{")
+    if following.kind in (TokenKind.INT, TokenKind.REAL) or following.text == ":":
         return True
     return following.kind is TokenKind.KEYWORD or block_ahead(s) > 0 or s.lacks_parenthesis()
 
@@ -331,9 +325,12 @@ def _simple(s: TokenStream) -> Stmt:
             return foreign_statement(s, keyword)
         if block_ahead(s) and (close := closest(keyword, _HEADS)):
             return _misspelt(s, keyword, close)
-    found = _declaration(s) if at_declaration(s) else _evaluate(s)
+    found = declaration(s) if at_declaration(s) else evaluated(s)
+    if at_walrus(s):
+        raise walrus(s)
+    is_division = not s.at(";") and at_floor_division(s)
     s.semicolon(semicolon_hint(s))
-    return found
+    return BadStmt(found.span) if is_division else found
 
 
 def _misspelt(s: TokenStream, keyword: str, close: str) -> Stmt:
@@ -343,24 +340,6 @@ def _misspelt(s: TokenStream, keyword: str, close: str) -> Stmt:
     for _ in range(block_ahead(s)):
         s.advance()
     return BlockStmt(span, [BadStmt(span), statement(s)])
-
-
-def _declaration(s: TokenStream) -> Stmt:
-    """`T name` or `T name = value`, without its `;`."""
-    declared = type_name(s, "a variable")
-    name = s.expect_name("a name for the variable")
-    misplaced_brackets(s, declared, name.text)
-    value = expression(s) if s.accept("=") else None
-    if s.at(",") and s.ahead(1).kind is name.kind:
-        raise s.fail(messages.ONE_VARIABLE)
-    if s.at("("):
-        raise local_method(s, declared, name.text)
-    return Declare(declared.span.to(s.previous.span), declared, name.text, name.span, value)
-
-
-def _evaluate(s: TokenStream) -> Stmt:
-    value = expression(s)
-    return Evaluate(value.span, value)
 
 
 _STATEMENTS: dict[str, Callable[[TokenStream], Stmt]] = {

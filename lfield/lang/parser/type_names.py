@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.lang import messages
-from lfield.lang.parser.foreign_syntax import at_foreign_type, pointer, qualified, sized_name
+from lfield.lang.parser.foreign_syntax import SIZES, at_foreign_type, pointer, qualified, sized_name
 from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS
 from lfield.lang.parser.token_stream import PRIMITIVES, TokenStream
 from lfield.lang.syntax import BAD_TYPE, TypeName
@@ -18,7 +18,8 @@ def at_declaration(s: TokenStream) -> bool:
         return True
     next_is_name = s.ahead(1).kind == s.current.kind
     is_array = (s.ahead(1).text, s.ahead(2).text) == ("[", "]")
-    return s.at_name() and (next_is_name or is_array or at_foreign_type(s))
+    is_sized = s.at(*SIZES) and s.ahead(1).text in PRIMITIVES
+    return s.at_name() and (next_is_name or is_array or is_sized or at_foreign_type(s))
 
 
 def element_name(s: TokenStream, what: str = "a type") -> TypeName:
@@ -73,7 +74,8 @@ def parameter_modifier(s: TokenStream) -> None:
     )
     if is_type:
         token = s.advance()
-        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead="leave it out")
+        if s.ahead(1).text not in ("::", "<"):  # Otherwise the type is reported.
+            s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead="leave it out")
 
 
 def misplaced_brackets(s: TokenStream, declared: TypeName, name: str) -> None:
