@@ -71,13 +71,15 @@ class FleetOptions:
     """How the hosts of a fleet run. Times are in seconds.
 
     With `lost_after`, hosts exit when all coordinators have ended, as with --until-done. `keeps`: hosts have
-    journals. Code takes `slowness` times its usual CPU time.
+    journals. Code takes `slowness` times its usual CPU time. `time_of_day` is that of all computers at the
+    start, None for an arbitrary one of each.
     """
 
     unreachable_after: float = 10.0
     lost_after: float | None = None
     keeps: bool = True
     slowness: float = 1.0
+    time_of_day: float | None = None
 
 
 class Fleet:
@@ -104,6 +106,9 @@ class Fleet:
         self.log: list[tuple[float, str, str]] = []
         names = mission.team.hosts
         self.machines = {name: self._machine(name, rng) for name in names}
+        if self.options.time_of_day is not None:
+            for machine in self.machines.values():
+                machine.set_time(self.options.time_of_day)
         self.network = SimulatedNetwork(self.timeline, self.machines, rng)
         programs = {"lfield.guard.process": guard}
         self.computers = {

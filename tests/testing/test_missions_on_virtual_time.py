@@ -77,6 +77,14 @@ def test_a_dead_motor_and_an_empty_battery_are_what_the_driver_tells_of(lfield_m
     assert [mark.device for mark in team.marks] == ["lead.fc"]
 
 
+def test_the_computers_know_the_time_of_day_from_the_start(walk):
+    team = walk()
+    team.run(until_done=True)
+    assert team.said("works") == 2
+    # Otherwise the events of the hosts could not be put in one order.
+    assert team.said("system clock set") == team.said("event timestamps") == 0
+
+
 def test_links_and_hosts_are_cut_and_killed_when_the_test_says(walk):
     team = walk()
     team.at(0.5, lambda: team.cut("alpha", "bravo"))

@@ -140,7 +140,9 @@ def _at_further(s: TokenStream) -> bool:
     keyword = s.current.text
     if s.at_name() and keyword in ("elif", "elsif", "elseif", "elseIf"):
         if s.ahead(1).text == "(":
-            s.report(messages.FOREIGN_KEYWORD, s.current.span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword])
+            s.report(
+                messages.FOREIGN_KEYWORD, s.current.span, keyword=keyword, instead=FOREIGN_STATEMENTS[keyword]
+            )
         return True
     if s.at("else") and s.ahead(1).text == "if":
         s.advance()

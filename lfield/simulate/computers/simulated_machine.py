@@ -88,7 +88,11 @@ class SimulatedMachine:
     def set_day(self, day: tuple[float, float]) -> None:
         """From now on it knows the time of day approximately, also after it was switched off."""
         self.day = day
-        self.clock.ahead = self.rng.uniform(*day) + self.timeline.now - self.clock.monotonic()
+        self.set_time(self.rng.uniform(*day) + self.timeline.now)
+
+    def set_time(self, seconds: float) -> None:
+        """Sets its time of day, in seconds since 1970, until it is switched off."""
+        self.clock.ahead = seconds - self.clock.monotonic()
 
 
 class NetworkPaths:

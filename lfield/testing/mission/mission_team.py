@@ -95,7 +95,7 @@ class MissionTeam:
                     watch=self._watch,
                     on_start=self._on_host_start,
                     plug=self._fakes.plug,
-                    options=FleetOptions(unreachable_after=mission.bindings.unreachable_after, keeps=keeps),
+                    options=FleetOptions(mission.bindings.unreachable_after, keeps=keeps, time_of_day=DAY[0]),
                 )
                 self._watch(self._fleet)
         except BaseException:

@@ -22,9 +22,9 @@ from lfield.vm.agent import Agent
 GUIDE = Path(__file__).parents[3] / "lfield" / "docs" / "capabilities.md"
 
 #: The places in which an attribute can be stated, and the value that each of these tests states there.
-VALUES = {"type": 1.0, "device's word": 2.0, "primitive": 3.0, "device": 4.0, "binding": 5.0, "agent": 6.0}
+VALUES = {"type": 1.0, "device's report": 2.0, "primitive": 3.0, "device": 4.0, "binding": 5.0, "agent": 6.0}
 #: An attribute is measured or it is not.
-NEVER = {"device", "device's word"}
+NEVER = {"device", "device's report"}
 
 
 def cells() -> Iterator[tuple[str, str, str]]:
@@ -44,7 +44,7 @@ def registry_of(folder: Path, stated: Sequence[str]) -> Registry:
         f"payload: {VALUES[place]}" if place in stated else "" for place in ("type", "primitive", "agent")
     )
     live = "payload: scale.load" if NEVER.intersection(stated) else ""
-    measured = str("device's word" not in stated).lower()
+    measured = str("device's report" not in stated).lower()
     path = folder / "crane.yaml"
     path.write_text(
         "registry: 1\n"
@@ -124,4 +124,4 @@ def test_what_a_device_does_not_measure_is_not_known(tmp_path: Path, also: str, 
 
 @pytest.mark.parametrize("also", ["type", "primitive"])
 def test_for_what_a_device_does_not_tell_of_itself_its_type_speaks(tmp_path: Path, also: str) -> None:
-    assert payload(registry_of(tmp_path, ["device's word", also])) == VALUES[also]
+    assert payload(registry_of(tmp_path, ["device's report", also])) == VALUES[also]

@@ -23,9 +23,13 @@ PAGE = Path(__file__).parents[3] / "lfield" / "docs" / "capability-reference.md"
 
 _OPENING = """# Capability reference
 
-What the registry holds that comes with lfield. [capabilities.md](capabilities.md) says how it is used and
-extended. It is written from `capabilities/` by
-`python tests/docs/reference/capability_reference.py --write`."""
+The registry that lfield ships. [capabilities.md](capabilities.md) explains how to use and extend it.
+[Providers](#providers) has the values of each resource type. `lfield capabilities show NAME` prints one
+entry, also with the providers of an attribute and the attributes of a primitive. This page is generated
+from `capabilities/`: `python tests/docs/reference/capability_reference.py --write`."""
+
+#: Rows that repeat the values of the providers.
+_REPEATED = {"stated by", "attributes"}
 
 
 def page(registry: Registry) -> str:
@@ -33,8 +37,8 @@ def page(registry: Registry) -> str:
     attributes, primitives = _sorted(registry.attributes), _sorted(registry.primitives)
     sections = {
         f"Taxonomy, version {registry.version}": _table(_term(registry, t) for t in registry.terms.values()),
-        "Attributes": _table(sheets.attribute_sheet(registry, a) for a in attributes),
-        "Primitives": _chapters(sheets.primitive_sheet(registry, p) for p in primitives),
+        "Attributes": _table(_brief(sheets.attribute_sheet(registry, a)) for a in attributes),
+        "Primitives": _chapters(_brief(sheets.primitive_sheet(registry, p)) for p in primitives),
         "Providers": _chapters(sheets.provider_sheet(registry, p) for p in _sorted(registry.providers)),
         "One-to-one": _table(map(sheets.equivalence_sheet, _sorted(registry.equivalences))),
         "One-to-many": _chapters(map(sheets.composition_sheet, _sorted(registry.compositions))),
@@ -51,6 +55,10 @@ def _term(registry: Registry, term: TaxonomyTerm) -> Sheet:
     sheet = sheets.term_sheet(registry, term)
     called = tuple(map(code, primitives_of(registry, term.id)))
     return replace(sheet, rows=(*(row for row in sheet.rows if row[0] != "below"), ("called as", called)))
+
+
+def _brief(sheet: Sheet) -> Sheet:
+    return replace(sheet, rows=tuple(row for row in sheet.rows if row[0] not in _REPEATED))
 
 
 def _table(found: Iterable[Sheet]) -> str:

@@ -1,13 +1,12 @@
-"""The generated tables of lfield/docs/language.md: the library and the messages of the front end.
+"""The generated table of lfield/docs/language.md: the library.
 
-`python tests/docs/reference/language_reference.py --write` writes them to the page, between its markers
+`python tests/docs/reference/language_reference.py --write` writes it to the page, between its markers
 (`<!-- library -->` ... `<!-- end of library -->`).
 """
 
 from __future__ import annotations
 
 import argparse
-import re
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from lfield.lang.language_library import (
     STRING_METHODS,
     LibraryFunction,
 )
-from lfield.lang.messages import TABLE
 
 PAGE = Path(__file__).parents[3] / "lfield" / "docs" / "language.md"
 
@@ -26,8 +24,8 @@ _WHERE = {"any": "everywhere", "resource": "resources", "coordinator": "coordina
 
 
 def updated(document: str) -> str:
-    """The document with both tables as they are now."""
-    return _between(_between(document, "library", library_table()), "messages", message_table())
+    """The document with the table as it is now."""
+    return _between(document, "library", library_table())
 
 
 def library_table() -> str:
@@ -44,22 +42,8 @@ def library_table() -> str:
     return _table(("call", "result", "where", "meaning"), [(f"`{c}`", r, w, m) for c, r, w, m in rows])
 
 
-def message_table() -> str:
-    """Every message of the front end as a Markdown table."""
-    return _table(
-        ("code", "sentence", "hint"),
-        [(m.code, _template(m.sentence), _template(m.hint)) for m in TABLE.values()],
-    )
-
-
 def _heading(function: LibraryFunction) -> str:
     return f"{function.name}({', '.join(map(str, function.parameters))})"
-
-
-def _template(text: str) -> str:
-    """A message with its blanks in angle brackets: `'‹name›'`."""
-    blanks = re.sub(r"\{(\w+)\}", r"‹\1›", text.replace("{{", "\0").replace("}}", "\1"))
-    return blanks.replace("\0", "{").replace("\1", "}").replace("|", "\\|")
 
 
 def _table(head: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
@@ -78,9 +62,9 @@ def _between(document: str, name: str, content: str) -> str:
 
 
 def main() -> None:
-    """Print the page with its tables, or write it."""
+    """Print the page with its table, or write it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--write", action="store_true", help=f"write the tables to {PAGE.name}")
+    parser.add_argument("--write", action="store_true", help=f"write the table to {PAGE.name}")
     text = updated(PAGE.read_text(encoding="utf-8"))
     if parser.parse_args().write:
         PAGE.write_text(text, encoding="utf-8")
