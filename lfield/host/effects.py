@@ -46,8 +46,9 @@ class Environment(DeviceReadings, LinkContacts, Protocol):
 
 
 class WriteOutput(Struct, frozen=True):
-    """Program output, exactly as written."""
+    """Program output of an agent, exactly as written."""
 
+    agent: str
     text: str
 
 

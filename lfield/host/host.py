@@ -208,7 +208,7 @@ class Host:
         self.peers.close()
         if self._datagrams is not None:
             self._datagrams.close()
-        self.logbook.flush()
+        self.logbook.close()
         return unsafe
 
     # --- dispatch -------------------------------------------------------------------------------------
@@ -289,7 +289,7 @@ class Host:
             case Send():
                 self.peers.send(effect.host, effect.message)
             case WriteOutput():
-                self.logbook.write(effect.text)
+                self.logbook.write(effect.text, effect.agent)
             case WriteLog():
                 (self.logbook.note if effect.is_recorded else self.note)(effect.text, lines=effect.lines)
             case WriteLogOnce():

@@ -6,11 +6,17 @@ of L, since a program of another author must not be able to control the terminal
 
 from __future__ import annotations
 
+import json
 import sys
 from typing import TextIO
 
+from lfield.clock import Clock
+from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.text.terminal_escape import escape, escape_indented, escape_line
+
+#: The longest line without an end that a program may write as JSON, in characters.
+MAX_INCOMPLETE = 1 << 16
 
 
 class Logbook:
@@ -26,8 +32,8 @@ class Logbook:
         #: The newest error of each code, in the order of time.
         self.errors: dict[str, str] = {}
 
-    def write(self, text: str) -> None:
-        """Program output, buffered until `flush`."""
+    def write(self, text: str, agent: str) -> None:
+        """Output of an agent's program, buffered until `flush`."""
         self.pending.append(text)
 
     def flush(self) -> None:
@@ -39,15 +45,62 @@ class Logbook:
             self._out.write(escape(text) if self._is_terminal else text)
             self._out.flush()
 
-    def note(self, text: str, *, lines: bool = False) -> None:
+    def close(self) -> None:
+        """Write what is left at the end."""
+        self.flush()
+
+    def note(self, text: LogLine, *, lines: bool = False) -> None:
         """Write a log line; control characters and line breaks in it are escaped.
 
         Program output may have several `lines`; all but the first are indented.
         """
         self.flush()
-        if isinstance(text, LogLine) and text.level == "error":
-            self.errors.pop(text.code, None)
-            self.errors[text.code] = text
+        self._keep_error(text)
         if self._log is not None:
             self._log.write((escape_indented if lines else escape_line)(text) + "\n")
             self._log.flush()
+
+    def _keep_error(self, line: LogLine) -> None:
+        if line.level == "error":
+            self.errors.pop(line.code, None)
+            self.errors[line.code] = line
+
+
+class JsonLogbook(Logbook):
+    """Output as one JSON object for each line, on stdout: log lines and the lines that programs write."""
+
+    def __init__(self, host: str, clock: Clock, out: TextIO | None = None) -> None:
+        super().__init__(out)
+        self._host, self._clock = host, clock
+        #: What each agent has written since its last line ended.
+        self._incomplete: dict[str, str] = {}
+
+    def write(self, text: str, agent: str) -> None:
+        """Output of an agent's program; a line is written when it has ended."""
+        *lines, rest = (self._incomplete.pop(agent, "") + text).split("\n")
+        if len(rest) > MAX_INCOMPLETE:
+            lines, rest = [*lines, rest], ""
+        if rest:
+            self._incomplete[agent] = rest
+        for line in lines:
+            self._print(log_messages.PROGRAM_OUTPUT.line(agent=agent, text=line))
+
+    def close(self) -> None:
+        """Write the lines that have not ended."""
+        for agent in list(self._incomplete):
+            self.write("\n", agent)
+
+    def note(self, text: LogLine, *, lines: bool = False) -> None:
+        """Write a log line."""
+        self._keep_error(text)
+        self._print(text)
+
+    def _print(self, line: LogLine) -> None:
+        if self._out is not None:
+            self._out.write(json_line(self._clock.time(), self._host, line))
+            self._out.flush()
+
+
+def json_line(time: float, host: str, line: LogLine) -> str:
+    """A log line as a JSON object in ASCII, with its time in seconds since 1970 UTC, and a line feed."""
+    return json.dumps({"time": round(time, 6), "host": host, **line.as_data()}) + "\n"

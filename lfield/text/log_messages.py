@@ -7,25 +7,41 @@ A host logs only the `LogLine`s that `LogMessage.line` makes. Drivers have table
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from math import isfinite
 from typing import Literal
 
 Level = Literal["info", "warning", "error"]
 
 
 class LogLine(str):
-    """The text of a log line, with the code and the level of its message."""
+    """The text of a log line, with the code and the level of its message, and the values of its template."""
 
-    __slots__ = ("code", "level")
+    __slots__ = ("code", "fields", "level")
 
-    def __new__(cls, text: str, code: str, level: Level) -> LogLine:
+    def __new__(cls, text: str, code: str, level: Level, fields: Mapping[str, object]) -> LogLine:
         """Only `LogMessage.line` and `report_line` call this."""
         made = super().__new__(cls, text)
-        made.code, made.level = code, level
+        made.code, made.level, made.fields = code, level, fields
         return made
 
     code: str
     level: Level
+    fields: Mapping[str, object]
+
+    def as_data(self) -> dict[str, object]:
+        """Code, level, text and fields, as of JSON; a value that is no number or text becomes text."""
+        plain = {
+            name: value if isinstance(value, int) or _is_finite(value) else str(value)
+            for name, value in self.fields.items()
+        }
+        return {"code": self.code, "level": self.level, "text": str(self), "fields": plain}
+
+
+def _is_finite(value: object) -> bool:
+    """Whether it is a number that JSON has."""
+    return isinstance(value, float) and isfinite(value)
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +55,7 @@ class LogMessage:
 
     def line(self, **values: object) -> LogLine:
         """The line with the values of its template."""
-        return LogLine(self.template.format(**values), self.code, self.level)
+        return LogLine(self.template.format(**values), self.code, self.level, values)
 
 
 #: Every message by its code.
@@ -64,6 +80,10 @@ NO_CONTROL_SOCKET = _message(
     "no-control-socket",
     "no control socket: {reason}; commands reach this host over the network only, with an operator's keys",
     "warning",
+)
+HOST_KILLED = _message("host-killed", "{host} killed ({signal})", "error", "by `lfield up --all`")
+HOST_STUCK = _message(
+    "host-stuck", "{host} killed: it did not stop within {seconds:.0f} s", "error", "by `lfield up --all`"
 )
 BUNDLE_KEPT = _message(
     "bundle-kept", "bundle {bundle} accepted because its mission has already started: {reason}", "warning"
@@ -105,9 +125,28 @@ WAITING_FOR_REST = _message(
     "waiting for the devices to come to rest; a second Ctrl-C or SIGTERM does not wait for them",
 )
 
+# --- the end of a run of all hosts ------------------------------------------------------------------------
+
+MISSION_COMPLETED = _message(
+    "mission-completed", "mission completed after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}"
+)
+MISSION_INTERRUPTED = _message(
+    "mission-interrupted",
+    "mission stopped after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}: interrupted",
+    "warning",
+)
+MISSION_FAILED = _message(
+    "mission-failed",
+    "mission failed on {where} after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}: {reason}",
+    "error",
+)
+
 # --- agents ---------------------------------------------------------------------------------------------
 
 PROGRAM_OUTPUT = _message("program-output", "{agent}: {text}", meaning="what a program prints")
+OUTPUT_DROPPED = _message(
+    "output-dropped", "{count} lines left out: too frequent", meaning="in `lfield logs`: output of programs"
+)
 AGENT_DIED = _message("agent-died", "{agent} died of an uncaught {report}", "error")
 AGENT_DUMPED = _message("agent-dumped", "{agent} dumped: read it with 'lfield inspect {path}'")
 AGENT_NOT_DUMPED = _message("agent-not-dumped", "{agent} not dumped to {path}: {reason}", "error")
@@ -388,7 +427,7 @@ SERIAL_BACK = _device_message("serial-back", "serial port {port} open again")
 def report_line(device: str, text: str, code: str, level: Level) -> LogLine:
     """The log line of a report of a driver or guard; `code` is '' for a report without a code."""
     line = DEVICE_REPORT.line(device=device, text=text)
-    return LogLine(line, code, level) if code else line
+    return LogLine(line, code, level, line.fields) if code else line
 
 
 def report_fields(text: str) -> tuple[str, str, Level]:

@@ -13,7 +13,7 @@ Desk = Callable[[str], str]
 
 def looked_at(team: SimulatedTeam) -> Iterator[str]:
     team.fleet.run(20.0)
-    yield from ("ps", "ps --json", "logs", "logs --host alpha", "logs --host nowhere")
+    yield from ("ps", "ps --json", "logs", "logs --json", "logs --host alpha", "logs --host nowhere")
     for form in ("", "--json ", "--csv "):
         yield f"events {form}--no-follow"
     yield from ("events --no-follow --kinds hopped,printed --host bravo", "events --kinds nothing")

@@ -18,18 +18,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
     parser.add_argument("-f", "--follow", action="store_true", help="follow the log until Ctrl-C")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per line")
     parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only this host")
 
 
 def run(args: argparse.Namespace) -> int:
     """0, or 69 when a host did not answer; with -f 130, after a Ctrl-C."""
-    from lfield.cli.views.event_view import LogLineView
+    from lfield.cli.views.event_view import LogLineView, event_json, log_json, log_text
     from lfield.operator.dashboard.event_feed import FeedNotice
 
     view = LogLineView()
 
     def lines(item: DatedEvent | FeedNotice) -> Iterator[str]:
         if not isinstance(item, FeedNotice):
-            yield from view.lines(item)
+            for line in view.lines(item):
+                yield log_json(item, line) if args.json else log_text(item, line)
+        elif args.json and item.lost:
+            yield event_json(item)
 
     return print_events(args, lines, since=0, follow=args.follow, only=args.host)

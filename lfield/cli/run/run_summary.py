@@ -7,6 +7,8 @@ from collections.abc import Mapping
 
 from lfield import exit_status
 from lfield.host.process.run_result import RunResult
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
 
 #: The most hosts with reasons in the line; it must stay readable in a team of many.
 MAX_REASONS = 2
@@ -14,17 +16,25 @@ MAX_REASONS = 2
 
 def summary(
     statuses: Mapping[str, int], status: int, seconds: float, results: Mapping[str, RunResult]
-) -> str:
+) -> LogLine:
     """The last line of a run after `seconds`, from the exit status and the result of each host.
 
     The order of `statuses` is that of the reasons, after their severity.
     """
     hops = total_hops(results)
-    end = f"after {seconds:.0f} s, {hops} hop{'s' * (hops != 1)}; exit status {status}"
+    noun = "hop" if hops == 1 else "hops"
     if status == exit_status.DONE:
-        return f"mission completed {end}"
+        return log_messages.MISSION_COMPLETED.line(seconds=seconds, hops=hops, hop_noun=noun, status=status)
     if status == exit_status.INTERRUPTED:
-        return f"mission stopped {end}: interrupted"
+        return log_messages.MISSION_INTERRUPTED.line(seconds=seconds, hops=hops, hop_noun=noun, status=status)
+    where, reason = _failure(statuses, status, results)
+    return log_messages.MISSION_FAILED.line(
+        where=where, seconds=seconds, hops=hops, hop_noun=noun, status=status, reason=reason
+    )
+
+
+def _failure(statuses: Mapping[str, int], status: int, results: Mapping[str, RunResult]) -> tuple[str, str]:
+    """Where a mission failed, and why."""
     failed = [host for host, each in statuses.items() if each == status]
     others = [host for host, each in statuses.items() if each not in (exit_status.DONE, status)]
     reasons: dict[str, str] = {}
@@ -33,14 +43,13 @@ def summary(
         if reason and reason not in reasons.values():
             reasons[host] = reason
     if not reasons:
-        where = f" on {', '.join(failed)}" if failed else ""
         meaning = exit_status.MEANINGS.get(status, "a host was killed").partition(";")[0]
-        return f"mission failed{where} {end}: {meaning.removeprefix('the mission failed: ')}"
+        return ", ".join(failed), meaning.removeprefix("the mission failed: ")
     (first, reason), *rest = reasons.items()
     parts = [reason, *(f"{host}: {text}" for host, text in rest[: MAX_REASONS - 1])]
     if len(rest) >= MAX_REASONS:
         parts.append(f"failures on {len(rest) - MAX_REASONS + 1} more hosts")
-    return f"mission failed on {first} {end}: {'; '.join(parts)}"
+    return first, "; ".join(parts)
 
 
 def total_hops(results: Mapping[str, RunResult]) -> int:

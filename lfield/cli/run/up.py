@@ -71,6 +71,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="with --until-done: exit when a host was unreachable for this long (default: 15)",
     )
     _add_journal_options(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object per log line")
     parser.add_argument(
         "--engine",
         choices=("auto", "wasm", "reference"),
@@ -224,6 +225,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
                 journal=journal,
                 first_start=args.first_start,
                 engine=args.engine,
+                as_json=args.json,
             )
         )
 

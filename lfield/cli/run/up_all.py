@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import argparse
 import asyncio
+import json
 import os
 import signal
 import socket
 import sys
 from asyncio.subprocess import PIPE, Process
+from contextlib import suppress
 from typing import TYPE_CHECKING, TextIO
 
 from msgspec.structs import replace
@@ -26,12 +28,14 @@ from lfield.cli.run.host_keys import ephemeral_keys
 from lfield.cli.run.run_summary import summary
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
+from lfield.host.logbook import json_line
 from lfield.host.process import parent_pipe
 from lfield.host.process.run_result import RunResult, read_result
 from lfield.host.process.shutdown_signals import REPEAT_WINDOW, ShutdownSignals, install_signal_handlers
 from lfield.mission.team import parse_maps
 from lfield.net.local_addresses import open_listening_socket
 from lfield.operator.runs import ControlSockets, publish_run, run_manifest
+from lfield.text import log_messages
 from lfield.text.terminal_escape import escape
 
 if TYPE_CHECKING:
@@ -40,6 +44,7 @@ if TYPE_CHECKING:
 
     from lfield.cli.views.live_view import LiveView
     from lfield.mission.mission import Mission
+    from lfield.text.log_messages import LogLine
 
 #: Time-out of a silent host under --all, in seconds: it hangs, so less than in the field.
 DEFAULT_LOST_AFTER = 3.0
@@ -68,6 +73,15 @@ def run_all(mission: Mission, file: Path, args: argparse.Namespace, report: Call
         run_manifest(mission.at(mission.team.at(addresses)), named, addresses), report
     ) as sockets:
         return asyncio.run(_HostProcesses(mission, file, args, reserved, addresses, sockets).run())
+
+
+def with_host(text: str, host: str) -> str:
+    """A JSON line of a host; an error that its process printed names no host."""
+    with suppress(json.JSONDecodeError):
+        found = json.loads(text)
+        if isinstance(found, dict) and "host" not in found:
+            return json.dumps({"host": host, **found})
+    return text
 
 
 class _HostProcesses:
@@ -100,7 +114,7 @@ class _HostProcesses:
     async def run(self) -> int:
         started = asyncio.get_running_loop().time()
         install_signal_handlers(self.stop_signals)
-        if sys.stderr.isatty():
+        if sys.stderr.isatty() and not self.args.json:
             from lfield.cli.views.live_view import LiveView
 
             self.view = LiveView(self.mission, self.control_sockets.addresses)
@@ -126,7 +140,7 @@ class _HostProcesses:
             status = exit_status.most_severe([self.refused, *statuses])
         seconds = asyncio.get_running_loop().time() - started
         ended = dict(zip(self.addresses, statuses, strict=True))
-        print(summary(self.killed_first(ended), status, seconds, self.read_results()), file=sys.stderr)
+        self.print(summary(self.killed_first(ended), status, seconds, self.read_results()))
         return status
 
     def killed_first(self, statuses: Mapping[str, int]) -> dict[str, int]:
@@ -191,7 +205,7 @@ class _HostProcesses:
         for option in ("dump", "unreachable_after", "state"):
             if getattr(args, option) is not None:
                 command += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
-        command += [f"--{option}" for option in ("sim", "volatile") if getattr(args, option)]
+        command += [f"--{option}" for option in ("sim", "volatile", "json") if getattr(args, option)]
         if args.until_done:
             command += ["--until-done", "--lost-after", str(min(args.lost_after, DEFAULT_LOST_AFTER))]
         return command
@@ -199,7 +213,26 @@ class _HostProcesses:
     async def pass_on(self, host: str, source: asyncio.StreamReader, target: TextIO) -> None:
         """Forward the lines of a host, each with its name in front."""
         while line := await self.line(source):
-            self.show(host, line.decode(errors="replace").removesuffix("\n"), target)
+            text = line.decode(errors="replace").removesuffix("\n")
+            if self.args.json and target is sys.stdout:
+                text = with_host(text, host)
+                target.write(text + "\n")
+            else:
+                self.show(host, text, target)
+
+    def note(self, host: str, line: LogLine) -> None:
+        """A log line about a host that has ended."""
+        if self.args.json:
+            sys.stdout.write(json_line(SystemClock().time(), host, line))
+        else:
+            self.show(host, line, sys.stderr)
+
+    def print(self, line: LogLine) -> None:
+        """A log line about the run."""
+        if self.args.json:
+            sys.stdout.write(json_line(SystemClock().time(), "", line))
+        else:
+            print(line, file=sys.stderr)
 
     def show(self, host: str, text: str, target: TextIO) -> None:
         """Print a line with the name of its host in front, above the table if there is one.
@@ -244,13 +277,12 @@ class _HostProcesses:
     def signal_status(self, number: signal.Signals, host: str) -> int:
         """The status of a host that a signal ended: its devices are not confirmed to be safe."""
         devices = [device for device in self.mission.devices_of(host) if not device.is_sensor]
-        lines = [f"killed ({number.name})"]
-        lines += [
-            f"{device.name} NOT SAFE: not confirmed to be in its safe state '{device.safe_state}'"
-            for device in devices
-        ]
+        lines = [log_messages.HOST_KILLED.line(host=host, signal=number.name)]
+        for device in devices:
+            reason = f"not confirmed to be in its safe state '{device.safe_state}'"
+            lines.append(log_messages.DEVICE_NOT_SAFE.line(device=device.name, reason=reason))
         for line in lines:
-            self.show(host, line, sys.stderr)
+            self.note(host, line)
         self.killed[host] = "; ".join(lines)
         return exit_status.UNSAFE if devices else exit_status.FAILED
 
@@ -262,10 +294,11 @@ class _HostProcesses:
         self.release()
         left = [host for host, child in self.children.items() if child.returncode is None]
         devices = [device for host in left for device in self.mission.devices_of(host)]
-        await asyncio.sleep(longest_rest(devices) + KILL_GRACE)
+        seconds = longest_rest(devices) + KILL_GRACE
+        await asyncio.sleep(seconds)
         for host in left:
             if self.children[host].returncode is None:
-                print(f"{host} does not end: killed", file=sys.stderr)
+                self.note(host, log_messages.HOST_STUCK.line(host=host, seconds=seconds))
                 self.children[host].kill()
 
     def stop_again(self) -> None:

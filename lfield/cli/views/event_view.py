@@ -13,7 +13,9 @@ import msgspec
 
 from lfield.operator.dashboard.event_feed import FeedNotice
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
-from lfield.operator.team_model.log_buffer import LineAssembler, lines_of, lost_events_text
+from lfield.operator.team_model.log_buffer import LineAssembler, lines_of
+from lfield.text import log_messages
+from lfield.text.log_messages import Level, LogLine
 from lfield.text.terminal_escape import escape_line
 from lfield.text.value_text import byte_count_text, duration_text, percentage_text
 from lfield.wire.events import (
@@ -185,21 +187,34 @@ def _cell(value: object) -> object:
     return escape_line(value) if isinstance(value, str) else value
 
 
+#: The levels of lines; one of a later version is taken for information.
+_LEVELS: dict[str, Level] = {"warning": "warning", "error": "error"}
+
+
 class LogLineView:
-    """Log lines with the time of this computer, the host and the agent."""
+    """The log lines that are complete with an event."""
 
     def __init__(self) -> None:
         self._assembler = LineAssembler()
 
-    def lines(self, dated: DatedEvent) -> Iterator[str]:
-        """The lines that are complete with an event."""
-        head = f"{clock_time(dated)} {escape_line(dated.host)} |"
+    def lines(self, dated: DatedEvent) -> Iterator[LogLine]:
+        """The lines, without time and host; of a program with the agent."""
         match dated.event.what:
             case Printed(agent) as what:
                 for line in self._assembler.lines(dated.host, what):
-                    yield f"{head} {escape_line(agent)}: {escape_line(line)}"
-            case LineLogged(text):
+                    yield log_messages.PROGRAM_OUTPUT.line(agent=agent, text=line)
+            case LineLogged(text, code, level):
                 for line in lines_of(text):
-                    yield f"{head} {escape_line(line)}"
+                    yield LogLine(line, code, _LEVELS.get(level, "info"), {})
             case EventsDropped("printed", count):
-                yield f"{head} {lost_events_text('lines', count)}"
+                yield log_messages.OUTPUT_DROPPED.line(count=count)
+
+
+def log_text(dated: DatedEvent, line: LogLine) -> str:
+    """A log line with the time of this computer and the host."""
+    return f"{clock_time(dated)} {escape_line(dated.host)} | {escape_line(line)}"
+
+
+def log_json(dated: DatedEvent, line: LogLine) -> str:
+    """The same as a JSON object; the text of a line of the host's log is all that its event has."""
+    return _json({"time": dated.time, "host": dated.host, **line.as_data()})

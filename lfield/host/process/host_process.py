@@ -19,7 +19,7 @@ from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.environment import HostOptions
 from lfield.host.host import Host
-from lfield.host.logbook import Logbook
+from lfield.host.logbook import JsonLogbook, Logbook
 from lfield.host.process.credentials import (
     HostCredentials,
     admission_for,
@@ -62,17 +62,19 @@ async def run_host(
     journal: Journal | None = None,
     first_start: bool = False,
     engine: str = "",
+    as_json: bool = False,
 ) -> int:
     """Run a host; returns the exit status (exit_status.py). `lost_after` None runs until it is stopped.
 
     `journal` is closed at the end; without one the host starts its coordinators after the reports of all
     hosts. `control_socket` is the address for local commands. `engine` selects the engine, overriding the
     bindings. Its `RunResult` is written to `result_fd`. Without `credentials` it serves local
-    commands only.
+    commands only. `as_json` writes the log as JSON lines to stdout.
 
     Raises AddressError, DevicesError and KeysError when it cannot start.
     """
-    clock, logbook = SystemClock(), Logbook()
+    clock = SystemClock()
+    logbook = JsonLogbook(name, clock) if as_json else Logbook()
     identity, mission = _identity(mission, name, listen, credentials, journal, logbook)
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = HostOptions(

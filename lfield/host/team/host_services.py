@@ -56,7 +56,7 @@ class HostServices:
     def write(self, agent: Agent, text: str) -> None:
         """Program output."""
         self._recorder.on_written(agent.id, text)
-        self._out(WriteOutput(text))
+        self._out(WriteOutput(agent.id, text))
 
     def log(self, agent: Agent, text: str) -> None:
         """A line of `print`."""

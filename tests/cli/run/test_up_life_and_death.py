@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import signal
@@ -76,11 +77,12 @@ def test_a_coordinator_lost_with_a_killed_child_of_all(lfield):
     team.wait_for(r"bravo \| far receives")
     os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 1
-    assert "bravo | killed (SIGKILL)" in team.err
+    assert "bravo | bravo killed (SIGKILL)" in team.err
+    killed = "bravo killed (SIGKILL)"
     lost = "tom lost: it moved to bravo (transfer 1), which is gone"
     assert f"alpha | {lost}" in team.err
     end = re.sub(r"after \d+ s", "after N s", team.err[-1])
-    assert end == f"mission failed on bravo after N s, 1 hop; exit status 1: killed (SIGKILL); alpha: {lost}"
+    assert end == f"mission failed on bravo after N s, 1 hop; exit status 1: {killed}; alpha: {lost}"
 
 
 PREPARED = (
@@ -162,7 +164,7 @@ def test_a_killed_child_whose_vehicle_nobody_has_seen_since_is_worse_than_any_ot
     team.wait_for("wing: at ")
     os.kill(lfield.child("bravo"), signal.SIGKILL)
     assert team.wait() == 3
-    assert "bravo | killed (SIGKILL)" in team.err
+    assert "bravo | bravo killed (SIGKILL)" in team.err
     assert "bravo | wing.fc NOT SAFE: not confirmed to be in its safe state 'land'" in team.err
     assert "lead.fc: NOT SAFE" not in team.said
     # Its fake has gone with it, but what that stands for would not: the guard goes on trying.
@@ -349,3 +351,38 @@ def test_all_to_a_full_disk_goes_on(lfield):
     assert lfield.status(done) == 0
     told = [line for line in done.err if "output discarded" in line]
     assert told == ["lfield: program output discarded from here on: No space left on device"]
+
+
+def test_the_log_of_all_hosts_as_json(lfield):
+    deployment = lfield.mission(TRAVELLER, TWO_HOSTS.format(stay="0.01"))
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--json")
+    assert (lfield.status(done), done.err) == (0, [])
+    lines = [json.loads(line) for line in done.out]
+    assert all(line.keys() == {"time", "host", "code", "level", "text", "fields"} for line in lines)
+    output = [(line["host"], line["fields"]["text"]) for line in lines if line["code"] == "program-output"]
+    assert sorted(output) == sorted(
+        [
+            *[("alpha", "near receives"), ("alpha", "near lets go")] * 2,
+            ("bravo", "far receives"),
+            ("bravo", "far lets go"),
+        ]
+    )
+    assert lines[-1]["code"] == "mission-completed"
+    assert (lines[-1]["fields"]["hops"], lines[-1]["fields"]["status"]) == (2, 0)
+
+
+def test_a_host_that_cannot_start_is_in_the_json_log(lfield):
+    program = (
+        "resource Arm { Mavlink fc; init(string[] arg) { } }\ncoordinator Boss { init(string[] arg) { } }"
+    )
+    deployment = lfield.mission(program, "//Arm:arm@alpha\n//Boss:boss@alpha\n")
+    (lfield.folder / "mission.devices.yaml").write_text(
+        'agents: {arm: {devices: {fc: {driver: mavlink, endpoint: "serial:/dev/none:57600", '
+        "system: 1, kind: copter, safe_state: land, limits: {speed: 5.0}, waivers: [device_watchdog]}}}}"
+    )
+    done = lfield("up", "--deploy", deployment, "--all", "--until-done", "--volatile", "--json")
+    assert lfield.status(done) == 69
+    refused, last = [json.loads(line) for line in done.out]
+    assert (refused["host"], refused["code"], refused["exit_status"]) == ("alpha", "devices-unavailable", 69)
+    assert (last["code"], last["fields"]["where"]) == ("mission-failed", "alpha")
+    assert "/dev/none" in last["fields"]["reason"]

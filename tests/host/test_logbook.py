@@ -1,0 +1,76 @@
+"""The log of a host: what is written as text and as JSON, and which errors are kept."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+
+from lfield.clock import SystemClock
+from lfield.host.logbook import MAX_INCOMPLETE, JsonLogbook, Logbook, json_line
+from lfield.text import log_messages
+from lfield.text.log_messages import LogMessage
+
+
+class StillClock(SystemClock):
+    def time(self) -> float:
+        return 12.5
+
+
+def written(out: io.StringIO) -> list[dict[str, object]]:
+    return [json.loads(line) for line in out.getvalue().splitlines()]
+
+
+def test_each_line_of_a_program_is_an_object() -> None:
+    out = io.StringIO()
+    book = JsonLogbook("alpha", StillClock(), out)
+    book.write("one\ntw", "boss")
+    book.write("other\n", "arm")
+    book.write("o\nrest", "boss")
+    assert [line["text"] for line in written(out)] == ["boss: one", "arm: other", "boss: two"]
+    assert written(out)[0] == {
+        "time": 12.5,
+        "host": "alpha",
+        "code": "program-output",
+        "level": "info",
+        "text": "boss: one",
+        "fields": {"agent": "boss", "text": "one"},
+    }
+    book.close()
+    assert written(out)[3]["text"] == "boss: rest"
+    book.write("x" * (MAX_INCOMPLETE + 1), "boss")
+    assert len(written(out)) == 5
+
+
+def test_a_log_line_has_the_values_of_its_template() -> None:
+    message = LogMessage("tested", "{name} tested: {value:.1f} and {other}", "warning")
+    line = message.line(name="a\x9b2J", value=1.25, other=None, bad=math.nan, count=3)
+    assert json.loads(json_line(1.0, "alpha", line)) == {
+        "time": 1.0,
+        "host": "alpha",
+        "code": "tested",
+        "level": "warning",
+        "text": "a\x9b2J tested: 1.2 and None",
+        "fields": {"name": "a\x9b2J", "value": 1.25, "other": "None", "bad": "nan", "count": 3},
+    }
+    assert json_line(1.0, "alpha", line).isascii()
+
+
+def test_a_report_of_a_device_names_it() -> None:
+    coded = log_messages.SERIAL_LOST.line(reason="unplugged")
+    line = log_messages.report_line("arm.servo", *log_messages.report_fields(coded))
+    assert (line.code, line.fields["device"]) == ("serial-lost", "arm.servo")
+
+
+def test_the_newest_error_of_each_code_is_kept() -> None:
+    out = io.StringIO()
+    for book in (Logbook(out, out), JsonLogbook("alpha", StillClock(), out)):
+        for agent in ("a", "b"):
+            book.note(log_messages.AGENT_DIED.line(agent=agent, report="E"))
+            book.note(log_messages.AGENT_LOST.line(agent=agent, reason="r"))
+        book.note(log_messages.AGENT_DIED.line(agent="c", report="E"))
+        book.note(log_messages.LINK_LOST.line(host="bravo"))
+        assert list(book.errors.items()) == [
+            ("agent-lost", "b lost: r"),
+            ("agent-died", "c died of an uncaught E"),
+        ]
