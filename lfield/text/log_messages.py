@@ -18,23 +18,24 @@ Level = Literal["info", "warning", "error"]
 class LogLine(str):
     """The text of a log line, with the code and the level of its message, and the values of its template."""
 
-    __slots__ = ("code", "fields", "level")
+    __slots__ = ("code", "level", "template_values")
 
-    def __new__(cls, text: str, code: str, level: Level, fields: Mapping[str, object]) -> LogLine:
+    def __new__(cls, text: str, code: str, level: Level, template_values: Mapping[str, object]) -> LogLine:
         """Only `LogMessage.line` and `report_line` call this."""
         made = super().__new__(cls, text)
-        made.code, made.level, made.fields = code, level, fields
+        made.code, made.level = code, level
+        made.template_values = template_values
         return made
 
     code: str
     level: Level
-    fields: Mapping[str, object]
+    template_values: Mapping[str, object]
 
     def as_data(self) -> dict[str, object]:
         """Code, level, text and fields, as of JSON; a value that is no number or text becomes text."""
         plain = {
             name: value if isinstance(value, int) or _is_finite(value) else str(value)
-            for name, value in self.fields.items()
+            for name, value in self.template_values.items()
         }
         return {"code": self.code, "level": self.level, "text": str(self), "fields": plain}
 
@@ -427,7 +428,7 @@ SERIAL_BACK = _device_message("serial-back", "serial port {port} open again")
 def report_line(device: str, text: str, code: str, level: Level) -> LogLine:
     """The log line of a report of a driver or guard; `code` is '' for a report without a code."""
     line = DEVICE_REPORT.line(device=device, text=text)
-    return LogLine(line, code, level, line.fields) if code else line
+    return LogLine(line, code, level, line.template_values) if code else line
 
 
 def report_fields(text: str) -> tuple[str, str, Level]:

@@ -26,6 +26,7 @@ NAMESAKES = ("conftest.py", "run.py")
 #: Longer than others for a reason: tables, which are read by looking things up.
 TABLES: dict[str, str] = {
     "lfield/lang/messages.py": "what the front end can say, by its codes",
+    "lfield/text/log_messages.py": "the log lines of hosts and guards, by their codes",
     "lfield/lang/tree.py": "the nodes of the checked tree, all of which name one another",
 }
 #: Shorter than others, each one idea that nothing else is about.
@@ -46,7 +47,6 @@ SMALL = {
     "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
     "lfield/host/process/shutdown_signals.py": "what ends a host",
     "lfield/host/agent_dump.py": "where the block of a dead agent goes",
-    "lfield/host/logbook.py": "the two streams of a host",
     "lfield/net/connections/socket_errors.py": "what errors of sockets mean, a table",
     "lfield/net/scheduling/temporary_bans.py": "the back-off of a member that sent too much",
     "lfield/net/fault_client.py": "the door of a fake, from outside",

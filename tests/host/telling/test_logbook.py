@@ -59,7 +59,7 @@ def test_a_log_line_has_the_values_of_its_template() -> None:
 def test_a_report_of_a_device_names_it() -> None:
     coded = log_messages.SERIAL_LOST.line(reason="unplugged")
     line = log_messages.report_line("arm.servo", *log_messages.report_fields(coded))
-    assert (line.code, line.fields["device"]) == ("serial-lost", "arm.servo")
+    assert (line.code, line.template_values["device"]) == ("serial-lost", "arm.servo")
 
 
 def test_the_newest_error_of_each_code_is_kept() -> None:
