@@ -49,29 +49,60 @@ resource Tried {
   }
 }
 """
+#: What `lfield doctor` diagnoses, by code.
+DIAGNOSES = {
+    "python": "version of Python, number of processors",
+    "engine": "engine that runs programs",
+    "driver": "an installed driver and what it lacks",
+    "driver-broken": "a driver that cannot be used",
+    "serial-port": "permission to use a serial port",
+    "serial-latency": "latency of a USB serial adapter",
+    "can-interface": "state of a CAN interface",
+    "clock-sync": "synchronisation of the clock",
+    "timer-priority": "real-time priority of guards",
+    "confinement": "confinement of guards by the kernel",
+    "shared-runs": "users who may observe and stop missions",
+    "scheduling-lateness": "scheduling delays, compared with `silence`",
+    "keys": "validity of keys on this computer",
+    "page-keys": "validity of the keys of `lfield watch`",
+    "endpoint": "device at an endpoint of the mission",
+}
 #: adjtimex's state of an unsynchronised clock.
 _TIME_ERROR = 5
 
 
 @dataclass(frozen=True, slots=True)
 class DiagnosticFinding:
-    """One diagnosis; `details` are lines, `cure` is the remedy of a problem.
+    """One diagnosis; `code` is that of `DIAGNOSES`, `details` are lines, `cure` is the remedy of a problem.
 
     The level `note` is for something that this mission does not need.
     """
 
+    code: str
     state: Literal["ok", "note", "warning", "problem"]
     what: str
     cure: str = ""
     details: Sequence[str] = ()
 
+    def as_data(self) -> dict[str, object]:
+        """As of JSON."""
+        return {
+            "code": self.code,
+            "state": self.state,
+            "message": self.what,
+            "hint": self.cure or None,
+            "details": list(self.details),
+        }
+
 
 def system(plugins: Plugins, root: Path = Path("/")) -> Iterator[DiagnosticFinding]:
     """All diagnoses that need no mission. `root` holds /dev and /sys, for tests."""
-    yield DiagnosticFinding("ok", f"Python {sys.version.split()[0]}, {os.cpu_count()} processors")
+    yield DiagnosticFinding("python", "ok", f"Python {sys.version.split()[0]}, {os.cpu_count()} processors")
     yield engine()
     for problem in plugins.problems:
-        yield DiagnosticFinding("problem", problem, "install that driver again, or uninstall it")
+        yield DiagnosticFinding(
+            "driver-broken", "problem", problem, "install that driver again, or uninstall it"
+        )
     yield from _serial(root)
     yield from _can(root)
     yield _clock()
@@ -84,10 +115,13 @@ def shared_runs() -> DiagnosticFinding:
     """Whether the group may see and stop what this user starts."""
     if shared_group_id() is not None:
         return DiagnosticFinding(
-            "ok", f"members of the group {GROUP} may observe and stop the missions of this user"
+            "shared-runs",
+            "ok",
+            f"members of the group {GROUP} may observe and stop the missions of this user",
         )
     join = "" if os.geteuid() == 0 else f" && sudo usermod -aG {GROUP} $USER, then log in again"
     return DiagnosticFinding(
+        "shared-runs",
         "note",
         "only this user and root may observe and stop what this user starts",
         f"for a group that may: sudo groupadd --force {GROUP}{join}",
@@ -99,15 +133,17 @@ def engine() -> DiagnosticFinding:
     if not has_wasm():
         what = "the reference engine runs programs: wasmtime is not installed"
         return DiagnosticFinding(
-            "note", what, "pip install 'lfield[wasm]': loops and calls run a hundred times as fast"
+            "engine", "note", what, "pip install 'lfield[wasm]': loops and calls run a hundred times as fast"
         )
     try:
         with wasm_engine() as wasm:
             wasm.WasmEngine(compile_program(check_text(_TRIAL_PROGRAM, "tried.L").or_raise()), float)
     except EngineUnavailable as unusable:
         what = f"the reference engine runs programs: {unusable}"
-        return DiagnosticFinding("warning", what, _REINSTALL)
-    return DiagnosticFinding("ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs")
+        return DiagnosticFinding("engine", "warning", what, _REINSTALL)
+    return DiagnosticFinding(
+        "engine", "ok", f"wasmtime {importlib.metadata.version('wasmtime')} runs programs"
+    )
 
 
 def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[DiagnosticFinding]:
@@ -115,15 +151,19 @@ def drivers(plugins: Plugins, used: Collection[str] = ()) -> Iterator[Diagnostic
     for name, installed in sorted(plugins.by_driver.items()):
         if missing := installed.plugin.missing:
             lacks = f"driver {name}: not installed: {', '.join(missing)}"
-            yield DiagnosticFinding("problem" if name in used else "note", lacks, installed.plugin.to_install)
+            yield DiagnosticFinding(
+                "driver", "problem" if name in used else "note", lacks, installed.plugin.to_install
+            )
         else:
-            yield DiagnosticFinding("ok", f"driver {name}: {', '.join(sorted(installed.manifests))}")
+            yield DiagnosticFinding(
+                "driver", "ok", f"driver {name}: {', '.join(sorted(installed.manifests))}"
+            )
 
 
 def _serial(root: Path) -> Iterator[DiagnosticFinding]:
     ports = [port for pattern in PORTS for port in sorted((root / "dev").glob(pattern))]
     if not ports:
-        yield DiagnosticFinding("ok", "no serial ports")
+        yield DiagnosticFinding("serial-port", "ok", "no serial ports")
     for port in ports:
         yield _port(port)
     for timer in sorted((root / "sys/bus/usb-serial/devices").glob("*/latency_timer")):
@@ -132,20 +172,24 @@ def _serial(root: Path) -> Iterator[DiagnosticFinding]:
 
 def _port(port: Path) -> DiagnosticFinding:
     if os.access(port, os.R_OK | os.W_OK):
-        return DiagnosticFinding("ok", f"{port}: may be used")
+        return DiagnosticFinding("serial-port", "ok", f"{port}: may be used")
     group = grp.getgrgid(port.stat().st_gid).gr_name
     user = pwd.getpwuid(os.getuid()).pw_name
     return DiagnosticFinding(
-        "problem", f"{port}: {user} may not use it", f"sudo usermod -aG {group} {user}, then log in again"
+        "serial-port",
+        "problem",
+        f"{port}: {user} may not use it",
+        f"sudo usermod -aG {group} {user}, then log in again",
     )
 
 
 def _latency(timer: Path) -> DiagnosticFinding:
     port, text = timer.parent.name, timer.read_text(encoding="ascii", errors="replace").strip()
     if text.isdecimal() and int(text) <= SERIAL_LATENCY:
-        return DiagnosticFinding("ok", f"{port}: holds bytes back for {text} ms at most")
+        return DiagnosticFinding("serial-latency", "ok", f"{port}: holds bytes back for {text} ms at most")
     rule = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
     return DiagnosticFinding(
+        "serial-latency",
         "warning",
         f"{port}: holds bytes back for up to {text} ms, which every answer of a servo waits for",
         f"echo 1 | sudo tee {timer}; permanently: the udev rule {rule}",
@@ -157,9 +201,10 @@ def _can(root: Path) -> Iterator[DiagnosticFinding]:
         name = interface.name
         state = (interface / "operstate").read_text(encoding="ascii", errors="replace").strip()
         if state in ("up", "unknown"):
-            yield DiagnosticFinding("ok", f"{name}: {'up' if state == 'up' else 'there'}")
+            yield DiagnosticFinding("can-interface", "ok", f"{name}: {'up' if state == 'up' else 'there'}")
         else:
             yield DiagnosticFinding(
+                "can-interface",
                 "problem",
                 f"{name}: {state}",
                 f"sudo ip link set {name} up type can bitrate 500000 restart-ms 100",
@@ -173,20 +218,24 @@ def _clock() -> DiagnosticFinding:
     state = libc.adjtimex(ctypes.create_string_buffer(256))
     if state == _TIME_ERROR:
         return DiagnosticFinding(
+            "clock-sync",
             "warning",
             "the clock is not synchronised: the logs of the hosts will not fit together",
             "run chrony or systemd-timesyncd; without a network, a GPS receiver with gpsd",
         )
     return DiagnosticFinding(
-        "ok", "the clock is synchronised" if state >= 0 else "the state of the clock cannot be read"
+        "clock-sync",
+        "ok",
+        "the clock is synchronised" if state >= 0 else "the state of the clock cannot be read",
     )
 
 
 def _promptness() -> DiagnosticFinding:
     """Whether guards get real-time priority; see lfield.guard.process."""
     if event_loop.may_raise_timer_priority():
-        return DiagnosticFinding("ok", "guards run with real-time priority")
+        return DiagnosticFinding("timer-priority", "ok", "guards run with real-time priority")
     return DiagnosticFinding(
+        "timer-priority",
         "warning",
         "guards may not have real-time priority: on a busy computer their timers can be late",
         "LimitRTPRIO=1 in the service's unit, or '@dialout - rtprio 1' in /etc/security/limits.conf",
@@ -197,12 +246,14 @@ def confinement() -> DiagnosticFinding:
     """Whether this kernel can confine guards to their devices; see lfield.guard.sandbox."""
     kept, missing = describe_sandbox()
     if not kept:
-        return DiagnosticFinding("note", f"guards have all rights of their user: {missing}")
+        return DiagnosticFinding("confinement", "note", f"guards have all rights of their user: {missing}")
     if missing:
         return DiagnosticFinding(
-            "note", f"guards are kept to their devices ({kept}); this kernel cannot for {missing}"
+            "confinement",
+            "note",
+            f"guards are kept to their devices ({kept}); this kernel cannot for {missing}",
         )
-    return DiagnosticFinding("ok", f"guards are kept to their devices ({kept})")
+    return DiagnosticFinding("confinement", "ok", f"guards are kept to their devices ({kept})")
 
 
 async def scheduling_lateness(silence: float, clock: Clock, *, bound: bool) -> DiagnosticFinding:
@@ -213,8 +264,10 @@ async def scheduling_lateness(silence: float, clock: Clock, *, bound: bool) -> D
     limit = JitterLimit(silence, event_loop.may_raise_timer_priority())
     late = await measure_jitter(limit, clock)
     if late <= limit.max_jitter:
-        return DiagnosticFinding("ok", limit.report(late))
-    return DiagnosticFinding("problem" if bound else "warning", limit.report(late), limit.remedy(late))
+        return DiagnosticFinding("scheduling-lateness", "ok", limit.report(late))
+    return DiagnosticFinding(
+        "scheduling-lateness", "problem" if bound else "warning", limit.report(late), limit.remedy(late)
+    )
 
 
 async def endpoints(
@@ -233,7 +286,7 @@ async def endpoints(
         if plugin.missing:
             on_finding(
                 DiagnosticFinding(
-                    "problem", f"{device.name}: not tried without its driver", plugin.to_install
+                    "endpoint", "problem", f"{device.name}: not tried without its driver", plugin.to_install
                 )
             )
             continue
@@ -246,7 +299,7 @@ async def endpoints(
                 on_finding(_not_open(device, problem, setup if problem in error.not_set_up else "", notes))
         else:
             identity = guards.guard_of(device.name).identities[device.name]
-            on_finding(DiagnosticFinding("ok", f"{device.name}: {identity} at {device.endpoint}"))
+            on_finding(DiagnosticFinding("endpoint", "ok", f"{device.name}: {identity} at {device.endpoint}"))
         finally:
             await guards.close()
 
@@ -254,6 +307,6 @@ async def endpoints(
 def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[str]) -> DiagnosticFinding:
     if not setup:
         cure = "" if "log in again" in problem else "check power, cable, endpoint and ids"
-        return DiagnosticFinding("problem", problem, cure)
+        return DiagnosticFinding("endpoint", "problem", problem, cure)
     details = [note.removeprefix(f"{device.name}: ") for note in notes]
-    return DiagnosticFinding("problem", problem, f"{setup} (with a confirmation)", details)
+    return DiagnosticFinding("endpoint", "problem", problem, f"{setup} (with a confirmation)", details)

@@ -26,6 +26,7 @@ def local_keys_health(
         yield from health(folder, at)
     if not found:
         yield DiagnosticFinding(
+            "keys",
             "note",
             "there are no keys here: no host of this computer listens to others",
             "'lfield keys init' on the operator's computer, or copy a key folder here",
@@ -39,7 +40,7 @@ def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
         yield _page(folder, at)
     elif not holders:
         yield DiagnosticFinding(
-            "problem", f"keys {folder}: there are none", "copy there what 'lfield keys' has made"
+            "keys", "problem", f"keys {folder}: there are none", "copy there what 'lfield keys' has made"
         )
     for holder in holders:
         try:
@@ -48,7 +49,7 @@ def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
         except KeysError as error:
             # Of a file that cannot be used it names the path.
             place = "keys" if str(folder) in str(error) else f"keys {folder}:"
-            yield DiagnosticFinding("problem", f"{place} {error}")
+            yield DiagnosticFinding("keys", "problem", f"{place} {error}")
 
 
 def _page(folder: Path, at: float) -> DiagnosticFinding:
@@ -57,9 +58,9 @@ def _page(folder: Path, at: float) -> DiagnosticFinding:
     try:
         page = read_web_keys(folder)
     except KeysError as error:
-        return DiagnosticFinding("problem", f"keys {error}")
+        return DiagnosticFinding("page-keys", "problem", f"keys {error}")
     if refusal := page.refusal(page.names[0], at):
-        return DiagnosticFinding("problem", f"keys {folder}: {refusal}")
+        return DiagnosticFinding("page-keys", "problem", f"keys {folder}: {refusal}")
     what = f"keys {folder}: a page at {', '.join(page.names)}, "
     if page.valid_until - at < EXPIRY_WARNING:
         days, renew = (
@@ -67,9 +68,9 @@ def _page(folder: Path, at: float) -> DiagnosticFinding:
             f"'lfield keys page {' '.join(page.names)}' makes the next",
         )
         return DiagnosticFinding(
-            "warning", f"{what}expire in {days} days, {format_time(page.valid_until)}", renew
+            "page-keys", "warning", f"{what}expire in {days} days, {format_time(page.valid_until)}", renew
         )
-    return DiagnosticFinding("ok", f"{what}valid until {format_time(page.valid_until)}")
+    return DiagnosticFinding("page-keys", "ok", f"{what}valid until {format_time(page.valid_until)}")
 
 
 def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
@@ -82,23 +83,29 @@ def _finding(folder: Path, keys: Keys, at: float) -> DiagnosticFinding:
     details = list(_details(who, revoked))
     if who.serial in revoked.serials:
         return DiagnosticFinding(
-            "problem", f"{what}revoked", f"'lfield keys {who.kind} {who.name}' creates new ones", details
+            "keys",
+            "problem",
+            f"{what}revoked",
+            f"'lfield keys {who.kind} {who.name}' creates new ones",
+            details,
         )
     renew = f"'lfield keys renew {who.kind} {who.name}' where the authority is, and copy the folder again"
     if at >= who.valid_until:
         cure = f"set the clock if it is wrong: it shows {format_time(at)}; else {renew}"
-        return DiagnosticFinding("problem", f"{what}expired {format_time(who.valid_until)}", cure, details)
+        return DiagnosticFinding(
+            "keys", "problem", f"{what}expired {format_time(who.valid_until)}", cure, details
+        )
     if at < who.valid_from:
         cure = f"set the clock of this computer, which shows {format_time(at)}"
         return DiagnosticFinding(
-            "warning", f"{what}not valid before {format_time(who.valid_from)}", cure, details
+            "keys", "warning", f"{what}not valid before {format_time(who.valid_from)}", cure, details
         )
     if who.valid_until - at < EXPIRY_WARNING:
         days = int((who.valid_until - at) // 86400)
         return DiagnosticFinding(
-            "warning", f"{what}expire in {days} days, {format_time(who.valid_until)}", renew, details
+            "keys", "warning", f"{what}expire in {days} days, {format_time(who.valid_until)}", renew, details
         )
-    return DiagnosticFinding("ok", f"{what}valid until {format_time(who.valid_until)}", "", details)
+    return DiagnosticFinding("keys", "ok", f"{what}valid until {format_time(who.valid_until)}", "", details)
 
 
 def _details(who: Identity, revoked: RevocationList) -> Iterator[str]:

@@ -16,6 +16,7 @@ import lfield_mavlink.log_messages
 from lfield.capability.registry_reader import messages as registry_messages
 from lfield.errors import LfieldError, SystemRefusal
 from lfield.lang import messages as program_messages
+from lfield.operator.diagnostics import DIAGNOSES
 from lfield.text.log_messages import DEVICE_MESSAGES, LOG_MESSAGES, LogMessage
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import FINDING_CODES
@@ -27,9 +28,9 @@ _HEAD = """\
 # Errors, log lines and diagnostics by code
 
 Every error, log line and diagnostic has a code that does not change between versions; the wording may.
-`--json` carries it: `check` in the `code` of each finding, `ps` and `query` for each host that did not
-answer, `events` in the `code` and `level` of each event `logged`, and every command that fails prints
-`{"error": ..., "code": ..., "exit_status": ...}`.
+`--json` carries it: `check` and `doctor` in the `code` of each finding, `ps` and `query` for each host that
+did not answer, `up` and `logs` in each line, `events` in the `code` and `level` of each event `logged`, and
+every command that fails prints `{"error": ..., "code": ..., "exit_status": ...}`.
 [Exit statuses](exit-statuses.md) are on a page of their own. This page is generated:
 `python tests/docs/messages_page.py --write`.
 """
@@ -48,6 +49,8 @@ def page() -> str:
             "Each line begins with the name of the device and a colon: `lead.fc: crashed: ...`. A driver\n"
             "without codes of its own logs under `device-report`.\n",
             _table(("code", "level", "line", "meaning"), _log_lines(device_messages())),
+            "## Findings of `lfield doctor`\n",
+            _table(("code", "about"), ((f"`{code}`", about) for code, about in DIAGNOSES.items())),
             "## Diagnostics of programs and deployments\n",
             _table(("code", "message", "hint"), _findings(program_messages.TABLE.values())),
             "## Diagnostics of the registry of capabilities\n",

@@ -11,7 +11,7 @@ import pytest
 
 from lfield.clock import SystemClock
 from lfield.driver.plugins import Plugins
-from lfield.operator.diagnostics import DiagnosticFinding, drivers, endpoints, system
+from lfield.operator.diagnostics import DIAGNOSES, DiagnosticFinding, drivers, endpoints, system
 from lfield.testing.driver_bench import bind
 from switching_engine import NEEDED
 
@@ -22,7 +22,9 @@ def findings(tmp_path):
     plugins.add("lfield_mavlink:PLUGIN")
 
     def look():
-        return {finding.what: finding for finding in system(plugins, tmp_path)}
+        found = list(system(plugins, tmp_path))
+        assert {finding.code for finding in found} <= DIAGNOSES.keys()
+        return {finding.what: finding for finding in found}
 
     return look
 

@@ -51,7 +51,8 @@ CASES: Cases = {
     },
     "inspect": {
         "deployment": [f"inspect {SERVER}.dL"],
-        "dump": ["inspect tests/formats/dump-0.3.block"],
+        "dump": ["inspect tests/formats/dump-0.3.block", "inspect tests/formats/dump-0.3.block --json"],
+        "program": [f"inspect {SERVER}.L", f"inspect {SERVER}.L --json"],
         "no such file": ["inspect nowhere", "inspect tests", "inspect README.md"],
     },
     "keys": {
@@ -123,7 +124,7 @@ CASES: Cases = {
         ],
     },
     "driver": {
-        "list": ["driver list"],
+        "list": ["driver list", "driver list --json"],
         "new": [
             "driver new winch --into OUT/winch",
             "driver new winch --into OUT/winch",

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield.errors import KeysError
+from lfield.errors import KeysError, UsageError
 
 if TYPE_CHECKING:
     from lfield.mission.bundle import BundleContents
@@ -22,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="dump from 'lfield up --dump DIR', journal or its directory, bundle, or deployment",
     )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -30,16 +32,21 @@ def run(args: argparse.Namespace) -> int:
     from lfield.mission import bundle
 
     if os.path.isdir(args.file) and args.file.name != FILE_NAME:
-        return _show_folder(args.file)
+        return _show_folder(args.file, as_json=args.json)
     # What was moved aside is called after it.
     if FILE_NAME in args.file.name:
-        return _show_journal(args.file)
+        return _show_journal(args.file, as_json=args.json)
     if args.file.suffix in (bundle.SUFFIX, ".dL"):
-        return _show_mission(args.file)
-    return _show_dump(args.file)
+        return _show_mission(args.file, as_json=args.json)
+    if args.file.suffix in (".L", ".lb"):
+        raise UsageError(
+            f"{args.file} is a program: 'lfield disasm {args.file}' shows it, and 'lfield inspect "
+            f"{args.file.with_suffix('.dL')}' the mission of its deployment"
+        )
+    return _show_dump(args.file, as_json=args.json)
 
 
-def _show_dump(file: Path) -> int:
+def _show_dump(file: Path, *, as_json: bool) -> int:
     from lfield.cli.views.journal_view import interval_line, thread_lines
     from lfield.errors import BlockError
     from lfield.text.input_files import read_bytes
@@ -52,6 +59,11 @@ def _show_dump(file: Path) -> int:
     except BlockError as error:
         raise BlockError(f"{file}: {error.reason}", word=error.word) from None
     shown = view(block, program, record.members)
+    if as_json:
+        from lfield.cli.views.inspection_json import dump_data
+
+        print(json.dumps(dump_data(record, shown, program.digest)))
+        return 0
     trail = " → ".join(record.hosts[n] if 0 <= n < len(record.hosts) else str(n) for n in shown.trail)
     print(f"agent     {shown.id} ({shown.kind} {shown.type})")
     print(f"on        {record.host}, after {shown.hops} hop(s): {trail}")
@@ -75,7 +87,7 @@ def _print_state(shown: BlockView, limit: int) -> None:
         print(f"  {size:>9} bytes  {count:>6} × {name}")
 
 
-def _show_folder(folder: Path) -> int:
+def _show_folder(folder: Path, *, as_json: bool) -> int:
     """Print the journal in a folder. Raises InputFileError if there is none."""
     from lfield.errors import InputFileError
     from lfield.journal.journal import FILE_NAME
@@ -88,10 +100,10 @@ def _show_folder(folder: Path) -> int:
         raise InputFileError(str(folder), f"the folder has no {FILE_NAME}") from None
     except OSError as error:
         raise InputFileError(str(folder), error_reason(error)) from None
-    return _show_journal(file)
+    return _show_journal(file, as_json=as_json)
 
 
-def _show_journal(file: Path) -> int:
+def _show_journal(file: Path, *, as_json: bool) -> int:
     """Print the readable records, then raise for the damaged ones."""
     from lfield.cli.views.journal_view import journal_lines
     from lfield.errors import DamagedFileError
@@ -99,8 +111,13 @@ def _show_journal(file: Path) -> int:
     from lfield.text.terminal_escape import escape
 
     journal = open_read_only(file)
-    for line in journal_lines(journal):
-        print(escape(line))
+    if as_json:
+        from lfield.cli.views.inspection_json import journal_data
+
+        print(json.dumps(journal_data(journal)))
+    else:
+        for line in journal_lines(journal):
+            print(escape(line))
     if journal.fault:
         raise DamagedFileError(str(file), f"damaged; the readable records are above: {journal.fault}")
     if journal.damaged:
@@ -109,7 +126,7 @@ def _show_journal(file: Path) -> int:
     return 0
 
 
-def _show_mission(file: Path) -> int:
+def _show_mission(file: Path, *, as_json: bool) -> int:
     """What is in a bundle, or would be in that of a deployment."""
     from lfield.mission import bundle
     from lfield.mission.loader import load_mission
@@ -123,6 +140,12 @@ def _show_mission(file: Path) -> int:
         mission = load_mission(file)
         data = bundle.encode(mission)
     found = bundle.contents(data)
+    if as_json:
+        from lfield.cli.views.inspection_json import mission_data
+
+        signed = _signed(found) if file.suffix == bundle.SUFFIX else None
+        print(json.dumps(mission_data(mission, found, signed)))
+        return 0
     print(f"bundle    {short_digest(found.digest)} of {mission.name}")
     if file.suffix == bundle.SUFFIX:
         print(f"signed    {_signed(found)}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import os
 import time
 from collections.abc import Callable
@@ -29,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     add_bindings(parser)
     parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
+    parser.add_argument("--json", action="store_true", help="print one JSON object per finding")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -42,7 +44,10 @@ def run(args: argparse.Namespace) -> int:
 
     def report(finding: DiagnosticFinding) -> None:
         findings.append(finding)
-        _print_finding(finding)
+        if args.json:
+            print(json.dumps(finding.as_data()), flush=True)
+        else:
+            _print_finding(finding)
 
     plugins = discover()
     for finding in (*system(plugins), *local_keys_health(os.environ, time.time())):

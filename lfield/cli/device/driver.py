@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import re
 from pathlib import Path
 
@@ -12,7 +13,8 @@ from lfield.errors import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    actions.add_parser("list", help="list the installed drivers and their device types")
+    installed = actions.add_parser("list", help="list the installed drivers and their device types")
+    installed.add_argument("--json", action="store_true", help="print the list as JSON")
     new = actions.add_parser(
         "new", help="create a driver project that passes the conformance tests with its own simulated device"
     )
@@ -25,15 +27,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """List or create drivers; returns 0."""
     if args.action == "list":
-        return _list()
+        return _list(as_json=args.json)
     folder = args.into or Path(f"lfield_{args.name}")
     return _new(args.name, folder, sensor=args.sensor, serial=args.serial)
 
 
-def _list() -> int:
+def _list(*, as_json: bool) -> int:
     from lfield.driver.plugins import discover
 
     plugins = discover()
+    if as_json:
+        found = {
+            name: {
+                "package": installed.distribution,
+                "missing": list(installed.plugin.missing),
+                "device_types": {
+                    type_name: manifest.device.meaning
+                    for type_name, manifest in sorted(installed.manifests.items())
+                },
+            }
+            for name, installed in sorted(plugins.by_driver.items())
+        }
+        print(json.dumps({"drivers": found, "problems": plugins.problems}, indent=2))
+        return 0
     for name, installed in sorted(plugins.by_driver.items()):
         for device_type, manifest in sorted(installed.manifests.items()):
             print(f"{name}: {device_type}: {manifest.device.meaning}")

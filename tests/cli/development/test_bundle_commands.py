@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -247,13 +248,14 @@ SHOWING = """
 import sys
 from lfield.cli.main import main
 from lfield.host.logbook import Logbook
+from lfield.text.log_messages import DEVICE_REPORT
 
 note = Logbook.note
 
 def told(self, text, **more):
     note(self, text, **more)
     if " listening " in text:
-        note(self, "loaded: " + " ".join(sorted(sys.modules)))
+        note(self, DEVICE_REPORT.line(device="loaded", text=" ".join(sorted(sys.modules))))
 
 Logbook.note = told
 sys.exit(main(sys.argv[1:]))
@@ -298,3 +300,18 @@ def test_neither_a_host_nor_its_guards_know_l_or_yaml(lfield, example) -> None:
     assert "lfield.host.host" in loaded, "".join(lines[-20:])
     for names in (imported, loaded):
         assert not [name for name in names for no in NOT_ON_ROBOTS if name == no or name.startswith(f"{no}.")]
+
+
+def test_a_bundle_and_a_deployment_as_json(lfield, here) -> None:
+    deployment = EXAMPLES / "01-first-flight" / "mission.dL"
+    assert here("build", deployment, "--sim", "-o", "mission.lfm").status == 0
+    bundle, unbuilt = (
+        json.loads("\n".join(here("inspect", file, "--json").out)) for file in ("mission.lfm", deployment)
+    )
+    assert (bundle["kind"], bundle["signed"]) == ("bundle", "no")
+    assert (unbuilt["kind"], unbuilt["signed"]) == ("deployment", None)
+    assert sum(part["bytes"] for part in bundle["parts"]) > 1000
+    hosts = {host["name"]: [agent["id"] for agent in host["agents"]] for host in bundle["hosts"]}
+    assert hosts == {"alpha": ["lead", "pilot"], "bravo": ["wing"]}
+    (device,) = bundle["hosts"][1]["agents"][0]["devices"]
+    assert (device["field"], device["type"], device["driver"]) == ("fc", "Mavlink", "mavlink")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import io
+import json
 import re
 import sqlite3
 from collections.abc import Sequence
@@ -73,10 +74,10 @@ class Said(NamedTuple):
     err: str
 
 
-def inspect(path: Path) -> Said:
+def inspect(path: Path, *options: str) -> Said:
     out, err = io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
-        status = main(["inspect", str(path)])
+        status = main(["inspect", str(path), *options])
     return Said(status, out.getvalue(), err.getvalue())
 
 
@@ -141,6 +142,36 @@ def test_all_that_is_in_it_is_shown_while_a_host_has_it_and_after(tmp_path: Path
     assert inspect(tmp_path) == Said(0, expected, "")
     made.close()
     assert inspect(tmp_path / "host.journal") == Said(0, expected, "")
+
+
+def test_all_that_is_in_it_as_json(tmp_path: Path) -> None:
+    made = kept(tmp_path)
+    made.close()
+    dumped = json.loads(inspect(DUMP, "--json").out)
+    status, out, err = inspect(tmp_path, "--json")
+    assert (status, err) == (0, "")
+    found = json.loads(out)
+    assert (found["kind"], found["host"], found["deployment"]) == ("journal", "barn", "harvest")
+    by_key = {(each["record"], each.get("agent"), each.get("generation")): each for each in found["records"]}
+    assert len(by_key) == len(pages())
+    boss = by_key["copy", "boss", 4]
+    assert (boss["state"], boss["target"], boss["hops"]) == ("PREPARED", "field", 5)
+    assert boss["threads"] == dumped["threads"] != []
+    assert by_key["copy", "scout", 1]["threads"] is None
+    assert "threads" not in by_key["copy", "boss", 3]
+    assert by_key["copy", "scout", 1]["block"] == "00" * 8
+    assert by_key["program", None, None]["code"] == {
+        "bytes": len(dump_file.decode(DUMP.read_bytes())[0].program)
+    }
+
+
+def test_a_damaged_journal_as_json_ends_with_the_error(tmp_path: Path) -> None:
+    kept(tmp_path).close()
+    sql(tmp_path, "UPDATE pages SET kept = kept + 1 WHERE name = 'digger'")
+    said = inspect(tmp_path, "--json")
+    found, error = map(json.loads, said.out.splitlines())
+    assert "the copy of digger, start 1" in found["damaged"][0]["what"]
+    assert (said.status, error["exit_status"]) == (65, 65)
 
 
 def test_a_folder_without_a_journal_is_told_as_that(tmp_path: Path) -> None:

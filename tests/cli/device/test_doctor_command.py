@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
+
+from lfield.operator.diagnostics import DIAGNOSES
 
 pytestmark = pytest.mark.process
 
@@ -47,6 +51,16 @@ def test_one_host_has_only_its_own_devices(lfield, deployment):
     unknown = lfield("doctor", "--deploy", deployment, "--host", "zulu")
     assert lfield.status(unknown) in (64, 65), unknown.said
     assert "zulu" in unknown.err[-1]
+
+
+def test_each_finding_as_json_has_its_code(lfield, deployment):
+    doctor = lfield("doctor", "--deploy", deployment, "--json")
+    assert (lfield.status(doctor), doctor.err) == (69, [])
+    found = [json.loads(line) for line in doctor.out]
+    assert all(each.keys() == {"code", "state", "message", "hint", "details"} for each in found)
+    assert {each["code"] for each in found} <= DIAGNOSES.keys()
+    endpoints = [(each["state"], each["hint"]) for each in found if each["code"] == "endpoint"]
+    assert endpoints == [("ok", None), ("problem", "check power, cable, endpoint and ids")]
 
 
 def test_without_a_deployment_it_looks_at_this_computer_alone(lfield):
