@@ -87,7 +87,7 @@ def gone_for_good(team: Team, report: Report) -> None:
     time.sleep(0.5)
     killed = team.kill(here, "its arm takes part 9, and the coordinator is with it")
     report.row(killed, "killed", f"{here} {report.after(killed)}, for good: its arm takes part 9")
-    behind = "; ".join(since_it_came(team, here))
+    behind = "; ".join(output_since_arrival(team, here))
     gone_on = team.wait_for("was recovered on", killed)
     report.row(gone_on.at, "back", f"on {gone_on.host}, {gone_on.at - killed:.1f} s after the kill")
     report.row(gone_on.at, "lost", f"the hop to {here}, and what came after it: {behind}")
@@ -95,7 +95,7 @@ def gone_for_good(team: Team, report: Report) -> None:
     report.row(done, "complete", f"{report.after(done)}, without {here}")
 
 
-def since_it_came(team: Team, here: str) -> list[str]:
+def output_since_arrival(team: Team, here: str) -> list[str]:
     """The coordinator's output on a host since its arrival, which its newest shadow lacks."""
     said = [x for x in team.lines if x.text.startswith("clearer: part")]
     elsewhere = max((number for number, x in enumerate(said) if x.host != here), default=-1)
@@ -106,7 +106,7 @@ def run(team: Team, fakes: Mapping[str, str], story: Callable[[Team, Report], No
     """Runs one mission; returns its report. Raises Failed."""
     report = Report(team)
     try:
-        team.begin(fakes)
+        team.launch(fakes)
         story(team, report)
     finally:
         team.end()

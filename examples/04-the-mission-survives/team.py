@@ -48,7 +48,7 @@ class Team:
         self.lines: list[Line] = []
         self._said = threading.Condition()
 
-    def begin(self, fakes: Mapping[str, str]) -> None:
+    def launch(self, fakes: Mapping[str, str]) -> None:
         """Starts a fake for each endpoint of the devices file, and the hosts with these endpoints."""
         self._fakes = [
             popen("sim", *arguments.split(), "--until-stdin-closes") for arguments in fakes.values()

@@ -31,7 +31,7 @@ def places(formation, many):
     return [(north + a * cos - r * sin, east + a * sin + r * cos) for a, r in body[:many]]
 
 
-def told(team, formation):
+def reported_size(team, formation):
     """The size of a formation, and its time."""
     (line,) = [line for line in team.log if f"a {formation} of" in line.text]
     return int(line.text.split(" of ")[1].split()[0]), line.at
@@ -43,7 +43,7 @@ def at(team, who, moment):
 
 def worst(team, formation, members=(*COPTERS, *ROVERS)):
     """The largest deviation from a slot at the end of the leg, in metres; in any order."""
-    many, moment = told(team, formation)
+    many, moment = reported_size(team, formation)
     assert many == len(members)
     here = [at(team, who, moment)[1:3] for who in members]
     slots = places(formation, many)
@@ -63,7 +63,7 @@ def agreements(team):
 
 def keeps_step(team):
     """During the march nobody is farther from the others than half a step allows."""
-    start, end = told(team, "wedge")[1] + 10.0, told(team, "column")[1]
+    start, end = reported_size(team, "wedge")[1] + 10.0, reported_size(team, "column")[1]
     for tenth in range(int(start * 10), int(end * 10)):
         column = sorted(at(team, who, tenth / 10).east for who in HOSTS)
         assert column[-1] - column[0] < 4 * SPACING + 6.0, "a step is 6 m"
@@ -93,7 +93,7 @@ def stopped(lfield_mission, act):
     team.run(until_done=True, at_most=200.0)
     assert team.ended == {"march": "done"}
     assert worst(team, "wedge") < OFF
-    assert told(team, "wedge")[1] < MID < told(team, "column")[1]
+    assert reported_size(team, "wedge")[1] < MID < reported_size(team, "column")[1]
     return team
 
 
@@ -147,7 +147,7 @@ def test_the_host_of_the_coordinator_is_lost_and_the_march_goes_on(lfield_missio
     assert team.said("march recovered on this host") == 1
     (gone,) = (who for who, host in HOSTS.items() if host == lost[0])
     assert team.said(f"march: {gone} is left behind") == 1
-    many, moment = told(team, "line")
+    many, moment = reported_size(team, "line")
     assert many >= 3, "whose device the recovery has made safe stays behind, too"
     here = [at(team, who, moment)[1:3] for who in HOSTS if who != gone]
     assert all(min(math.dist(slot, place) for place in here) < OFF for slot in places("line", many))

@@ -12,7 +12,7 @@ import pytest
 SPEED = 2.0
 
 
-def told(team):
+def survey_result(team):
     """The result of the surveyor: metres, and the number of positions."""
     (line,) = (line.text for line in team.log if " m over " in line.text)
     way, places = re.search(r"([\d.]+) m over (\d+) places", line).groups()
@@ -23,7 +23,7 @@ def test_the_way_of_the_boat_is_measured(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.ended == {"surveyor": "done"}
-    way, places = told(team)
+    way, places = survey_result(team)
     assert way == pytest.approx(20.0 * SPEED, abs=1.5)
     assert places == 21
     # One hop: the portals of a receiver are called on its host.
@@ -46,7 +46,7 @@ def test_without_a_fix_the_boat_is_nowhere_and_what_is_missing_is_a_straight_lin
     team.at(8.0, lambda: team.fake("boat.gps").set("no_fix=true"))
     team.at(14.0, lambda: team.fake("boat.gps").set("no_fix=false"))
     team.run(until_done=True)
-    way, places = told(team)
+    way, places = survey_result(team)
     # A position is valid for 2.5 s.
     lost = team.said("not known where it is")
     assert 2 <= lost <= 5
@@ -66,4 +66,4 @@ def test_without_satellites_nobody_sets_out(lfield_mission):
 def test_damaged_sentences_make_no_leaps(lfield_mission, fault):
     team = lfield_mission("mission.dL", fakes={"boat.gps": [fault]})
     team.run(until_done=True)
-    assert told(team)[0] == pytest.approx(20.0 * SPEED, abs=3.0)
+    assert survey_result(team)[0] == pytest.approx(20.0 * SPEED, abs=3.0)

@@ -20,7 +20,7 @@ def goals(team):
     return sum(north > 0.0 for north in went), sum(north < 0.0 for north in went)
 
 
-def told(team, who):
+def reported_score(team, who):
     """The score as a coach reports it, its own goals first."""
     (line,) = [
         line.text for line in team.log if line.text.startswith(f"{who}: ") and " rounds and " in line.text
@@ -42,8 +42,8 @@ def test_a_match_has_goals_and_both_coaches_count_them(lfield_mission, seed):
     team.run(until_done=True)
     assert team.ended == {"red": "done", "blue": "done"}
     assert sum(goals(team)) > 0
-    assert told(team, "red") == goals(team)
-    assert told(team, "blue") == goals(team)[::-1]
+    assert reported_score(team, "red") == goals(team)
+    assert reported_score(team, "blue") == goals(team)[::-1]
     # One round is N hops; broadcasting would take N(N-1) = 6 messages.
     rounds = len([call for call in team.calls if call.resource in HOSTS.values()]) / 3
     assert len([hop for hop in team.hops if hop.agent == "red"]) <= 3 * rounds
@@ -97,8 +97,8 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
     assert sum(way(team, who, 8.0, back) for who in left) > 0.5, "they play while nobody tells them anything"
     team.run(until_done=True)
     assert team.ended == {"red": "done", "blue": "done"}
-    assert told(team, "red") == goals(team)
-    assert told(team, "blue") == goals(team)[::-1]
+    assert reported_score(team, "red") == goals(team)
+    assert reported_score(team, "blue") == goals(team)[::-1]
     assert {call.resource for call in team.calls if call.at > back and call.result} >= set(left)
 
 

@@ -119,7 +119,7 @@ def test_a_host_that_is_silent_for_a_moment_is_waited_for(fleet):
     fleet(story)
 
 
-# The leash
+# The pipe from the parent process
 
 
 class Heard:
@@ -128,7 +128,7 @@ class Heard:
         self.let_go = asyncio.Event()
 
 
-def on_leash(story) -> Heard:
+def on_parent_pipe(story) -> Heard:
     async def main() -> Heard:
         heard = Heard()
         near, far = os.pipe()
@@ -152,14 +152,14 @@ def test_lines_are_news_and_the_end_means_stop():
             await asyncio.sleep(0)
         os.close(far)
 
-    assert on_leash(story).lines == ["bravo", "cärol"]
+    assert on_parent_pipe(story).lines == ["bravo", "cärol"]
 
 
-def test_garbage_on_the_leash_is_no_news():
+def test_garbage_on_the_parent_pipe_is_ignored():
     async def story(far: int) -> None:
         for data in (b"\xff\x00" * 1000 + b"\n", b"reaped " + b"x" * 20000, b"\nreaped bravo"):
             os.write(far, data)
             await asyncio.sleep(0.01)
         os.close(far)
 
-    assert len(on_leash(story).lines) <= 1
+    assert len(on_parent_pipe(story).lines) <= 1

@@ -7,7 +7,6 @@ syntax trees in, findings out.
 from __future__ import annotations
 
 import ast
-import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
@@ -28,6 +27,7 @@ from code_tree import (
     root,
     scoped,
 )
+from name_rules import banned_names, lines_of, read_banned
 
 ROOT = Path(__file__).parents[2]
 BANNED = Path(__file__).with_name("banned_names.txt")
@@ -71,52 +71,6 @@ def repeated_classes(trees: Trees) -> list[Finding]:
             problem = f"class {name} is in {', '.join(file for file, _ in all_places)}"
             found += [Finding("class", file, line, name, problem) for file, line in all_places]
     return found
-
-
-# --- banned names -------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True)
-class Banned:
-    """Words that no name contains, names, and terms that are accepted although they contain such a word."""
-
-    words: Mapping[str, str]
-    names: Mapping[str, str]
-    terms: frozenset[str]
-
-    def instead(self, name: str) -> str | None:
-        """What to use instead of a name, or None where it may be used."""
-        plain = name.strip("_").lower()
-        if plain in self.names:
-            return self.names[plain]
-        for term in self.terms:
-            plain = re.sub(f"(^|_){term}(_|$)", r"\1\2", plain)
-        return next((self.words[word] for word in plain.split("_") if word in self.words), None)
-
-
-def named(file: str, tree: ast.Module) -> Iterator[tuple[int, str, str]]:
-    """Line, kind and name of the module, or of its package, and of each class, function and method.
-
-    Names of tests are sentences and not meant.
-    """
-    path = Path(file)
-    yield 1, "module", path.parent.name if path.stem == "__init__" else path.stem
-    for node, _ in scoped(tree):
-        if isinstance(node, ast.ClassDef):
-            yield node.lineno, "class", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", node.name)
-        elif isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("test_"):
-            yield node.lineno, "function", node.name
-
-
-def banned_names(trees: Trees, banned: Banned) -> list[Finding]:
-    """Modules, classes, functions and methods with a banned name."""
-    return [
-        Finding("name", file, line, name.replace("_", "") if kind == "class" else name, problem)
-        for file, tree in trees.items()
-        for line, kind, name in named(file, tree)
-        if (instead := banned.instead(name)) is not None
-        and (problem := f"{kind} {name} is not a term of the field; use {instead}")
-    ]
 
 
 # --- assignments to attributes of other objects -------------------------------------------------------------
@@ -260,18 +214,6 @@ def read_allowed(text: str) -> list[Allowed]:
     return [Allowed(rule, file, name, "".join(reason)) for rule, file, name, *reason in parts]
 
 
-def read_banned(text: str) -> Banned:
-    """Lines `word W instead`, `name N instead` and `term T`."""
-    rows = [line.split(maxsplit=2) for line in lines_of(text)]
-    words, names = ({row[1]: row[2] for row in rows if row[0] == kind} for kind in ("word", "name"))
-    return Banned(words, names, frozenset(row[1] for row in rows if row[0] == "term"))
-
-
-def lines_of(text: str) -> list[str]:
-    """Lines that are neither empty nor a comment."""
-    return [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
-
-
 def module_of(file: str) -> str:
     """`lfield/vm/machine.py` -> `lfield.vm.machine`."""
     return file.removesuffix(".py").replace("/", ".")
@@ -285,19 +227,24 @@ def packages() -> list[str]:
     ]
 
 
+def named_folders() -> list[str]:
+    """Code whose names are checked too, besides that of the packages."""
+    return ["sim-adapters", "capabilities", "examples"]
+
+
 def trees_of(*folders: str) -> Trees:
     """The syntax trees of all files of some folders of the project."""
     paths = sorted(path for folder in folders for path in (ROOT / folder).rglob("*.py"))
     return {p.relative_to(ROOT).as_posix(): ast.parse(p.read_text(encoding="utf-8")) for p in paths}
 
 
-def findings_of(trees: Trees) -> dict[str, list[Finding]]:
-    """What each rule finds in the project, exceptions included."""
+def findings_of(trees: Trees, others: Trees) -> dict[str, list[Finding]]:
+    """What each rule finds in the project, exceptions included; of `others` only the names are checked."""
     banned = read_banned(BANNED.read_text(encoding="utf-8"))
     within = [{f: tree for f, tree in trees.items() if f.startswith(f"{each}/")} for each in packages()]
     return {
         "class": [each for some in within for each in repeated_classes(some)],
-        "name": banned_names(trees, banned),
+        "name": banned_names({**trees, **others}, banned),
         "assignment": foreign_assignments(trees),
         "constructor": long_constructors(trees),
     }
@@ -305,7 +252,7 @@ def findings_of(trees: Trees) -> dict[str, list[Finding]]:
 
 def main() -> None:
     """Print all findings and their numbers."""
-    found = findings_of(trees_of(*packages()))
+    found = findings_of(trees_of(*packages()), trees_of(*named_folders()))
     for rule, findings in found.items():
         print(*(f"{rule}: {each}" for each in findings), sep="\n")
     print(*(f"{len(findings)} findings of rule {rule}" for rule, findings in found.items()), sep="\n")

@@ -6,6 +6,7 @@ import ast
 from functools import cache
 from textwrap import dedent
 
+import name_rules
 import pytest
 import structure
 from code_tree import Finding
@@ -16,7 +17,9 @@ RULES = ("class", "name", "assignment", "constructor")
 
 @cache
 def found() -> dict[str, list[Finding]]:
-    return structure.findings_of(structure.trees_of(*structure.packages()))
+    return structure.findings_of(
+        structure.trees_of(*structure.packages()), structure.trees_of(*structure.named_folders())
+    )
 
 
 @cache
@@ -78,7 +81,7 @@ def test_the_two_syntax_trees_may_share_class_names_with_each_other_only() -> No
 
 
 def test_banned_names_of_modules_classes_functions_and_methods_are_found() -> None:
-    banned = structure.read_banned(
+    banned = name_rules.read_banned(
         "word told on_<event>\nword take drain\nname words values\nterm take_over\n"
     )
     code = trees(
@@ -92,11 +95,10 @@ def test_banned_names_of_modules_classes_functions_and_methods_are_found() -> No
             def class_words(): ...
             def stake(): ...
             def test_what_was_told(): ...
-            told = 1
         """,
     )
     code["lfield/words/__init__.py"] = ast.parse("")
-    assert names(structure.banned_names(code, banned)) == [
+    assert names(name_rules.banned_names(code, banned)) == [
         ("told.py", 1, "told"),
         ("a.py", 1, "NewsTold"),
         ("a.py", 2, "_take_all"),
@@ -104,6 +106,41 @@ def test_banned_names_of_modules_classes_functions_and_methods_are_found() -> No
         ("a.py", 5, "words"),
         ("words/__init__.py", 1, "words"),
     ]
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "told = 1",
+        "TOLD: int",
+        "class Fields:\n    was_told: bool = False",
+        "def f(told): ...",
+        "def f(a, *told): ...",
+        "f = lambda *, told: 0",
+        "def f(self): self._told = 1",
+        "f(told=1)",
+        "for told in (): ...",
+        "[0 for _, told in ()]",
+        "if told := 1: ...",
+        "with open('f') as told: ...",
+        "import news as told",
+        "try: ...\nexcept OSError as told: ...",
+        "match 1:\n    case [1, *told]: ...",
+        "match 1:\n    case {'a': 1, **told}: ...",
+        "match 1:\n    case [told]: ...",
+    ],
+)
+def test_banned_names_of_variables_parameters_attributes_and_fields_are_found(source: str) -> None:
+    banned = name_rules.read_banned("word told reported")
+    assert len(name_rules.banned_names(trees(a=source), banned)) == 1
+
+
+def test_a_term_may_be_accepted_in_some_folders_only() -> None:
+    banned = name_rules.read_banned(
+        "name word token\nword roll inventory\nterm word lfield/vm\nterm roll lfield/x"
+    )
+    code = trees(vm__memory="word = 1", lang="word = 1", x="roll_rate = 1", y="roll_rate = 1")
+    assert names(name_rules.banned_names(code, banned)) == [("lang.py", 1, "word"), ("y.py", 1, "roll_rate")]
 
 
 PART = """

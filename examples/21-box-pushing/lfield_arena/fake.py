@@ -58,11 +58,11 @@ class Radio:
                     await asyncio.sleep(CHECK_INTERVAL)
 
     def _follow(self) -> None:
-        task = asyncio.get_running_loop().create_task(self._tell())
+        task = asyncio.get_running_loop().create_task(self._send_faults())
         self._tasks.add(task)
         task.add_done_callback(self._tasks.discard)
 
-    async def _tell(self) -> None:
+    async def _send_faults(self) -> None:
         weak, broken = self._faults.get("weak", self._number), self._faults.get("broken", self._number)
         # Without the plane the link to the driver is closed.
         with suppress(OSError):

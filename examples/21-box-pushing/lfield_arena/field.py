@@ -87,7 +87,7 @@ class Field:
         for robot in self.robots.values():
             robot.place = _moved(robot.place, robot.velocity, seconds)
         if self.ball is not None:
-            self._roll(self.ball, seconds)
+            self._move_ball(self.ball, seconds)
         self._part()
         if self.prey is not None:
             self._run(self.prey, seconds)
@@ -112,7 +112,7 @@ class Field:
             there.append(self.ball)
         return there
 
-    def _roll(self, ball: Ball, seconds: float) -> None:
+    def _move_ball(self, ball: Ball, seconds: float) -> None:
         for robot in self.robots.values():
             gap, normal = ball.touch(robot.place, robot.radius)
             if gap < TOUCH and not ball.rests:

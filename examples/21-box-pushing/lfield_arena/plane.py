@@ -50,9 +50,9 @@ class Plane:
             what = "prey" if self.field.prey is not None else "ball"
             return {what: lambda: (*self.field.target[:2], 0.0)}
         ends = {"box": 0.0, "box, left end": -WIDTH / 2.0, "box, right end": WIDTH / 2.0}
-        return {name: partial(self._beside, aside) for name, aside in ends.items()}
+        return {name: partial(self._point_of_box, aside) for name, aside in ends.items()}
 
-    def _beside(self, aside: float) -> Place:
+    def _point_of_box(self, aside: float) -> Place:
         north, east, heading = self.field.target
         return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
 

@@ -64,7 +64,7 @@ def _reason(message: str) -> str:
     return message.rpartition(" error: ")[2].strip().partition("\n")[0]
 
 
-def run_pytest(words: Sequence[str]) -> int:
+def run_pytest(arguments: Sequence[str]) -> int:
     """Run pytest with these arguments; returns its exit status."""
     reason = ""
     for ignored, options in _ATTEMPTS.items():
@@ -73,8 +73,8 @@ def run_pytest(words: Sequence[str]) -> int:
                 os.environ.pop(name, None)
         notice = f"{ignored} ignored: {reason}" if ignored else ""
         try:
-            return int(pytest.main([*options, *words], plugins=[_Startup(notice)]))
+            return int(pytest.main([*options, *arguments], plugins=[_Startup(notice)]))
         except _RefusedError as error:
             reason = reason or str(error)
     # The configuration is not the cause, so pytest reports it.
-    return int(pytest.main([*options, *words]))
+    return int(pytest.main([*options, *arguments]))

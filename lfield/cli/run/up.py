@@ -113,12 +113,13 @@ def _add_journal_options(parser: argparse.ArgumentParser) -> None:
 
 def _add_hidden(parser: argparse.ArgumentParser) -> None:
     # For the processes that `--all` starts: the inherited listening socket, keys and pipe for the result, the
-    # control socket, the pipe whose end stops them, and the command that sets up their devices.
+    # control socket, the pipe whose end stops them, and the command that sets up their devices. The second
+    # spellings are those of 0.3 and go with 0.5.
     parser.add_argument("--listen-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
     parser.add_argument("--keys-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
     parser.add_argument("--result-fd", type=_DESCRIPTOR, help=argparse.SUPPRESS)
-    parser.add_argument("--door", default="", help=argparse.SUPPRESS)
-    parser.add_argument("--leash", action="store_true", help=argparse.SUPPRESS)
+    parser.add_argument("--control-socket", "--door", default="", help=argparse.SUPPRESS)
+    parser.add_argument("--parent-pipe", "--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
 
 
@@ -161,10 +162,10 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
     team = mission.team.at(parse_maps(args.map, mission.team))
     printed = () if built else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
-    if not args.leash:
+    if not args.parent_pipe:
         for warning in mission.warnings[len(printed) :]:
             print(warning, file=sys.stderr)
-    if args.dump is not None and not args.leash:
+    if args.dump is not None and not args.parent_pipe:
         _check_dump_folder(args.dump)
     if args.volatile and args.state is not None:
         raise UsageError(
@@ -220,7 +221,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
                 unreachable_after=args.unreachable_after,
                 lost_after=args.lost_after if args.until_done else None,
                 credentials=proof,
-                parent_pipe=args.leash,
+                parent_pipe=args.parent_pipe,
                 result_fd=args.result_fd,
                 journal=journal,
                 first_start=args.first_start,
@@ -261,8 +262,8 @@ def _control_socket(mission: Mission, host: str, args: argparse.Namespace) -> It
     """
     from lfield.operator.runs import publish_run, run_manifest
 
-    if args.leash:
-        yield args.door
+    if args.parent_pipe:
+        yield args.control_socket
         return
 
     with publish_run(run_manifest(mission, mission_path(args), [host]), print_line) as sockets:
@@ -315,7 +316,7 @@ def _check_start(
 
 
 def _keeps_journal(mission: Mission, args: argparse.Namespace) -> bool:
-    trial = args.sim or mission.world == "fakes" or (args.leash and mission.world != "hardware")
+    trial = args.sim or mission.world == "fakes" or (args.parent_pipe and mission.world != "hardware")
     return not (args.volatile or (trial and args.state is None))
 
 

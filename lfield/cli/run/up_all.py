@@ -193,11 +193,20 @@ class _HostProcesses:
 
     def command(self, host: str, listening: int, keys: int) -> list[str]:
         args = self.args
-        command = [sys.executable, "-P", "-m", "lfield", "up", str(self.file), f"--host={host}", "--leash"]
+        command = [
+            sys.executable,
+            "-P",
+            "-m",
+            "lfield",
+            "up",
+            str(self.file),
+            f"--host={host}",
+            "--parent-pipe",
+        ]
         # As one argument each: a value that begins with a dash would be taken for an option.
-        command += ["--listen-fd", str(listening), "--keys-fd", str(keys)]
+        command += ["--parent-pipe", "--listen-fd", str(listening), "--keys-fd", str(keys)]
         command += ["--engine", args.engine] if args.engine else []
-        command.append(f"--door={self.control_sockets.addresses[host]}")
+        command.append(f"--control-socket={self.control_sockets.addresses[host]}")
         # For all hosts: the first with a device that is not set up stops the others.
         command.append(f"--setup={setup_command(mission_path(args), devices=args.devices)}")
         for name, address in self.addresses.items():

@@ -1,7 +1,7 @@
 """Supervision pipe from the parent process: file descriptors, and reports over standard input.
 
-A line is a report: `reaped bravo` says that the process of another host has ended for good. The end of the
-stream means that the parent process has ended, or wants this host to stop.
+A line is a report: `reaped bravo` says that the process of another host has exited and will not restart. The
+end of the stream means that the parent process has ended, or requests this host to stop.
 """
 
 from __future__ import annotations

@@ -14,8 +14,8 @@ _CLAUSES = ("elif", "else", "except", "finally", "case")
 _ELSE_IF = ("elif", "elsif", "elseif", "elseIf")
 #: A condition that a hint can show in L: names, numbers, comparisons and these words, without brackets.
 _SIMPLE_CONDITION = re.compile(r"(?:[\w.]++|[<>!=]=|[<>]|\s)++")
-_WORDS = {"and": "&&", "or": "||", "is not": "!=", "is": "==", **FOREIGN_VALUES}
-_FOREIGN_WORDS = re.compile(rf"\b(?:{'|'.join(_WORDS)})\b")
+_FOREIGN_TERMS = {"and": "&&", "or": "||", "is not": "!=", "is": "==", **FOREIGN_VALUES}
+_FOREIGN_TERM = re.compile(rf"\b(?:{'|'.join(_FOREIGN_TERMS)})\b")
 _LONGEST = 30
 _TRY = "write try { ... } catch (Exception e) { ... }"
 
@@ -44,14 +44,14 @@ def bare_condition_hint(s: TokenStream) -> str:
 
 def _in_l(condition: str) -> str:
     """A short condition of Python in L, or `...`."""
-    words = condition.split()
-    if not _SIMPLE_CONDITION.fullmatch(condition) or len(condition) > _LONGEST or "in" in words:
+    terms = condition.split()
+    if not _SIMPLE_CONDITION.fullmatch(condition) or len(condition) > _LONGEST or "in" in terms:
         return "..."
-    if "not" in words and "is not" not in condition:
-        return f"!{words[1]}" if words[0] == "not" and len(words) == 2 else "..."
+    if "not" in terms and "is not" not in condition:
+        return f"!{terms[1]}" if terms[0] == "not" and len(terms) == 2 else "..."
     if condition in ("0", "1"):
         return "true" if condition == "1" else "false"
-    return _FOREIGN_WORDS.sub(lambda match: _WORDS[match.group()], condition)
+    return _FOREIGN_TERM.sub(lambda match: _FOREIGN_TERMS[match.group()], condition)
 
 
 def skip_bare_condition(s: TokenStream) -> None:

@@ -135,8 +135,8 @@ class MessageSender:
         due = self._streams.due(now)
         if self._mode_changed() and self.autopilot.flavour.sends_modes and HEARTBEAT not in due:
             due.append(HEARTBEAT)
-        due += [kind for kind in self._news_of_home() if kind not in due]
-        messages += [self.build(kind) for kind in due if self._is_news(kind) and not self.withholds(kind)]
+        due += [kind for kind in self._home_messages() if kind not in due]
+        messages += [self.build(kind) for kind in due if self._is_due(kind) and not self.withholds(kind)]
         for text in self.autopilot.pop_texts():
             messages += self._texts.messages(text, severity_of(text, rover=not self.autopilot.flies))
         return messages
@@ -149,7 +149,7 @@ class MessageSender:
     def _known_home(self) -> Vector | None:
         return self.autopilot.home if has_home(self.autopilot) else None
 
-    def _news_of_home(self) -> list[int]:
+    def _home_messages(self) -> list[int]:
         """Unrequested messages: ArduPilot's home when it is set, and the origin once."""
         before, self._home = self._home, self._known_home
         is_sent = self.autopilot.flavour.sends_home and self._home not in (before, None)
@@ -158,7 +158,7 @@ class MessageSender:
         self._owes_origin = self._owes_origin and not has_new_origin
         return [GPS_GLOBAL_ORIGIN] * has_new_origin + [HOME_POSITION] * is_sent
 
-    def _is_news(self, kind: int) -> bool:
+    def _is_due(self, kind: int) -> bool:
         """Whether a message is due: CURRENT_MODE at a change, else twice a second."""
         if kind != CURRENT_MODE:
             return True

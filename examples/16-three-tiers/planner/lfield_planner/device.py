@@ -54,7 +54,7 @@ class PlannerDevice(Device):
         request = {"sites": places, "worth": worth, "start": start, "reach": reach}
         self._failures += 1  # until it has succeeded
         try:
-            tour = self._read(await self._patiently(json.dumps(request)))
+            tour = self._read(await self._ask_with_retries(json.dumps(request)))
             if wrong := mistake(tour, places, start, reach):
                 raise self.error(f"its plan is invalid: {wrong}")
             self._plans, self._failures = self._plans + 1, self._failures - 1
@@ -63,7 +63,7 @@ class PlannerDevice(Device):
         finally:
             self.publish(plans=self._plans, failures=self._failures)
 
-    async def _patiently(self, request: str) -> str:
+    async def _ask_with_retries(self, request: str) -> str:
         patience = self.binding.option("patience")
         try:
             async with asyncio.timeout(patience):
