@@ -14,11 +14,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     actions.add_parser("list", help="list the installed drivers and their device types")
     new = actions.add_parser(
-        "new", help="create a driver project that passes the conformance tests with its own simulated device"
+        "new", help="create a driver project with a simulated device; it passes the conformance tests"
     )
     new.add_argument("name", metavar="NAME", help="name of the driver: lower-case letters and digits")
-    new.add_argument("--sensor", action="store_true", help="sensor only, without a safe state")
-    new.add_argument("--serial", action="store_true", help="on a serial port (default: on a TCP port)")
+    new.add_argument("--sensor", action="store_true", help="for a sensor, which needs no safe state")
+    new.add_argument(
+        "--serial", action="store_true", help="for a device on a serial port (default: on a TCP port)"
+    )
     new.add_argument("--into", metavar="DIR", type=Path, help="directory to create (default: lfield_NAME)")
 
 
