@@ -24,7 +24,9 @@ def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> No
     )
     # Positional arguments stand first in the help.
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
-    named.add_argument("--deploy", metavar="MISSION", type=Path, action=_GivenOnce, help="same as MISSION")
+    named.add_argument(
+        "--deploy", metavar="MISSION", type=Path, action=_GivenOnce, help="another way to give MISSION"
+    )
 
 
 def add_program(parser: argparse.ArgumentParser) -> None:
@@ -56,17 +58,29 @@ class _GivenOnce(argparse.Action):
         setattr(namespace, self.dest, values)
 
 
+def add_addresses(parser: argparse.ArgumentParser) -> None:
+    """Declare the addresses of hosts."""
+    parser.add_argument(
+        "--map",
+        metavar="NAME=ADDR:PORT",
+        action="append",
+        default=[],
+        help="address of a host, instead of the one in the deployment (repeatable)",
+    )
+
+
 def add_running_mission(parser: argparse.ArgumentParser) -> None:
     """Declare the mission or the run, and the addresses of its hosts; default: all runs on this computer."""
     add_mission(parser, required=False)
     parser.add_argument(
-        "--run", metavar="ID", default="", help="one run on this computer, with the id that 'ps' prints"
+        "--run", metavar="ID", default="", help="id of a run on this computer, as printed by 'lfield ps'"
     )
+    add_addresses(parser)
     parser.add_argument(
-        "--map", metavar="NAME=ADDR:PORT", action="append", default=[], help="address of a host"
-    )
-    parser.add_argument(
-        "--keys", metavar="DIR", type=Path, help="directory with your keys, for hosts on a network"
+        "--keys",
+        metavar="DIR",
+        type=Path,
+        help="directory with your keys, which hosts on other computers require",
     )
 
 

@@ -62,14 +62,14 @@ class JitterLimit:
         """The measurement, for the user who starts a host."""
         if late <= self.max_jitter:
             return (
-                f"this computer was late by {format_jitter(late)}: it supports a silence of {self.silence:g} "
-                "s"
+                f"heartbeats to guards up to {format_jitter(late)} late: fast enough for "
+                f"'silence: {self.silence:g}'"
             )
         kept = self.shortest_silence(late)
-        could = f"supports {kept:g} s" if kept <= MAX_SILENCE else "supports none"
+        could = f"the shortest possible is {kept:g} s" if kept <= MAX_SILENCE else "no silence is long enough"
         return (
-            f"this computer does not support 'silence: {self.silence:g}': it was late by "
-            f"{format_jitter(late)} and {could}"
+            f"'silence: {self.silence:g}' is too short for this computer: heartbeats to guards are up to "
+            f"{format_jitter(late)} late, and {could}"
         )
 
     def remedy(self, late: float) -> str:

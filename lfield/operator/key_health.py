@@ -28,8 +28,8 @@ def local_keys_health(
         yield DiagnosticFinding(
             "keys",
             "note",
-            "there are no keys here: no host of this computer listens to others",
-            "'lfield keys init' on the operator's computer, or copy a key folder here",
+            "no keys on this computer: its hosts do not listen on a network",
+            "run 'lfield keys init' on the operator's computer, or copy a directory with keys to this one",
         )
 
 
@@ -40,7 +40,10 @@ def health(folder: Path, at: float) -> Iterator[DiagnosticFinding]:
         yield _page(folder, at)
     elif not holders:
         yield DiagnosticFinding(
-            "keys", "problem", f"keys {folder}: there are none", "copy there what 'lfield keys' has made"
+            "keys",
+            "problem",
+            f"keys {folder}: not found",
+            "copy the files that 'lfield keys' has created there",
         )
     for holder in holders:
         try:

@@ -110,7 +110,11 @@ class Faults:
 def add_fault_option(parser: argparse.ArgumentParser) -> None:
     """Adds `--fault NAME=VALUE`, repeatable: faults from the start."""
     parser.add_argument(
-        "--fault", action="append", default=[], metavar="NAME[@DEVICE]=VALUE", help="fault from the start"
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[@DEVICE]=VALUE",
+        help="fault that is present from the start (repeatable)",
     )
 
 

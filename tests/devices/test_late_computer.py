@@ -70,7 +70,8 @@ def test_a_computer_that_is_late_each_time_is_refused_before_anything_is_opened(
         run_jumping(require_timely(JitterLimit(0.1), [bound("udp:127.0.0.1:1")], late))
     assert refused.value.exit_status == 69
     assert refused.value.problems == (
-        "this computer does not support 'silence: 0.1': it was late by 0.12 s and supports 0.3 s: "
+        "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
+        "and the shortest possible is 0.3 s: "
         "reduce the load of "
         "this computer, give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor') or write "
         "'silence: 0.3' if the vehicles may move for so long without their host",
@@ -92,13 +93,13 @@ def test_the_doctor_measures_and_advises(monkeypatch):
     found = run_jumping(scheduling_lateness(0.1, late, bound=True))
     assert found.state == "problem"
     assert found.what.startswith(
-        "this computer does not support 'silence: 0.1': it was late by 0.12 s and supports"
+        "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, and "
     )
     assert found.cure.endswith("write 'silence: 0.3' if the vehicles may move for so long without their host")
     assert run_jumping(scheduling_lateness(0.1, Hiccups(0.12, *late.times), bound=False)).state == "warning"
     well = run_jumping(scheduling_lateness(0.2, Hiccups(0.02, 0.4), bound=True))
     assert (well.state, well.cure) == ("ok", "")
-    assert well.what == "this computer was late by 20 ms: it supports a silence of 0.2 s"
+    assert well.what == "heartbeats to guards up to 20 ms late: fast enough for 'silence: 0.2'"
 
 
 @pytest.mark.process

@@ -49,14 +49,15 @@ def test_what_it_could_keep_it_keeps_and_a_tenth_less_it_does_not(late, prompt):
 def test_what_is_not_kept_is_told_with_what_could_be_and_what_to_do():
     limit = JitterLimit(0.1)
     assert limit.report(0.12) == (
-        "this computer does not support 'silence: 0.1': it was late by 0.12 s and supports 0.3 s"
+        "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
+        "and the shortest possible is 0.3 s"
     )
     assert limit.remedy(0.12) == (
         "reduce the load of this computer, give its guards real-time priority (LimitRTPRIO=1, see "
         "'lfield doctor') or "
         "write 'silence: 0.3' if the vehicles may move for so long without their host"
     )
-    assert limit.report(0.004) == "this computer was late by 4 ms: it supports a silence of 0.1 s"
+    assert limit.report(0.004) == "heartbeats to guards up to 4 ms late: fast enough for 'silence: 0.1'"
 
 
 def test_guards_that_come_first_count_less_and_need_not_be_let():
@@ -70,7 +71,7 @@ def test_guards_that_come_first_count_less_and_need_not_be_let():
 
 
 def test_no_silence_is_named_that_could_not_be_written():
-    assert JitterLimit(10.0).report(6.0).endswith("it was late by 6.00 s and supports none")
+    assert JitterLimit(10.0).report(6.0).endswith("up to 6.00 s late, and no silence is long enough")
     assert JitterLimit(10.0, prompt=True).remedy(7.0) == "reduce the load of this computer"
 
 

@@ -46,7 +46,7 @@ def test_what_cannot_be_used_is_a_problem_with_its_reason(ledger: Ledger, tmp_pa
     folders.write_keys(bravo.folder, Keys("host", own.authority, own.certificate, others.key))
     state, what = told(bravo.folder, AT)
     assert (state, "is not that of the certificate of host bravo" in what) == ("problem", True)
-    assert told(tmp_path, AT) == ("problem", "there are none")
+    assert told(tmp_path, AT) == ("problem", "not found")
 
 
 def test_all_keys_of_this_computer_are_looked_at(
@@ -54,7 +54,7 @@ def test_all_keys_of_this_computer_are_looked_at(
 ) -> None:
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "home"))
     (nothing,) = local_keys_health({}, AT, tmp_path / "none")
-    assert (nothing.state, nothing.what[:22]) == ("note", "there are no keys here")
+    assert (nothing.state, nothing.what[:7]) == ("note", "no keys")
     made = ledger.make("person", "anna", (), AT, AT + 90 * DAY)
     mine = tmp_path / "home" / "lfield" / "keys" / "me"
     folders.write_keys(mine, folders.read_keys(made.folder, "person"))

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="deployment (.dL), program (.L), or bundle (.lfm) to bind to other devices",
+        help="deployment (.dL) or program (.L) to compile, or bundle (.lfm) to bind to other devices",
     )
     parser.add_argument(
         "-o",
@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="registry of the mission (default: MISSION.capabilities.yaml)",
     )
-    parser.add_argument("--sim", action="store_true", help="bind every device to a simulated one")
+    parser.add_argument("--sim", action="store_true", help="bind simulated devices in place of the real ones")
     # For `lfield up`, which keeps what it builds here: names of files stay as they are, and of what it was
     # made is written down.
     parser.add_argument("--inputs", metavar="FILE", type=Path, help=argparse.SUPPRESS)

@@ -18,17 +18,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     tree = actions.add_parser("tree", help="print the taxonomy with its L types")
-    tree.add_argument("id", metavar="ID", nargs="?", default="", help="only below this term")
+    tree.add_argument("id", metavar="ID", nargs="?", default="", help="print only the terms below this one")
     _add_mission(tree)
     show = actions.add_parser("show", help="print a term, capability, attribute, provider or rule")
     show.add_argument("name", metavar="NAME", help="name or id")
     show.add_argument("--L", dest="as_class", action="store_true", help="print the L class of a capability")
-    show.add_argument("--program", metavar="FILE.L", type=Path, help="with --L: as seen by this program")
+    show.add_argument(
+        "--program", metavar="FILE.L", type=Path, help="with --L: the class as this program sees it"
+    )
     _add_mission(show)
     check = actions.add_parser(
         "check", help="report errors in registry files (default: the built-in registry)"
     )
-    check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="registry files or mission")
+    check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="registry files, or a mission")
     check.add_argument("--alone", action="store_true", help="check without the built-in registry")
     check.add_argument(
         "--program", metavar="FILE.L", type=Path, help="also check against the resources of this program"

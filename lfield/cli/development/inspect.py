@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="dump from 'lfield up --dump DIR', journal or its directory, bundle, or deployment",
+        help="dump (from 'lfield up --dump DIR'), journal, directory of a journal, bundle or deployment",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="directory of the authority (default: as for --authority)",
     )
     _add_days(init, _AUTHORITY_DAYS)
-    host = actions.add_parser("host", help="create the keys of hosts, named as in the deployment")
+    host = actions.add_parser(
+        "host", help="create the keys of hosts, with the names that they have in the deployment"
+    )
     host.add_argument("names", metavar="NAME", nargs="+", help="names of hosts")
     person = actions.add_parser("person", help="create the keys of a person")
     person.add_argument("names", metavar="NAME", nargs=1, help="name of the person")
@@ -43,23 +45,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--may",
         metavar="RIGHT,...",
         required=True,
-        help="observe; stop, which brings observe; operate, which brings both; command: sign bundles",
+        help="rights: observe; stop (includes observe); operate (includes stop); command (sign bundles)",
     )
     page = actions.add_parser(
-        "page", help="create the keys of a web page on a network (lfield watch --listen)"
+        "page", help="create the keys of a web page on a network, for 'lfield watch --listen'"
     )
     page.add_argument(
-        "names", metavar="ADDRESS", nargs="+", help="addresses or names under which the page is opened"
+        "names", metavar="ADDRESS", nargs="+", help="addresses or names at which browsers open the page"
     )
-    renew = actions.add_parser("renew", help="renew keys; the old certificate stays valid until it expires")
-    renew.add_argument("what", choices=("host", "person", "authority"), help="kind of the keys")
+    renew = actions.add_parser("renew", help="renew keys; the old certificate remains valid until it expires")
+    renew.add_argument("what", choices=("host", "person", "authority"), help="owner of the keys")
     renew.add_argument("names", metavar="NAME", nargs="*", help="names of hosts or persons")
     renew.add_argument(
-        "--new-key", action="store_true", help="also create a new private key, which must be copied again"
+        "--new-key",
+        action="store_true",
+        help="also create a new private key, which must be copied to its computer again",
     )
     revoke = actions.add_parser("revoke", help="add keys to the revocation list")
-    revoke.add_argument("what", choices=("host", "person", "serial"), help="kind of NAME")
-    revoke.add_argument("names", metavar="NAME", nargs=1, help="name, or serial number of one certificate")
+    revoke.add_argument("what", choices=("host", "person", "serial"), help="what NAME is")
+    revoke.add_argument(
+        "names", metavar="NAME", nargs=1, help="name of a host or person, or serial number of one certificate"
+    )
     listed = actions.add_parser("list", help="list all certificates that the authority has issued")
     show = actions.add_parser("show", help="show the owner, rights and validity of keys")
     show.add_argument(

@@ -29,7 +29,7 @@ def add_devices(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="KEY=VALUE",
-        help="key of the binding: --set id=3 --set 'limits={speed: 1}'",
+        help="key of the binding, as in --set id=3 or --set 'limits={speed: 1}' (repeatable)",
     )
 
 

@@ -16,11 +16,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     installed = actions.add_parser("list", help="list the installed drivers and their device types")
     installed.add_argument("--json", action="store_true", help="print the list as JSON")
     new = actions.add_parser(
-        "new", help="create a driver project that passes the conformance tests with its own simulated device"
+        "new", help="create a driver project with a simulated device; it passes the conformance tests"
     )
     new.add_argument("name", metavar="NAME", help="name of the driver: lower-case letters and digits")
-    new.add_argument("--sensor", action="store_true", help="sensor only, without a safe state")
-    new.add_argument("--serial", action="store_true", help="on a serial port (default: on a TCP port)")
+    new.add_argument("--sensor", action="store_true", help="for a sensor, which needs no safe state")
+    new.add_argument(
+        "--serial", action="store_true", help="for a device on a serial port (default: on a TCP port)"
+    )
     new.add_argument("--into", metavar="DIR", type=Path, help="directory to create (default: lfield_NAME)")
 
 

@@ -31,10 +31,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=real_between(0.1, 10.0, "seconds"),
         default=0.2,
         metavar="S",
-        help="seconds without host messages until the safe state (default: 0.2; use more on a busy computer)",
+        help="seconds without a message from the host until the device goes to its safe state (default: 0.2; "
+        "use more on a busy computer)",
     )
-    parser.add_argument("--yes", action="store_true", help="run tests that move the device without asking")
-    parser.add_argument("--json", action="store_true", help="print one JSON object per finding and line")
+    parser.add_argument(
+        "--yes", action="store_true", help="do not ask for confirmation before the tests that move the device"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print each finding as a JSON object on a line of its own"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

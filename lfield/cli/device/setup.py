@@ -29,23 +29,27 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
-        "driver", metavar="DRIVER", nargs="?", default="", help="driver, to set up a single device"
+        "driver",
+        metavar="DRIVER",
+        nargs="?",
+        default="",
+        help="driver of the device, to set up one device without a mission",
     )
     parser.add_argument(
         "--deploy", metavar="MISSION", type=Path, help="set up the devices of this deployment or bundle"
     )
     parser.add_argument("--host", metavar="NAME", help="only the devices of this host")
     add_devices(parser)
-    parser.add_argument(
-        "--sim", action="store_true", help="use the simulated devices of the deployment, as a trial"
-    )
+    parser.add_argument("--sim", action="store_true", help="try it on simulated devices")
     parser.add_argument("--yes", action="store_true", help="do not ask for confirmation")
     parser.add_argument(
         "--apply", metavar="FILE", type=Path, help="restore the old parameters from this file"
     )
     # The newest file: the option of lfield 0.3.
     parser.add_argument("--back", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--state", metavar="DIR", type=Path, help="directory for files with old parameters")
+    parser.add_argument(
+        "--state", metavar="DIR", type=Path, help="directory in which the old parameters are saved"
+    )
 
 
 def run(args: argparse.Namespace) -> int:

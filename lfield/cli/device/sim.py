@@ -17,14 +17,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     kinds = parser.add_subparsers(dest="kind_of_sim", metavar="KIND")
     for name, sim in sorted(discover_sims().items()):
-        sim.add_arguments(kinds.add_parser(name, help=f"a simulated device for the driver '{name}'"))
-    fault = kinds.add_parser("fault", help="show or inject faults of running simulated devices")
+        sim.add_arguments(kinds.add_parser(name, help=f"run a simulated device for the driver '{name}'"))
+    fault = kinds.add_parser("fault", help="show the faults of running simulated devices, or inject some")
     fault.add_argument(
         "target",
         nargs="?",
         default="",
         metavar="FAKE",
-        help="endpoint, kind, or name of a device (alpha.fc); without one, all are shown",
+        help="endpoint, kind or name (alpha.fc) of a simulated device (default: show the faults of all)",
     )
     fault.add_argument("settings", nargs="*", metavar="NAME[@DEVICE]=VALUE", help="fault to inject")
 

@@ -31,12 +31,18 @@ _MAX_LINE = 4000
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument("--reason", metavar="TEXT", default="", help="reason, for the logs of the hosts")
     parser.add_argument(
-        "--lift", action="store_true", help="end the emergency stop: programs may release their devices again"
+        "--reason", metavar="TEXT", default="", help="reason, which the hosts write to their logs"
     )
     parser.add_argument(
-        "--no-wait", action="store_true", help="exit when all devices have confirmed, before they are at rest"
+        "--lift",
+        action="store_true",
+        help="end the emergency stop; after that, programs can release their devices",
+    )
+    parser.add_argument(
+        "--no-wait",
+        action="store_true",
+        help="exit as soon as all devices have confirmed; do not wait until they are at rest",
     )
 
 

@@ -35,19 +35,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--since",
         metavar="N",
         type=_number,
-        help="start after event N of each host; 0: with the oldest stored event",
+        help="print the events after number N of each host; 0: all stored events (default: only new ones)",
     )
     parser.add_argument(
         "--no-follow", action="store_true", help="exit after the stored events (implies --since 0)"
     )
-    parser.add_argument("--kinds", metavar="KIND,...", default="", help="only events of these kinds")
-    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only this host")
+    parser.add_argument("--kinds", metavar="KIND,...", default="", help="print only events of these kinds")
+    parser.add_argument(
+        "--host",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="print only events of this host (repeatable)",
+    )
     parser.add_argument(
         "--rate",
         metavar="HZ",
         type=_rate,
         default=RATE,
-        help=f"rate of telemetry events, at most {MAX_RATE:g}; 0: none (default: {RATE:g})",
+        help=f"rate of telemetry events, at most {MAX_RATE:g}; 0: no telemetry (default: {RATE:g})",
     )
 
 

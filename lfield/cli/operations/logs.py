@@ -19,7 +19,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_running_mission(parser)
     parser.add_argument("-f", "--follow", action="store_true", help="follow the log until Ctrl-C")
     parser.add_argument("--json", action="store_true", help="print one JSON object per line")
-    parser.add_argument("--host", metavar="NAME", action="append", default=[], help="only this host")
+    parser.add_argument(
+        "--host",
+        metavar="NAME",
+        action="append",
+        default=[],
+        help="print only the log of this host (repeatable)",
+    )
 
 
 def run(args: argparse.Namespace) -> int:

@@ -12,7 +12,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
     parser.add_argument(
-        "--no-wait", action="store_true", help="exit when all devices have confirmed, before they are at rest"
+        "--no-wait",
+        action="store_true",
+        help="exit as soon as all devices have confirmed; do not wait until they are at rest",
     )
 
 

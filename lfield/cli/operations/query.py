@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "query",
         metavar="QUERY",
-        help='capability or taxonomy id, with a condition: "Lift where payload >= 2.0"',
+        help='capability or taxonomy id, with or without a condition: "Lift where payload >= 2.0"',
     )
     add_running_mission(parser)
     parser.add_argument(
@@ -34,15 +34,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="registry of the mission (default: MISSION.capabilities.yaml)",
     )
-    parser.add_argument("--at", metavar="HOST", default="", help="answer from the point of view of this host")
-    parser.add_argument("--files", action="store_true", help="use the files only; do not connect to hosts")
+    parser.add_argument(
+        "--at", metavar="HOST", default="", help="rank the agents as for a coordinator on this host"
+    )
+    parser.add_argument(
+        "--files", action="store_true", help="answer from the files only; do not connect to hosts"
+    )
     parser.add_argument(
         "--explain",
         action="store_true",
-        help="also print the terms of each score, and why other agents do not match",
+        help="also print how each score is computed, and why other agents do not match",
     )
     parser.add_argument(
-        "--team", metavar="N", type=_size, help="also print the best teams of N distinct agents"
+        "--team", metavar="N", type=_size, help="also print the best teams of N different agents"
     )
     parser.add_argument("--json", action="store_true", help="print the answer as JSON")
 

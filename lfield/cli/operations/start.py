@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="HOST",
         action="append",
         default=[],
-        help="host to start without (repeatable)",
+        help="start without this host (repeatable)",
     )
 
 

@@ -43,16 +43,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--listen",
         metavar="ADDRESS",
         type=_address,
-        help="serve the page on a network at this address, with HTTPS",
+        help="address on a network at which to serve the page, with HTTPS",
     )
     parser.add_argument(
         "--page-keys",
         metavar="DIR",
         type=Path,
-        help="keys of the page, from 'lfield keys page ADDRESS'",
+        help="directory with the keys of the page, from 'lfield keys page ADDRESS'",
     )
     parser.add_argument(
-        "--tiles", metavar="FILE", type=Path, help="background of the map: a raster MBTiles file"
+        "--tiles", metavar="FILE", type=Path, help="MBTiles file with raster tiles, as background of the map"
     )
 
 

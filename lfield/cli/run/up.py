@@ -14,7 +14,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.mission_argument import add_bindings, add_mission, add_program, mission_path, setup_command
+from lfield.cli.mission_argument import (
+    add_addresses,
+    add_bindings,
+    add_mission,
+    add_program,
+    mission_path,
+    setup_command,
+)
 from lfield.errors import DevicesError, LfieldError, OutputFileError, UsageError
 from lfield.text.number_arguments import real_above_0, whole_between
 
@@ -38,37 +45,36 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_mission(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--host", metavar="NAME", help="host to run (default: the one whose address is this computer)"
+        "--host", metavar="NAME", help="host to run (default: the host with an address of this computer)"
     )
-    where.add_argument("--all", action="store_true", help="run every host on this computer, one process each")
+    where.add_argument(
+        "--all", action="store_true", help="run all hosts on this computer, each in its own process"
+    )
     add_program(parser)
     add_bindings(parser)
     parser.add_argument(
-        "--sim", action="store_true", help="bind every device to a simulated one, and start these"
+        "--sim", action="store_true", help="start a simulated device in place of each real one"
     )
-    parser.add_argument(
-        "--map",
-        metavar="NAME=ADDR:PORT",
-        action="append",
-        default=[],
-        help="address of a host",
-    )
+    add_addresses(parser)
     parser.add_argument("--until-done", action="store_true", help="exit when all coordinators have ended")
     parser.add_argument(
-        "--dump", metavar="DIR", type=Path, help="write a dump of each agent that fails, for 'lfield inspect'"
+        "--dump",
+        metavar="DIR",
+        type=Path,
+        help="directory for a dump of each agent that fails; 'lfield inspect' prints it",
     )
     parser.add_argument(
         "--unreachable-after",
         metavar="SECONDS",
         type=_SECONDS,
-        help="time-out for reaching the host of a portal call (default: 10)",
+        help="how long a portal call tries to reach an unreachable host before it fails (default: 10)",
     )
     parser.add_argument(
         "--lost-after",
         metavar="SECONDS",
         type=_SECONDS,
         default=15.0,
-        help="with --until-done: exit when a host was unreachable for this long (default: 15)",
+        help="with --until-done: exit with status 4 when a host is unreachable for this long (default: 15)",
     )
     _add_journal_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object per log line")
@@ -76,24 +82,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--engine",
         choices=("auto", "wasm", "reference"),
         default="",
-        help="engine that runs the program (default: as in the devices file; auto: the fastest available)",
+        help="engine that runs the program; auto is the fastest available (default: as in the devices file)",
     )
     parser.add_argument(
-        "--keys", metavar="DIR", type=Path, help="directory with the keys of this host, or of several hosts"
+        "--keys",
+        metavar="DIR",
+        type=Path,
+        help="directory with the keys of this host, or with one such directory for each host",
     )
     parser.add_argument(
         "--lasts",
         metavar="SECONDS",
         type=real_above_0(MAX_SECONDS, "seconds"),
         default=DAY,
-        help="maximum duration of the mission; keys that expire earlier are refused (default: one day)",
+        help="longest duration of the mission: do not start if the keys expire sooner (default: one day)",
     )
     _add_hidden(parser)
 
 
 def _add_journal_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "--state", metavar="DIR", type=Path, help="directory for the journal; also enables it with --sim"
+        "--state",
+        metavar="DIR",
+        type=Path,
+        help="directory for the journal; with --sim, there is a journal only if this is given",
     )
     parser.add_argument(
         "--volatile",
@@ -107,7 +119,7 @@ def _add_journal_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--first-start",
         action="store_true",
-        help="first start ever of this host: start its coordinators without asking the other hosts first",
+        help="this host has never run this mission: start its coordinators without asking the other hosts",
     )
 
 

@@ -102,7 +102,7 @@ def _not_persisted(linked: Mapping[str, HostState]) -> list[str]:
 
 
 def _hosts(linked: Mapping[str, HostState]) -> Table:
-    right = "LATE", "SILENCE", "LEASE"
+    right = "HEARTBEAT DELAY", "GUARD TIMEOUT", "LEASE"
     shown = new_table("HOST", *right, "JOURNAL", right=right)
     for name, host in linked.items():
         report = host.report

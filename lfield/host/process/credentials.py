@@ -43,9 +43,9 @@ def require_credentials(host: str, hosts: Sequence[str]) -> None:
     """Check that a host without keys has no peers. Raises UsageError."""
     if len(hosts) > 1:
         raise UsageError(
-            f"{host} has no keys, and no host listens on a network without: give it the folder that "
-            f"'lfield keys host {host}' makes, with --keys, $LFIELD_KEYS or as /etc/lfield/keys/{host} "
-            "('lfield keys init' begins a team's authority); --all runs all hosts here, and needs none"
+            f"{host} has no keys, which it needs to listen on a network: create them with 'lfield keys host "
+            f"{host}' (after 'lfield keys init') and copy them to /etc/lfield/keys/{host}, or name their "
+            "directory with --keys or $LFIELD_KEYS. With --all, the hosts of this computer need no keys"
         )
 
 
@@ -127,7 +127,7 @@ def _require_valid(
         )
     if own.valid_until < now + lasts:
         raise KeysError(
-            f"the certificate of {own} ends {format_time(own.valid_until)}, and the mission may last "
-            f"{lasts:.10g} s from {format_time(now)} (the clock here) on: renew it with "
-            f"'lfield keys renew {own}', or say with --lasts how long it takes"
+            f"the certificate of {own} expires {format_time(own.valid_until)}, but the mission may last "
+            f"{lasts:.10g} s from now ({format_time(now)}, by the clock of this computer): renew it with "
+            f"'lfield keys renew {own}', or set a shorter --lasts"
         )

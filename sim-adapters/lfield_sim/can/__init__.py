@@ -52,14 +52,14 @@ class CanSim:
             action="append",
             default=[],
             metavar="KIND:NODE|FILE[:NAME][,KEY=VALUE]",
-            help="device: cia402:5, odrive:3 or dbc:FILE (repeatable)",
+            help="device, for example cia402:5, odrive:3 or dbc:FILE (repeatable)",
         )
         parser.add_argument(
             "--bitrate",
             type=whole_between(10_000, 1_000_000, "bits per second"),
             default=1_000_000,
             metavar="BIT/S",
-            help="(1000000)",
+            help="bit rate of the bus (default: 1000000)",
         )
         add_log_option(parser)
         add_fault_option(parser)

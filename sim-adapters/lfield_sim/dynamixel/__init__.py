@@ -33,7 +33,7 @@ class DynamixelSim:
             action="append",
             default=[],
             metavar="ID:MODEL[:NAME]",
-            help="servo (repeatable)",
+            help="servo on the bus (repeatable)",
         )
         parser.add_argument(
             "--listen",
@@ -52,7 +52,7 @@ class DynamixelSim:
             "--protocol",
             choices=("1.0", "2.0"),
             default="2.0",
-            help="protocol, where a model has both (default: 2.0)",
+            help="protocol of the models that have both (default: 2.0)",
         )
         parser.add_argument(
             "--return-delay",

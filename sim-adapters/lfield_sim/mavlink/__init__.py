@@ -58,10 +58,12 @@ class MavlinkSim:
         parser.add_argument(
             "--flavour", choices=FLAVOURS, default="ardupilot", help="autopilot (default: %(default)s)"
         )
-        parser.add_argument("--system", type=system, default=1, metavar="N", help="MAVLink system id")
+        parser.add_argument(
+            "--system", type=system, default=1, metavar="N", help="MAVLink system id (default: 1)"
+        )
         parser.add_argument(
             "--vehicle", type=vehicle, action="append", metavar="SYSTEM[:KIND[:FLAVOUR[:NAME]]]",
-            help="one of several vehicles on the link, instead of --kind, --flavour and --system",
+            help="vehicle on the link, instead of --kind, --flavour and --system (repeatable)",
         )  # fmt: skip
         for option, unit, meaning in SPEEDS:
             parser.add_argument(option, type=_POSITIVE, metavar=unit, help=meaning)
@@ -80,11 +82,11 @@ class MavlinkSim:
             action="append",
             default=[],
             metavar="NAME[@SYSTEM]=VALUE",
-            help="parameter of the autopilot",
+            help="parameter of the autopilot at power-on (repeatable)",
         )
         parser.add_argument(
             "--set-up", nargs="?", const=STATES[0], default="", choices=STATES,
-            help="parameters as set up for this safe state (default: land), not factory defaults",
+            help="start as set up for this safe state (default: land), instead of with factory parameters",
         )  # fmt: skip
         parser.add_argument(
             "--fitted", type=fitted, default="all", metavar="all|none|HARDWARE,...",
@@ -92,7 +94,7 @@ class MavlinkSim:
         )  # fmt: skip
         parser.add_argument(
             "--board", type=board, metavar="HEX",
-            help="unique id of the board, 0 for none (default: random); one more for each further vehicle",
+            help="unique id of the first board, which the next boards count up; 0: none (default: random)",
         )  # fmt: skip
         _add_places(parser)
         add_log_option(parser)

@@ -87,7 +87,7 @@ def test_help_and_version_are_answers(lfield):
 @pytest.mark.parametrize("command", ["up", "ps", "estop"])
 def test_nothing_is_the_same_as_what_comes_later(here, command):
     text = "\n".join(here(command, "--help").out)
-    assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("same as MISSION")
+    assert -1 < text.index("(.dL) or bundle (.lfm)") < text.index("another way to give MISSION")
 
 
 # files
@@ -299,10 +299,17 @@ def test_a_host_named_by_a_loopback_address_is_this_machine(lfield):
 
 def test_a_host_of_several_does_not_begin_without_keys(lfield, refused):
     deployment = lfield.mission(GOOD, "//Bell:bell@alpha\n//Ringer:tom@bravo?bell\n")
-    words = (
-        "alpha has no keys, and no host listens on a network without: give it the folder that 'lfield keys"
+    refused(
+        64,
+        "alpha has no keys, which it needs to listen on a network",
+        "up",
+        "--deploy",
+        deployment,
+        "--host",
+        "alpha",
+        "--map",
+        "alpha=127.0.0.1:8181",
     )
-    refused(64, words, "up", "--deploy", deployment, "--host", "alpha", "--map", "alpha=127.0.0.1:8181")
 
 
 def test_a_host_that_is_alone_listens_nowhere_without_keys(lfield, good):
@@ -319,7 +326,7 @@ def test_keys_that_are_not_those_of_the_host(lfield, refused, good):
     lfield.keys.put("alpha", replace(Keyring(folder).made("host", "alpha"), authority=b"nothing"))
     refused(65, "the keys are damaged or mismatched", *up, folder)
     lfield.keys.put("alpha", lfield.keys.made("host", "alpha", lasts=3600.0))
-    refused(65, "and the mission may last 86400 s from", *up, folder)
+    refused(65, "but the mission may last 86400 s from", *up, folder)
     refused(65, "has no keys of host alpha", *up, lfield.folder)
     (folder / "alpha" / "host.key").chmod(0o644)
     refused(65, "host.key cannot be used", *up, folder)

@@ -29,7 +29,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("build", 66): ("build mission.dL --devices none.yaml", "cannot read none.yaml"),
     ("build", 73): ("build mission.dL -o none/x.lfm", "cannot write none/x.lfm"),
     ("keys", 65): ("keys list --authority none", "none has no authority"),
-    ("keys", 69): ("keys show .", "there are none"),
+    ("keys", 69): ("keys show .", "not found"),
     ("keys", 73): ("keys init mission.L", "cannot write mission.L: it is not a folder"),
     ("sign", 65): ("sign latin.lfm", "not a valid bundle"),
     ("sign", 66): ("sign none.lfm", "cannot read none.lfm"),

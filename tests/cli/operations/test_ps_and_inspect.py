@@ -208,7 +208,7 @@ def test_how_late_a_host_was_and_how_long_it_may_be_silent(capsys):
     team_status_view.show(states_of(answers))
     rows = [line.split() for line in capsys.readouterr().out.splitlines()]
     assert rows[-3:] == [
-        ["HOST", "LATE", "SILENCE", "LEASE", "JOURNAL"],
+        ["HOST", "HEARTBEAT", "DELAY", "GUARD", "TIMEOUT", "LEASE", "JOURNAL"],
         ["alpha", "0.031", "s", "0.2", "s", "1.5", "s", "not", "saved"],
         ["carol", "not", "saved"],
     ]
