@@ -98,9 +98,9 @@ def test_the_page_tells_of_the_hops_of_this_run_and_of_what_broadcast_would_need
     hosts = len(field.mission.team.hosts)
     writes, removals = len(deeds(field, "writes")), len(deeds(field, "takes"))
     rows = (
-        f"| messages that carry the mission: hops | {len(field.hops)} |",
+        f"| hops | {len(field.hops)} |",
         f"| agreements: tuples written {writes}, taken {removals} | {writes + removals} |",
-        f"| messages of broadcast, N(N - 1) = {hosts * (hosts - 1)} for each "
+        f"| messages of a broadcast, N(N - 1) = {hosts * (hosts - 1)} for each agreement "
         f"| {(writes + removals) * hosts * (hosts - 1)} |",
     )
     page = (HERE / "README.md").read_text()

@@ -1,4 +1,4 @@
-"""The public interface for driver authors (docs/drivers.md); conformance kits also import
+"""The public interface for driver authors (docs/driver-authors.md); conformance kits also import
 `lfield.driver.kit`.
 
 A plugin provides a `Driver` with its `Device`s. Also here: their bindings, what they report, and the helper

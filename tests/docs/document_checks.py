@@ -21,6 +21,7 @@ from lfield.capability.registry_reader.registry_files import check_files
 from lfield.cli.main import COMMANDS, MODULES
 from lfield.clock import SystemClock
 from lfield.driver.binding import SIMULATED, DeviceBinding
+from lfield.driver.manifest_file import load_manifest
 from lfield.driver.plugins import discover
 from lfield.errors import BindingError, LfieldError, ProgramError
 from lfield.lang.deployment import read_deployment
@@ -98,7 +99,7 @@ ENDPOINTS = {
 
 
 def yaml(block: Block, folder: Path) -> Problems:
-    """A registry or bindings, read as a mission reads them; bound devices are opened on their fakes."""
+    """A manifest, registry or bindings, read as lfield does; bound devices are opened on their fakes."""
     words, text = block.words, block.text
     if words[:1] == ["device"]:
         text = "agents:\n  page:\n    devices:\n" + textwrap.indent(textwrap.dedent(text), " " * 6)
@@ -111,6 +112,8 @@ def yaml(block: Block, folder: Path) -> Problems:
     path.write_text(text, encoding="utf-8")
     if unreadable := _unreadable(text):
         return unreadable
+    if text.startswith("driver:"):
+        return sentences(lambda: load_manifest(path.name, text.encode()))
     if re.search(r"^registry:", text, re.MULTILINE):
         return [finding.render() for finding in check_files(mission=path)[1]]
     if path.name.endswith(ACCESS):

@@ -179,7 +179,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "lfield setup mavlink --endpoint udp:127.0.0.1:14550 --set ttl=1.0 --set 'limits={speed: 5}'": SETUP,
         "lfield setup --apply FILE": SETUP,
     },
-    "lfield/docs/drivers.md": {
+    "lfield/docs/driver-authors.md": {
         "lfield driver new lamp && cd lfield_lamp && pip install -e .": DRIVER,
         "lfield sim lamp --listen tcp:127.0.0.1:5599 &": DRIVER,
         "lfield kit lamp --endpoint tcp:127.0.0.1:5599 --yes": DRIVER,
