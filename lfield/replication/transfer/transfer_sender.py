@@ -139,6 +139,9 @@ class TransferSender:
         copy = self._pending(message)
         if copy is None or (copy.target != host and message.kind != SUPERSEDED):
             return []
+        if not copy.awaits_answer and message.kind != SUPERSEDED:
+            # It is not in the machine yet, so it could not continue. `on_restored` sends the query again.
+            return []
         if copy.is_displaced and message.kind != SUPERSEDED:
             copy.mark_ended("lost", f"{host} refused it, and the copy here was displaced", self._own.host)
             return []

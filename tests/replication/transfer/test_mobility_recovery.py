@@ -24,10 +24,12 @@ from lfield.replication.transfer.generations import (
     outranks,
 )
 from lfield.wire.coordinator_messages import (
+    NEVER_ARRIVED,
     SUPERSEDED,
     CoordinatorState,
     Terminated,
     TransferAccepted,
+    TransferQuery,
     TransferRefused,
 )
 from lfield.wire.messages import Hello
@@ -151,6 +153,18 @@ def test_a_copy_that_runs_is_no_case_for_a_recovery(left):
         host.mobility.recover(TOUR, RECOVERED, put)
     with pytest.raises(ValueError, match="cannot be recovered"):
         left.mobility.recover(TOUR, 1, put)
+
+
+def test_an_answer_that_arrives_before_the_copy_is_in_the_machine_again_is_asked_for_again():
+    """It was relayed, or sent to the host before its restart; the machine has nothing to continue yet."""
+    page = CoordinatorRecord(TOUR, 1, "PREPARED", 1, target="b", receiver_memory=1, block=b"block 1")
+    mobility, refused = kept(page), TransferRefused(TOUR, 1, 1, NEVER_ARRIVED, "it never arrived")
+    mobility.on_linked(Hello("host", "b", 1, PROGRAM, PROGRAM, 1000, journal_id=1))
+    assert mobility.on_message("b", refused, 0.1) == []
+    query = Send("b", TransferQuery(TOUR, 1, 1, 1))
+    assert mobility.resume_restored(lambda copy, *, runs: seal, 0.2) == [query]
+    (resumed,) = mobility.on_message("b", refused, 60.0)
+    assert isinstance(resumed, ResumeWithException)
 
 
 # Others hear of it

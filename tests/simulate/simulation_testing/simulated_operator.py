@@ -158,7 +158,9 @@ class SimulatedOperator:
         try:
             hosts = host_states(await ask_all(self._transport, self._places, SNAPSHOT))
             for agent, go in list(self._orphans.items()):
-                if self._was_lost(agent, hosts) and await go(agent, hosts):
+                done = self._was_lost(agent, hosts) and await go(agent, hosts)
+                # A coordinator that was recovered may go to that host again before its link times out.
+                if done and go != self._recover:
                     del self._orphans[agent]
         finally:
             self._retries = False
