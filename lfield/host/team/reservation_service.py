@@ -230,7 +230,9 @@ class ReservationService(Part):
         self._waiting = {start: one for start, one in self._waiting.items() if agents.get(one.id) is one}
         self._renew(now)
         for start in sorted(self._reservations.concerned):
-            if why := self._leases.end_reason(*start):
+            why = self._leases.end_reason(*start)
+            # Before that is on disk, a restart of this host would give the reservation back to this start.
+            if why and not self._team.write_ahead.is_pending_durable(start[0]):
                 self._reservations.on_start_ended(start, why, now)
         if not self._team.paused:
             self._reservations.tick(now)

@@ -17,12 +17,13 @@ from lfield.replication.lease.core import Quorum
 from lfield.replication.lease.failover import Failover
 from lfield.replication.lease.lease import Lease
 from lfield.replication.lease.quorum_members import QuorumMembers
+from lfield.replication.transfer.coordinator_copies import CoordinatorCopy
 from lfield.replication.transfer.effects import Effect, PersistRecord
 from lfield.vm.agent import Agent
 from lfield.wire.quorum_messages import Heartbeat, HeartbeatAck
 from simulation_testing.fault_injection import Fault
 from simulation_testing.scenarios.scenario import Scenario, doubted, parted
-from simulation_testing.scenarios.scenario_drawing import split
+from simulation_testing.scenarios.scenario_drawing import draw_scenario, split
 from simulation_testing.seed_runner import DrawScenario
 
 #: The seed of `parted` that finds `the_fence_is_not_on_disk`: at 7.5 s the former holder of a coordinator
@@ -53,6 +54,10 @@ def interrupted(seed: int) -> Scenario:
     story, met = parted(MEETING), 7.1 + random.Random(f"interrupted {seed}").uniform(0.0, 0.4)
     slow = Fault(met, "slow", "h2", "h0", 0.5, 1.0)
     return replace(story, aimed=(slow, replace(slow, at=met + 0.5, kind="reset")))
+
+
+def a_refusal_counts_before_the_copy_is_loaded(patch: Patch) -> None:
+    patch.setattr(CoordinatorCopy, "awaits_answer", CoordinatorCopy.is_unanswered)
 
 
 def _answers(patch: Patch, fences: Any) -> None:
@@ -165,5 +170,12 @@ QUORUM_BUGS = [
         "a restarted voter forgets its fence and grants a lease to the fenced start",
         12,
         parted,
+    ),
+    Bug(
+        a_refusal_counts_before_the_copy_is_loaded,
+        "a restarted host accepts the refusal of a move before the coordinator is in its machine again",
+        frozenset({"stuck"}),
+        7841,
+        draw_scenario,
     ),
 ]

@@ -6,9 +6,11 @@ from typing import Any
 
 from planted_bugs import Bug, Patch
 
+from lfield.host.migration.write_ahead import WriteAheadQueue
 from lfield.host.team.reservation_service import ReservationService
 from lfield.host.team.reservations import Reservations, StartKey
 from simulation_testing.scenarios.scenario import keeper
+from simulation_testing.scenarios.scenario_drawing import draw_scenario
 
 
 def a_number_is_told_before_it_is_kept(patch: Patch) -> None:
@@ -72,6 +74,10 @@ def who_only_calls_need_not_ask(patch: Patch) -> None:
     patch.setattr(Reservations, "is_contended", lambda self, resource: False)
 
 
+def a_fence_ends_it_before_it_is_on_disk(patch: Patch) -> None:
+    patch.setattr(WriteAheadQueue, "is_pending_durable", lambda self, agent: False)
+
+
 def _bug(plant: Any, broken: str, found: str, seed: int) -> Bug:
     return Bug(plant, broken, frozenset(found.split()), seed, keeper)
 
@@ -113,5 +119,12 @@ RESERVE_BUGS = [
         "a call without a reservation starts while another coordinator holds one",
         "reserved",
         1,
+    ),
+    Bug(
+        a_fence_ends_it_before_it_is_on_disk,
+        "the reservation of a fenced start ends before the fence is on disk: a restarted host gives it back",
+        frozenset({"reserved"}),
+        8909,
+        draw_scenario,
     ),
 ]
