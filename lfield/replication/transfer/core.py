@@ -153,7 +153,7 @@ class Mobility:
         return self._termination.terminate(copy, outcome, detail)
 
     def declare_lost(self, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
-        """An operator declares this agent lost, whatever its mission.
+        """An operator declares this agent lost, in any mission.
 
         Starts that are known to be alive continue. Returns the starts that end here.
         """

@@ -79,8 +79,8 @@ class TransferReceiver:
         return [Send(host, _refusal_of(header, unfit))]
 
     def on_query(self, host: str, message: TransferQuery) -> list[Effect]:
-        """Answer a query about a transfer. One that never arrived is refused for good, even if it arrives
-        later."""
+        """Answer a query about a transfer. One that never arrived is refused permanently, even if it
+        arrives later."""
         if message.receiver_memory != self._state_id:
             proof = self.prove_outcome(message)
             return [Send(host, proof)] if proof else [self._stale_note(host, message)]
