@@ -117,7 +117,7 @@ def test_the_figures_of_the_guide_are_those_of_the_registry() -> None:
     assert said in " ".join(GUIDE.split())
     assert limits.combinations == 1000
     assert "a thousand failures at most" in GUIDE
-    assert "(32, or the query's limit)" in GUIDE
+    assert "at most 32 or the query's limit" in GUIDE
     assert limits.offers == 32
     assert f"from 1 to {MAX_LIMIT}" in GUIDE
 
