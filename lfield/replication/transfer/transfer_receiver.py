@@ -36,7 +36,7 @@ class InjectHook(Protocol):
 
 
 class TransferReceiver:
-    """The arriving copies of one host."""
+    """The hops that end on one host: its arriving copies."""
 
     def __init__(
         self, own: Hello, copies: CopyTable, departures: TransferSender, endings: Termination
@@ -45,7 +45,7 @@ class TransferReceiver:
         self._state_id = own.state_id
 
     def on_transfer(self, host: str, header: Transfer, block: Buffer, inject: InjectHook) -> list[Effect]:
-        """A coordinator has arrived from `host`."""
+        """A hop: a coordinator has arrived from `host`."""
         if header.receiver_memory != self._state_id:
             return [self._stale_note(host, header)]
         copy = self._admissible(header, len(block))
