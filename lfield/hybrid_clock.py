@@ -3,7 +3,7 @@
 A timestamp is an integer: milliseconds since 1970 in the upper bits, a counter in the lower 16. It is at
 least the wall-clock time of its host, and greater than every earlier timestamp of this host and than every
 timestamp that this host has received. So an effect has a greater timestamp than its cause on another host,
-whatever the clocks of the two show. No certificate, lease, time limit or timer reads it
+independently of the two clocks. No certificate, lease, time limit or timer reads it
 (tests/tidy/test_event_timestamps.py).
 """
 

@@ -1,7 +1,7 @@
 """What a driver adds to L, as plain data: device types, instructions, telemetry.
 
 A base module: the compiler reads it to check programs, the host to route calls, the driver to know
-its own promises. Nobody needs the vendor library for that.
+its own promises. The vendor library is not needed for that.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from msgspec import Struct
 
 Effect = Literal["query", "idempotent", "actuate"]
 
-#: What a cancel does, where no instruction is named that ends what is under way: nothing, since it must be
-#: carried out to its end; or no more than that nobody waits for it any longer.
+#: What a cancel does where no instruction is named that ends the running one: nothing, since it must be
+#: completed; or it only ends the wait for it.
 NEVER, LEAVE = "never", "leave"
 
 #: What of the team's frame a parameter or a quantity is about (`lfield.driver.frame` says how each is meant).
@@ -58,7 +58,7 @@ class Parameter:
 class Instruction:
     """One library instruction of a device type: `fc.takeoff(10.0)`.
 
-    `result` is an L type name or 'void'. `effect` says what a repeat would do: nothing at all (query),
+    `result` is an L type name or 'void'. `effect` is what a repetition does: nothing (query),
     nothing new (idempotent), or act again (actuate). A query is answered from the last telemetry
     snapshot and never blocks; `blocking` instructions hold the calling thread until they are done.
     Instructions of one `channel` replace one another, those of different channels run side by side: a
@@ -102,8 +102,8 @@ class Instruction:
 class Quantity:
     """One telemetry quantity that the driver publishes and queries read.
 
-    `max_age` in seconds; `rate` in Hz is how often the driver sees to it that the device tells it, 0 when it
-    is told only now and then, or not by every device. `frame` is as that of a parameter.
+    `max_age` in seconds; `rate` in Hz is the rate that the driver requests from the device, 0 when it
+    is reported irregularly, or not by every device. `frame` is as that of a parameter.
     """
 
     name: str

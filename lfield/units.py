@@ -1,8 +1,8 @@
 """Units as data: what a symbol means, how compound units are read, and how one unit becomes another.
 
 A unit is written as in the manifests of drivers: factors with their exponents, `/` before what divides:
-`m/s`, `m/s2`, `N m`, `kg m2/s2`. Numbers inside lfield are SI; other units end at the edge, where somebody
-wrote them. An angle is kept as a dimension of its own, so that nobody's hertz become radians per second.
+`m/s`, `m/s2`, `N m`, `kg m2/s2`. Numbers inside lfield are SI; other units are converted where they are
+read. An angle has its own dimension, so that hertz are never converted to radians per second.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class MeasurementUnit:
     offset: Fraction = Fraction(0)
 
 
-#: The pure number: the unit of a ratio, a count, or of nothing at all.
+#: The pure number: the unit of a ratio or a count, or no unit.
 ONE = MeasurementUnit((0,) * len(BASE))
 
 _DEGREE = Fraction(math.pi) / 180
@@ -192,7 +192,7 @@ def _product(text: str, symbols: dict[str, MeasurementUnit]) -> MeasurementUnit 
     for index, factor in enumerate(factors):
         over, *under = factor.split("/")
         if under and index < len(factors) - 1:
-            return None  # `J/kg K`: nobody can tell on which side the K is
+            return None  # `J/kg K` is ambiguous: K may be above or below
         whole = _times(whole, _factor(over, symbols), 1)
         for divisor in under:
             whole = _times(whole, _factor(divisor, symbols), -1)

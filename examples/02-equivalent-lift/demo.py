@@ -3,9 +3,9 @@
     python examples/02-equivalent-lift/demo.py
 
 Every host is a process. Once the hook is down, the faults of the run are set with `lfield sim
-fault`, as one could by hand; when `lfield query` says that the crane's host has noticed all of them, the
+fault`, as on the command line; when `lfield query` says that the crane's host has noticed all of them, the
 cart's computer is started, and so the parcel comes. Nothing is left to a fixed time. 0 means that in every
-run whoever should lift the parcel did.
+run the expected lift has lifted the parcel.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ FAILURES = (
     ("sky.fc", "battery=0.15", "the copter's battery is low as well"),
     ("hand.motor", "dead=true", "and the hand's servo is dead"),
 )
-#: Who must lift in each run, '' for nobody.
+#: Who must lift in each run, '' for none.
 LIFTS = ("crane", "sky", "hand+arm", "")
 
 
@@ -124,7 +124,7 @@ class Team:
                 self._said.wait(0.2)
 
     def best(self) -> str | None:
-        """Who would lift now, according to the crane's host: '' for nobody, None while unknown."""
+        """Who would lift now, according to the crane's host: '' for none, None while unknown."""
         question = ("query", "Lift where payload >= 0.2", "--deploy", str(self._mission), "--at", "yard")
         said = io.StringIO()
         with contextlib.redirect_stdout(said), contextlib.redirect_stderr(io.StringIO()):
@@ -167,7 +167,7 @@ def run(mission: Path, number: int) -> None:
         end = time.monotonic() + PATIENCE
         while (best := team.best()) != expected:
             if time.monotonic() > end:
-                raise Failed(f"the hosts have not noticed the failures: {best or 'nobody'} would lift")
+                raise Failed(f"the hosts have not noticed the failures: {best or 'no agent'} would lift")
             time.sleep(0.2)
         team.start(CART)
         status = team.ended()
@@ -188,7 +188,7 @@ def wrong(said: list[str], expected: str) -> str:
             lifted.append(tried)
     if lifted == ([expected] if expected else []):
         return ""
-    return f"{' and '.join(lifted) or 'nobody'} has lifted the parcel, not {expected or 'nobody'}"
+    return f"{' and '.join(lifted) or 'no agent'} has lifted the parcel, not {expected or 'no agent'}"
 
 
 def fail(failures: tuple[tuple[str, str, str], ...]) -> None:

@@ -40,10 +40,10 @@ def lifts(team):
         (0, ("yard", "0.8"), "crane shall lift (direct, "),
         (1, ("air", None), "equivalent: climb-lifts of Climb"),
         (2, ("bench", "0.8"), "composed: grip-and-climb of Grip (hand), Climb (arm)"),
-        (3, None, "nobody can lift the parcel"),
+        (3, None, "no agent can lift the parcel"),
     ],
 )
-def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield_mission, count, lift, way):
+def test_the_best_then_the_equivalent_then_the_composed_then_none(lfield_mission, count, lift, way):
     team = run(lfield_mission, FAILURES[:count])
     assert team.said(way)
     found = lifts(team)
@@ -63,10 +63,10 @@ def test_the_demonstration_knows_whether_the_right_robot_came():
     crane, sky = "foreman: crane shall lift (direct)\n", "foreman: sky shall lift (equivalent)\n"
     assert demo.wrong([crane, up], "crane") == ""
     assert demo.wrong([crane, stale, sky, up], "sky") == ""
-    assert demo.wrong(["foreman: nobody can lift the parcel\n"], "") == ""
+    assert demo.wrong(["foreman: no agent can lift the parcel\n"], "") == ""
     assert demo.wrong([crane, up], "sky") == "crane has lifted the parcel, not sky"
-    assert demo.wrong([sky], "sky") == "nobody has lifted the parcel, not sky"
-    assert demo.wrong([sky, up], "") == "sky has lifted the parcel, not nobody"
+    assert demo.wrong([sky], "sky") == "no agent has lifted the parcel, not sky"
+    assert demo.wrong([sky, up], "") == "sky has lifted the parcel, not no agent"
 
 
 @pytest.mark.few(0)

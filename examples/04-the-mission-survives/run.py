@@ -86,7 +86,7 @@ def gone_for_good(team: Team, report: Report) -> None:
     here = team.wait_for("part 8 is in the box").host
     time.sleep(0.5)
     killed = team.kill(here, "its arm takes part 9, and the coordinator is with it")
-    report.row(killed, "killed", f"{here} {report.after(killed)}, for good: its arm takes part 9")
+    report.row(killed, "killed", f"{here} {report.after(killed)}, permanently: its arm takes part 9")
     behind = "; ".join(output_since_arrival(team, here))
     gone_on = team.wait_for("was recovered on", killed)
     report.row(gone_on.at, "back", f"on {gone_on.host}, {gone_on.at - killed:.1f} s after the kill")

@@ -11,7 +11,7 @@ def acts(team, portal):
 
 
 @pytest.mark.few(0)
-def test_nobody_dies_and_all_is_made_once(lfield_mission):
+def test_without_failures_every_part_is_made_once(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until_done=True)
     assert team.said("survivor: complete; the coordinator migrated 5 times")

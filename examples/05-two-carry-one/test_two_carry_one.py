@@ -79,7 +79,7 @@ def test_two_carry_the_beam_and_two_more_the_crates(lfield_mission):
     assert all(at_home(team, who) for who in COPTERS)
     tracks = [team.tracks[f"{who}.fc"] for who in COPTERS]
     near = min(math.dist(a[1:], b[1:]) for x, y in combinations(tracks, 2) for a, b in zip(x, y, strict=True))
-    assert near > LENGTH - OFF, "nobody meets"
+    assert near > LENGTH - OFF, "the carriers keep their distance"
     assert shows(flown.draw(team)) == shows((HERE / "tracks.svg").read_text()), "run flown.py"
 
 

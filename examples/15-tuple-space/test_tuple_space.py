@@ -93,7 +93,7 @@ def test_every_weed_is_pulled_once_and_everybody_goes_home(field):
     assert sorted(who for who, _ in deeds(field, "reads")) == ["fork", "hoe1", "hoe2"]
 
 
-def test_the_page_tells_of_the_hops_of_this_run_and_of_what_broadcast_would_need(field):
+def test_the_page_states_the_hops_of_this_run_and_the_messages_of_a_broadcast(field):
     field.run(until_done=True)
     hosts = len(field.mission.team.hosts)
     writes, removals = len(deeds(field, "writes")), len(deeds(field, "takes"))
@@ -303,7 +303,7 @@ def test_templates_match_tuples_of_their_number_types_and_values(clients):
         ("string none; new Tuple().with(none);", "NullException"),
     ],
 )
-def test_what_cannot_be_is_told(clients, statement, problem):
+def test_an_impossible_space_is_reported(clients, statement, problem):
     declaration = 'Space space = new Space(findTupleServer("space"), "bad");'
     program = f"coordinator Bad {{ init(string[] arg) {{ {declaration} {statement} }} }}"
     team = clients("//Bad:bad@shed", program=program)

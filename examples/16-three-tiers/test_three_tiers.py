@@ -67,7 +67,7 @@ def gone(team, device, metres):
 
 
 @pytest.mark.few(0)
-def test_tier_one_stops_for_what_is_in_the_way_and_asks_nobody(lfield_mission):
+def test_tier_one_stops_for_obstacles_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: gone(team, "rover.fc", 8.0))
     for other in ("sky", "tower"):
@@ -80,7 +80,7 @@ def test_tier_one_stops_for_what_is_in_the_way_and_asks_nobody(lfield_mission):
     assert nearest(team) > RADIUS + 2.0
 
 
-def test_tier_one_comes_home_while_the_battery_lasts_and_asks_nobody(lfield_mission):
+def test_tier_one_returns_while_the_battery_lasts_without_a_query(lfield_mission):
     team = lfield_mission("mission.dL")
     team.run(until=lambda: gone(team, "copter.fc", 8.0))
     asked = [call for call in team.calls if call.resource == "copter"]
@@ -90,7 +90,7 @@ def test_tier_one_comes_home_while_the_battery_lasts_and_asks_nobody(lfield_miss
     assert team.tracks["copter.fc"][-1].up < 0.1
     team.run(until_done=True)
     assert team.said("copter did not come to gate: its battery is low") == 1
-    # The rover takes the copter's sites; nobody reaches the mast.
+    # The rover takes the copter's sites; no vehicle reaches the mast.
     assert sorted(inspected(team)) == [("rover", site) for site in sorted(SITES - {"mast"})]
 
 
@@ -134,7 +134,7 @@ def test_without_a_new_plan_the_old_one_holds_and_the_planner_is_asked_again(lfi
         ("nonsense=42", "no plan: planner: its answer is invalid: '42'"),
     ],
 )
-def test_without_any_plan_nobody_goes_anywhere(lfield_mission, fault, problem):
+def test_without_any_plan_no_vehicle_moves(lfield_mission, fault, problem):
     team = lfield_mission("mission.dL", fakes={"strategist.planner": [fault]})
     team.run(until_done=True)
     assert team.ended == {"sequencer": "done"}

@@ -62,7 +62,7 @@ def agreements(team):
 
 
 def keeps_step(team):
-    """During the march nobody is farther from the others than half a step allows."""
+    """During the march no vehicle is farther from the others than half a step allows."""
     start, end = reported_size(team, "wedge")[1] + 10.0, reported_size(team, "column")[1]
     for tenth in range(int(start * 10), int(end * 10)):
         column = sorted(at(team, who, tenth / 10).east for who in HOSTS)
@@ -97,7 +97,7 @@ def stopped(lfield_mission, act):
     return team
 
 
-def test_every_formation_is_reached_and_nobody_meets(lfield_mission):
+def test_every_formation_is_reached_without_a_collision(lfield_mission):
     team = marched(lfield_mission)
     assert [worst(team, formation) < OFF for formation in LEGS] == [True] * 3
     assert closest(team, COPTERS) > SPACING - 0.5

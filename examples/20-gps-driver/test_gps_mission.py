@@ -54,7 +54,7 @@ def test_without_a_fix_the_boat_is_nowhere_and_what_is_missing_is_a_straight_lin
     assert 35.0 < way < 20.0 * SPEED
 
 
-def test_without_satellites_nobody_sets_out(lfield_mission):
+def test_without_satellites_no_vehicle_starts(lfield_mission):
     team = lfield_mission("mission.dL", fakes={"boat.gps": ["no_fix=true"]})
     team.run(until_done=True)
     assert team.ended == {"surveyor": "died"}

@@ -94,7 +94,7 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
     team.at(8.0, kill)
     team.run(until="recovered on this host")
     back, left = team.now, [who for host, who in HOSTS.items() if host != killed[0]]
-    assert sum(way(team, who, 8.0, back) for who in left) > 0.5, "they play while nobody tells them anything"
+    assert sum(way(team, who, 8.0, back) for who in left) > 0.5, "they play without new commands"
     team.run(until_done=True)
     assert team.ended == {"red": "done", "blue": "done"}
     assert reported_score(team, "red") == goals(team)
@@ -103,7 +103,7 @@ def test_a_team_plays_on_without_its_coach_and_gets_it_back(lfield_mission):
 
 
 @pytest.mark.few(0)
-def test_the_ball_leaves_between_the_posts_and_nobody_else_leaves(lfield_mission):
+def test_the_ball_leaves_between_the_posts_and_no_robot_leaves(lfield_mission):
     """From the kick-off to the first goal: with `-k posts --tracks DIR` the picture of the README."""
     team = lfield_mission("mission.dL", seed=3)
     team.run(until=lambda: abs(team.fake("ball").place[0]) > LINE + BALL)

@@ -1,4 +1,4 @@
-"""Admission state of one host: its keys, its lower bound of the time, and the revoked certificates.
+"""Admission state of one host: its keys, its lower bound of the time, and its revocation list.
 
 Sans-IO. `lfield.authority.peer_verification` decides; this module holds its inputs. Without keys no peer is
 verified: links are then between simulated hosts, or to a command of this computer, which the kernel

@@ -1,4 +1,4 @@
-"""Decides whether an authenticated peer may have a link now, or may have signed the bundle. Sans-IO.
+"""Decides by certificate and revocation whether a peer may have a link, or may sign a bundle. Sans-IO.
 
 OpenSSL verifies that a certificate is signed by the CA. It does not check times (`NO_CHECK_TIME`), since it
 knows only the system clock and can only refuse. A vehicle in the air whose certificate expires must still

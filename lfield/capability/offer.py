@@ -16,7 +16,7 @@ from lfield.capability.model import Value
 OfferKind = Literal["direct", "equivalent", "composed"]
 
 #: The provenance of a value, the most reliable last: usual for the type, stated for the mission or the type,
-#: told by the device, or measured by it.
+#: reported by the device, or measured by it.
 Provenance = Literal["nominal", "stated", "told", "measured"]
 
 
@@ -32,10 +32,10 @@ class Fact(Struct, frozen=True, gc=False):
 
     @property
     def source(self) -> str:
-        """The provenance as text: `nominal`, `stated`, `told by the device`, `measured 0.4 s ago`."""
+        """The provenance as text: `nominal`, `stated`, `reported by the device`, `measured 0.4 s ago`."""
         match self.of:
             case "told":
-                return "told by the device"
+                return "reported by the device"
             case "measured":
                 return f"measured {self.age:.{0 if self.age >= 10 else 1}f} s ago"
             case other:

@@ -109,7 +109,7 @@ class _Bus:
             return [f"{names}: {error.reason}"]
         except PluginError as error:
             return [f"{names}: {error}"]
-        except Exception as error:  # a driver is third-party code: report whatever it raises
+        except Exception as error:  # a driver is third-party code: report any exception
             return [f"{names}: the driver failed to open: {error!r}"]
         inspected = await asyncio.gather(
             *map(_inspect, self._driver.devices.values()), return_exceptions=True

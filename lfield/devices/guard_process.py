@@ -97,7 +97,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         self._restarting: asyncio.Task[None] | None = None
         self._opening: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._exited = asyncio.Event()
-        # Set when the devices are open or never will be, and when this guard has ended for good.
+        # Set when the devices are open or never will be, and when this guard has ended.
         self._settled, self._over = asyncio.Event(), asyncio.Event()
         self._ready = self._stopping = self._hurried = self._has_spoken = False
         self._unanswered, self._ready_at, self._open_reason = 0, -math.inf, ""

@@ -1,4 +1,4 @@
-"""Decisions of the guard: when a device may move and when it must be safe. Events in, effects out.
+"""Decisions of the guard: when a device may move, when it must stop. Events in, effects out.
 
 A device is free or latched. It is latched, and its safe state commanded until it is confirmed, when
 

@@ -65,7 +65,7 @@ class DeviceOpener:
             problem = ("", error.kind, error.reason)
         except PluginError as error:
             problem = ("", "DeviceException", str(error))
-        except Exception as error:  # a driver is third-party code: report whatever it raises
+        except Exception as error:  # a driver is third-party code: report any exception
             problem = ("", "DeviceException", f"the driver failed to open: {error!r}")
         return {}, [problem]
 

@@ -145,7 +145,7 @@ class Part:
     observes: Mapping[type[HostEvent], EventHandler] = {}
     #: When `on_tick` is due, in seconds of the host's clock; None for never.
     due: float | None = None
-    #: Whether `on_tick` is called in each turn of the host, whatever the time.
+    #: Whether `on_tick` is called in each turn of the host, also before `due`.
     is_polled: bool = False
 
     def on_tick(self, now: float) -> None:

@@ -269,7 +269,7 @@ class HostCore:
         self._publish(RecordsDurable(number))
 
     def on_host_exited(self, host: str) -> None:
-        """A host of this team has ended for good, as reported by the process that started it."""
+        """A host of this team has ended permanently, as reported by the process that started it."""
         if host in self.team.hosts and host != self.name:
             self.membership.ended.add(host)
             self.startup.on_host_exited(host)

@@ -378,7 +378,7 @@ class Host:
         return not held and any(known.state != "EXITED" for known in self.mobility.known_states())
 
     def on_host_exited(self, host: str) -> None:
-        """A host has ended for good, as reported by the process that started it."""
+        """A host has ended permanently, as reported by the process that started it."""
         self._dispatch(partial(self.core.on_host_exited, host))
 
     def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:

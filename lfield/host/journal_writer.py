@@ -1,4 +1,4 @@
-"""Writes journal records in order, one commit at a time; a failed commit is retried until it succeeds."""
+"""Journal writes of a host: records in order, one commit at a time; a failed commit is retried."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Durable state of a host: the journal, its records, and its recovery after damage."""
+"""Durable state of a host: journal writes, records, and recovery after damage."""

@@ -1,4 +1,4 @@
-"""The journal of a host on disk: a dedicated thread commits, so that the event loop never waits for it."""
+"""The journal of a host on disk: journal writes are committed by a thread, never in the event loop."""
 
 from __future__ import annotations
 

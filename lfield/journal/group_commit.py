@@ -1,4 +1,4 @@
-"""Group commit: changes that arrive during a commit become the next one."""
+"""Group commit of journal writes: changes that arrive during a commit become the next one."""
 
 from __future__ import annotations
 

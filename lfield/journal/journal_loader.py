@@ -330,7 +330,7 @@ def _check_owner(path: Path, head: JournalHeader, owner: JournalOwner) -> None:
         raise ForeignJournal(
             str(path),
             "it was written on another computer, where its coordinators may still run",
-            "use it there; if that computer is lost for good, remove this journal: the host then starts anew",
+            "use it there; if that computer is lost permanently, remove this journal: the host starts anew",
         )
 
 

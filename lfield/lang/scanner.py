@@ -64,7 +64,7 @@ class Scan:
     """All tokens of a source, END last, and the lines on which scanning itself found a mistake.
 
     The parser reports nothing more on those lines, so that one mistake is reported once. `cut` means that
-    some of the text could not be read at all and may have held anything.
+    a part of the text was unreadable and may have contained anything.
     """
 
     tokens: list[Token] = field(default_factory=list)

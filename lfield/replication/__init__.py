@@ -1,1 +1,1 @@
-"""Location of coordinators: hand-over, membership, leases, failover (chapter III, appendix I). Sans-IO."""
+"""Location of coordinators: hops, membership, leases, failover (chapter III, appendix I). Sans-IO."""

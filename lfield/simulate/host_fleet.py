@@ -167,7 +167,7 @@ class Fleet:
     def boot(self, name: str) -> None:
         """Start a host's process, and its computer if off; an earlier incarnation leaves nothing.
 
-        Ignored for a host that is gone for good.
+        Ignored for a host that is permanently lost.
         """
         if name in self.gone:
             return
@@ -192,13 +192,13 @@ class Fleet:
         self.lives.pop(name, None)
 
     def lose(self, name: str) -> None:
-        """Its computer is lost for good, without notice."""
+        """Its computer is permanently lost, without notice."""
         self.gone.add(name)
         self.power_off(name)
 
     @property
     def pages_left(self) -> list[Record]:
-        """The disk contents of hosts that are not gone for good."""
+        """The disk contents of hosts that are not permanently lost."""
         return [page for name, disk in self.disks.items() if name not in self.gone for page in disk.pages()]
 
     def close(self) -> None:

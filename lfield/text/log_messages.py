@@ -212,7 +212,7 @@ NO_HEARTBEAT_INTERVAL = _message(
 NO_LEASE_GIVEN = _message(
     "no-lease-given",
     "votes for leases withheld: the journal of {host} is new or has lost a vote, and {members} must respond "
-    "first; if a member is gone for good, restart all hosts with a 'recovery: {{members: [...]}}' without "
+    "first; if a member is permanently lost, restart all hosts with a 'recovery: {{members: [...]}}' without "
     "it; --first-start states that this host has never run this deployment",
     "warning",
 )
@@ -241,7 +241,7 @@ FAILOVER_DECIDED = _message(
 FAILOVER_IMPOSSIBLE = _message(
     "failover-impossible",
     "failover of {agent} impossible: its newest checkpoint, on {host}, cannot be read; if the host that held "
-    "{agent} is gone for good, 'lfield recover {agent}' resumes an older checkpoint, and 'lfield forget "
+    "{agent} is permanently lost, 'lfield recover {agent}' resumes an older checkpoint, and 'lfield forget "
     "{agent}' ends it",
     "error",
 )

@@ -71,8 +71,8 @@ class LineBacklog:
 class NonBlockingOutput(io.TextIOBase):
     """A text stream on a shared descriptor: no write blocks or fails.
 
-    A notice replaces dropped lines, or `dropped` is called with their number. When writing fails for good (a
-    full disk, a closed pipe) `lost` is called once with the error, and later output is discarded. Both are
+    A notice replaces dropped lines, or `dropped` is called with their number. When writing fails permanently
+    (a full disk, a closed pipe) `lost` is called once with the error, and later output is discarded. Both are
     called from another thread.
     """
 

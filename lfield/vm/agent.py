@@ -76,7 +76,7 @@ class Agent:
     #: Why a departure that would arrive late was refused.
     unreachable_reason = ""
 
-    # By hand, with rare fields in the class: an instance is made at every hop.
+    # Written out, with rare fields in the class: an instance is created at every hop.
     def __init__(
         self,
         member: TeamMember,

@@ -148,7 +148,7 @@ class Machine:
     def inject(
         self, member: TeamMember, image: bytes | memoryview, limits: AgentLimits, downtime: float = 0.0
     ) -> Agent:
-        """Inject a coordinator that came from another host; raises BlockError for invalid bytes.
+        """End of a hop: inject a coordinator from another host; raises BlockError for invalid bytes.
 
         `downtime` is its transit time in seconds, as far as its host knows: its time limits include it. It is
         suspended at its portal call, which is here, until `unfreeze` or `resume`. Another start of it on this
@@ -206,7 +206,7 @@ class Machine:
             self._turns.push_ready_front(agent, w[place + THREAD_ID])
 
     def pack(self, agent: Agent) -> memoryview:
-        """The bytes of a suspended coordinator, live data only."""
+        """The bytes of a suspended coordinator for a hop, live data only."""
         block = agent.block
         self._liveness.clear_dead(block)
         # Most visits leave no garbage.

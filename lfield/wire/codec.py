@@ -19,7 +19,7 @@ A long frame may be sent in parts, so that a stop order can be sent between two 
 are consecutive, and no part has bytes of two frames.
 
 The first six bytes of HELLO and the whole of REFUSE stay unchanged in all future versions, so that hosts of
-different versions can report the mismatch. A REFUSE needs no checksum: it ends the link, whatever its text.
+different versions can report the mismatch. A REFUSE needs no checksum: it ends the link in any case.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class CoordinatorState(Struct, frozen=True, array_like=True, forbid_unknown_fiel
 
 
 class Transfer(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """The header of a coordinator in transit; `size` bytes of block follow it in the same frame.
+    """A hop: the header of a coordinator in transit; `size` bytes of block follow it in the same frame.
 
     (agent, generation, sequence) is the id of the transfer. `hops` includes this hop. `program` is the hash
     of the program that the block belongs to, `receiver_memory` the state id of the intended receiver.

@@ -2,7 +2,7 @@
 
 A datagram is `lfo`, one byte PROTOCOL and a msgpack array. `lfield/docs/formats.md` has the tables. An order
 names one of the two numbers of the `Epochs` of each host. Both are random nonces, so that a replayed order
-never matches a later state of the host, whatever clocks say. `EmergencyStop` and `Pause`, the same orders
+never matches a later state of the host, independently of clocks. `EmergencyStop` and `Pause`, the same orders
 over links, use the same ids and numbers.
 """
 

@@ -95,7 +95,7 @@ class Faults:
         known = ", ".join(
             f"{device} ({called})" if called else device for device, called in self._names.items()
         )
-        raise ValueError(f"there is no device '{name}'; there are: {known or 'none to tell apart'}")
+        raise ValueError(f"there is no device '{name}'; there are: {known or 'none with names'}")
 
     def described(self) -> dict[str, str]:
         """Every fault with its present value and meaning."""

@@ -306,7 +306,7 @@ def test_what_cannot_be_read_is_said_once_and_no_older_copy_goes_on(tmp_path: Pa
     assert told[1:] == (
         "alpha",
         "failover of walker impossible: its newest checkpoint, on alpha, cannot be read; if the host that "
-        "held walker is gone for good, 'lfield recover walker' resumes an older checkpoint, and "
+        "held walker is permanently lost, 'lfield recover walker' resumes an older checkpoint, and "
         "'lfield forget walker' ends it\n",
     )
     assert copy.state_message().unreadable

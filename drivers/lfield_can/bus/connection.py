@@ -137,7 +137,7 @@ class Connection:
         """Whether the interface reports bus off."""
         try:
             return bool(self._bus.state is can.BusState.ERROR)
-        except Exception:  # many interfaces cannot tell
+        except Exception:  # many interfaces do not report it
             return False
 
     async def close(self) -> None:

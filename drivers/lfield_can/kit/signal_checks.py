@@ -58,7 +58,7 @@ async def healthy(bench: Bench) -> str:
 @SIGNALS.check("unknown signals are refused", moves=False, types=_TYPES)
 async def unknown(bench: Bench) -> str:
     """A wrong name is an error, not a 0."""
-    return await refused(bench, "read", "Nobody.Nothing")
+    return await refused(bench, "read", "Unknown.Signal")
 
 
 @SIGNALS.check("messages that its binding does not list are refused", moves=True, types=_TYPES)

@@ -62,7 +62,7 @@ class Failsafe:
     @property
     def holder(self) -> str:
         """Who controls a vehicle that is not ours, as far as known."""
-        # PX4 reports when somebody has selected a mode after it.
+        # PX4 reports when a station or pilot has selected a mode after it.
         return "its failsafe" if self.is_engaged and not self._led else self._state.holder
 
     @property

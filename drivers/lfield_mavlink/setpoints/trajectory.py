@@ -5,7 +5,7 @@ So the target itself moves within the permitted speed, and waits when the vehicl
 
 PX4's position controller is proportional (MPC_XY_P 0.95, MPC_Z_P 1.0 per second;
 https://docs.px4.io/main/en/flight_stack/controller_diagrams): the vehicle follows the target at a distance of
-about one second of its speed, and in steady motion has exactly the target's speed, whatever the wind.
+about one second of its speed, and in steady motion has exactly the target's speed in any wind.
 """
 
 from __future__ import annotations

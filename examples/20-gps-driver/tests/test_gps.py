@@ -41,7 +41,7 @@ def test_the_sentences_of_the_textbook():
     assert parse(sentence("GPGSV,3,1,11")) == {}
 
 
-def test_south_and_west_are_negative_and_what_is_not_known_is_not_told():
+def test_south_and_west_are_negative_and_unknown_values_are_omitted():
     values = parse(sentence("GPGGA,120000,3352.0,S,07040.0,W,4,12,0.9,520.0,M,,M,,"))
     assert values["position"] == pytest.approx([-33.866667, -70.666667, 520.0], abs=1e-6)
     assert values["fix"] == "rtk"
@@ -76,7 +76,7 @@ def test_any_line_is_told_or_nonsense(line):
 
 
 @given(st.floats(0.0, 1e6))
-def test_the_fake_speaks_sentences(seconds):
+def test_the_simulated_receiver_sends_sentences(seconds):
     values = {}
     for line in sentences(seconds).splitlines():
         assert len(line) <= 82
@@ -150,7 +150,7 @@ def test_an_unplugged_receiver_comes_back(rig):
     rig.bench.run_real(story)
 
 
-def test_nobody_there_is_an_error_within_its_time(tmp_path):
+def test_a_silent_port_is_an_error_within_its_time(tmp_path):
     rig = Rig(tmp_path, connect=1.0)
     rig.faults.apply(["silent=true"])
 

@@ -131,7 +131,7 @@ class Field:
         box.step(pushes, seconds)
 
     def _run(self, prey: Body, seconds: float) -> None:
-        """Moves the prey: it pushes nobody, slides along obstacles, and stops if it cannot."""
+        """Moves the prey: it pushes no robot, slides along obstacles, and stops if it cannot."""
         before = prey.place
         prey.place = _moved(before, prey.velocity, seconds)
         for _ in range(SLIDES):

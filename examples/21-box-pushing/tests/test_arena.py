@@ -44,7 +44,7 @@ def behind(*asides):
 
 @given(st.lists(WISHES, min_size=1, max_size=40))
 @settings(max_examples=50)
-def test_energy_does_not_appear_from_nothing(rounds):
+def test_energy_is_not_created(rounds):
     field = behind(-0.4, 0.0, 0.4)
     for wishes in rounds:
         with_wishes(field, wishes)
@@ -55,7 +55,7 @@ def test_energy_does_not_appear_from_nothing(rounds):
 
 
 @given(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0), st.floats(-3.0, 3.0))
-def test_a_box_that_nobody_pushes_comes_to_rest(north, east, spin):
+def test_a_box_that_is_not_pushed_comes_to_rest(north, east, spin):
     field = Field.of(Layout({}, box=(0.0, 0.0, 0.0)))
     field.box.speed, field.box.spin = (north, east), spin
     last = field.box.energy
@@ -96,7 +96,7 @@ def test_what_the_floor_holds_does_not_move():
     st.sampled_from(["box", "hunt"]), st.lists(st.tuples(SPEEDS, SPEEDS), min_size=4, max_size=4), st.data()
 )
 @settings(max_examples=40, deadline=None)
-def test_nothing_is_where_something_else_is(layout, wishes, data):
+def test_objects_do_not_overlap(layout, wishes, data):
     field = Field.of(LAYOUTS[layout])
     if field.prey is not None:
         # All of them run towards it.

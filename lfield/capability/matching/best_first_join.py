@@ -47,19 +47,19 @@ class PlanStream:
 
 @dataclass(slots=True)
 class SearchBudget:
-    """How much may still be tried: combinations in vain, and steps of any kind; `parent` is spent with it."""
+    """Remaining effort of a search: failed combinations, and steps; `parent` is charged with it."""
 
     failures: int
     steps: int
     parent: SearchBudget | None = None
 
     def spend(self) -> bool:
-        """One step more; False when that is too much."""
+        """Count one more step; False when the budget is exceeded."""
         self.steps -= 1
         return self.steps >= 0 and (self.parent is None or self.parent.spend())
 
     def fail(self) -> bool:
-        """One combination more that was tried in vain; False when that is too much."""
+        """Count one more failed combination; False when the budget is exceeded."""
         self.failures -= 1
         return self.failures >= 0 and (self.parent is None or self.parent.fail())
 

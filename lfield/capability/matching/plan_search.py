@@ -41,14 +41,14 @@ NOTHING: Used = frozenset()
 
 @dataclass(frozen=True, slots=True)
 class SearchLimits:
-    """What a search does at most.
+    """Limits of a search.
 
     depth           rules on top of one another
     per_rule        offers of each composition
-    combinations    combinations of parts that are tried in vain for one composition
-    tried           combinations that are tried in vain in all
-    steps           parts that are chosen in all
-    offers          offers that are given, the best of all
+    combinations    failed combinations of parts of one composition
+    failures        failed combinations in total
+    steps           chosen parts in total
+    offers          returned offers, the best ones
     """
 
     depth: int = 4

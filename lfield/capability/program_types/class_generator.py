@@ -13,9 +13,9 @@
             }
             ...
 
-Of an offer only the fields of its own way are filled, so a call does what a call by hand would: it migrates,
-throws and returns as the resource's own portal does. The ways are those that this program can have: by the
-resources it names, and by the rules whose needs such resources serve.
+Of an offer only the fields of its way are filled, so a call behaves as one that the program writes itself: it
+migrates, throws and returns as the portal of the resource does. The ways are those that this program can
+have: by the resources it names, and by the rules whose needs such resources serve.
 """
 
 from __future__ import annotations

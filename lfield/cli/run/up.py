@@ -245,7 +245,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
 
 @contextmanager
 def _refusal_reported(args: argparse.Namespace) -> Iterator[None]:
-    """Tells `--all` why this host cannot start."""
+    """Reports to `--all` why this host cannot start."""
     from lfield.host.process.run_result import RunResult, refusal_reason
 
     try:

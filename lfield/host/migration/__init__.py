@@ -1,1 +1,1 @@
-"""Coordinators of a host between arrival and call: effects, acknowledgements, init barrier."""
+"""Hops on a host, between arrival and call: effects, acknowledgements, init barrier, write-ahead queue."""

@@ -1,4 +1,4 @@
-"""Executes the effects of mobility on one host: in its machine, towards other hosts, in its log. Pure."""
+"""Executes the effects of hops on one host: in its machine, towards other hosts, in its log. Pure."""
 
 from __future__ import annotations
 

@@ -1,5 +1,4 @@
-"""Write-ahead queue of a host: effects wait for the records that they depend on; contents of its journal.
-Sans-IO.
+"""Write-ahead queue of a host: effects wait for the journal writes that they depend on. Sans-IO.
 
 The effects of one coordinator keep their order, so no effect overtakes a record on which it depends; other
 coordinators do not wait. Lazy records are written together with the next ones that are needed.

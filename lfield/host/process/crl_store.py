@@ -1,4 +1,4 @@
-"""Storage of a host's revocation list: read at the start, written whenever a newer one arrives.
+"""Storage of a host's revocation list: read at the start, written when a newer revocation arrives.
 
 A failed write is retried until it succeeds: a host that loses a list would accept revoked certificates.
 """

@@ -35,7 +35,7 @@ OrderCallback = Callable[[OrderResponse], None]
 
 
 class OrderExecutor:
-    """Stops and pauses of one host.
+    """Executes stop, pause and lift orders on one host.
 
     `dispatch` passes an event to the core; `flush` waits until everything is on disk, at most so many
     seconds, and returns whether it is.

@@ -1,4 +1,4 @@
-"""Orders that arrive at a host as datagrams: checked, executed, answered and relayed. Sans-IO.
+"""Stop and pause orders that arrive at a host as datagrams: checked, executed, relayed. Sans-IO.
 
 Cheap checks come first. A signature is checked in a thread, within rate limits, and only if the datagram is
 for this host or to be relayed. Only verified datagrams are relayed or executed, and the answer to an

@@ -1,4 +1,4 @@
-"""The coordinators of one host: executes the effects of the transfer protocol in the machine. Sans-IO.
+"""The coordinators of one host: their hops, with the effects of the transfer protocol. Sans-IO.
 
 Effects that need a record on disk first wait in the write-ahead queue. On a host without a journal nothing
 waits.
@@ -234,8 +234,7 @@ class Coordinators(Part):
             self.persist(BundleRecord(b""))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
-        """A coordinator arrived after so many seconds in transit: it runs before its sender gets an
-        answer."""
+        """End of a hop: a coordinator arrived after `transit` seconds; it runs before its sender gets a reply."""
         if self._queued_arrivals is not None:
             if header.agent in self._members:
                 left = self._clock.monotonic() - transit
@@ -264,7 +263,7 @@ class Coordinators(Part):
         return bool(effects)
 
     def depart(self, agent: Agent, resource: TeamMember, lost_reason: str, down_for: float) -> None:
-        """Send a frozen coordinator to the host of a resource.
+        """Start a hop: send a frozen coordinator to the host of a resource.
 
         `down_for`: seconds without a link to that host. With a `lost_reason` the call fails, unless the
         coordinator fetches a result: that may still be there.

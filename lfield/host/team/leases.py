@@ -43,7 +43,7 @@ ENDED = "the lease of {0} has ended: no majority of the members responds"
 #: A host without a lease may have missed a termination, and a coordinator that it resumes could not act.
 NO_MAJORITY = (
     "{0} runs under leases, and no majority of the members responds to {1}; they may know that {0} has "
-    "ended: retry when they respond; if members are gone for good, restart all hosts with a 'recovery: "
+    "ended: retry when they respond; if members are permanently lost, restart all hosts with a 'recovery: "
     "{{members: [...]}}' without them"
 )
 

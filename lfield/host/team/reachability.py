@@ -2,8 +2,8 @@
 Sans-IO.
 
 A coordinator under a time limit is sent over a link only if something has just arrived from the other host:
-sent to a silent host it would be in doubt for as long as the silence lasts, whatever the limit. The host is
-probed first, and until it answers the coordinator can still continue where it is.
+sent to a silent host it would be in doubt for as long as the silence lasts, even beyond the limit. The host
+is probed first, and until it answers the coordinator can still continue where it is.
 
 A host that was linked has `unreachable_after` from the end of its link, not from the call. A call after half
 of that does not wait: the host is regarded as lost until it is linked again. A host that was never linked may

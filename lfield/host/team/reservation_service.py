@@ -166,7 +166,7 @@ class ReservationService(Part):
         """A host reports on the holder of a resource of this one."""
         now = self._clock.monotonic()
         if self._team.paused:
-            # Late renewals, from a host that could not tell whether the holder has left, cause no loss.
+            # Late renewals, from a host that did not know whether the holder had left, cause no loss.
             self._reservations.postpone(now)
         match message:
             case RenewReservation() if message.resource in self._resources:

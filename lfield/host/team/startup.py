@@ -87,7 +87,7 @@ class Startup(Part):
         self.check()
 
     def on_host_exited(self, host: str) -> None:
-        """A host has ended for good: it has no coordinator any more."""
+        """A host has ended permanently: it has no coordinator any more."""
         self._gate.on_states(host)
         self.readiness.on_linked(host)
         self.check()

@@ -93,7 +93,7 @@ def unknown(span: Span) -> Expr:
 
 
 def conversion_hint(given: Type, expected: Type) -> str:
-    """How to convert by hand, or '' when nothing does."""
+    """How to convert explicitly, or '' if there is no conversion."""
     function = _FUNCTIONS.get((given, expected))
     if function is not None:
         return f"convert it: {function}(...)"

@@ -1,4 +1,4 @@
-"""One order to several hosts as datagrams: transmission, retransmission, answers. Sans-IO.
+"""A stop or pause order to several hosts as datagrams: transmission, retransmission, answers. Sans-IO.
 
 The order is signed for each host, and sent twice at first: the second copy does not wait for the round trip.
 A host that answers with a challenge gets the same order, signed again with its present epoch. Retransmission

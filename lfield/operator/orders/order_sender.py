@@ -1,4 +1,4 @@
-"""Sender of an operator's orders: keys, and the cache of known hosts."""
+"""Sender of an operator's stop and pause orders: keys, and the cache of known hosts."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sends an order to one host over all paths in parallel: the first confirmation counts.
+"""Sends a stop or pause order to one host over all paths in parallel: the first confirmation counts.
 
 Datagrams are sent at once, and so is the order over an open link. The handshake of a new link takes 4-5 kB,
 which would delay the datagrams on a slow radio: it is opened only when these paths have not answered.

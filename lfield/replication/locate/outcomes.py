@@ -2,7 +2,7 @@
 
 Every host records, for each coordinator, the number of the last transfer that it knows. The numbers only grow
 along the coordinator's path, so the record with the highest number names its last location. A loss needs
-proof: that host has ended for good, or has restarted without the coordinator, and no other host can have it.
+proof: that host has exited, or has restarted without the coordinator, and no other host can have it.
 Silence is no proof; the outcome is then "unheard".
 """
 

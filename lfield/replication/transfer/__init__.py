@@ -1,1 +1,1 @@
-"""Two-phase hand-over of coordinators: sender, receiver, records, epochs, terminations. Pure."""
+"""Hops of coordinators, a two-phase transfer: sender, receiver, records, epochs, terminations. Pure."""

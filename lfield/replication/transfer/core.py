@@ -1,4 +1,4 @@
-"""Hand-over of coordinators between hosts: two-phase transfer protocol of one host. Sans-IO.
+"""Hops of coordinators between hosts: two-phase transfer protocol of one host. Sans-IO.
 
 Method calls are events; they return effects. Time is a parameter in seconds; blocks are opaque bytes.
 `lfield/docs/mobility.md` explains the protocol and its guarantees; chapter III of the thesis has the three
@@ -52,7 +52,7 @@ MobilityMessage = TransferAccepted | TransferRefused | TransferQuery | Terminate
 
 
 class Mobility:
-    """The coordinators of one host: arrival, departure and termination.
+    """The coordinators of one host: hops from and to this host, and termination.
 
     `own` is the Hello of this host without `coordinators`: name, incarnation, program and `max_block`.
     `peers` are the other hosts of the deployment, `agents` its coordinators. `unreachable_after` is the time
@@ -125,7 +125,7 @@ class Mobility:
         return effects
 
     def depart(self, agent: str, host: str, seal: Callable[[int], Buffer], now: float) -> list[Effect]:
-        """Send the running copy of `agent`, frozen by the caller, to `host`.
+        """Start a hop: send the running copy of `agent`, frozen by the caller, to `host`.
 
         `seal(sequence)` writes the number into the block's header and returns the block. It is called once
         for each transmission, immediately if there is a link. The bytes must then stay unchanged until
@@ -153,7 +153,7 @@ class Mobility:
         return self._termination.terminate(copy, outcome, detail)
 
     def declare_lost(self, agent: str, detail: str) -> tuple[list[int], list[Effect]]:
-        """An operator declares this agent lost, whatever its mission.
+        """An operator declares this agent lost, in any mission.
 
         Starts that are known to be alive continue. Returns the starts that end here.
         """

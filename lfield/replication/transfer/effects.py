@@ -1,4 +1,4 @@
-"""Effects of `Mobility`, which the host executes in order.
+"""Effects of `Mobility` (hops and terminations), which the host executes in order.
 
 They are msgspec structs rather than dataclasses because several are made on every hop, and a frozen
 dataclass is several times slower. Every effect on a copy names its start (agent, generation): a host that
@@ -23,7 +23,7 @@ class Send(Struct, frozen=True):
 
 
 class SendTransfer(Struct, frozen=True):
-    """Send a block to a host. Without a link, drop it and report `unlinked`."""
+    """A hop: send a block to a host. Without a link, drop it and report `unlinked`."""
 
     host: str
     header: Transfer

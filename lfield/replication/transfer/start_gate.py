@@ -1,6 +1,6 @@
 """Start gate: when a host may start its coordinators, and with which generation. Sans-IO.
 
-Generations order the starts of a coordinator, so they must grow whatever happens to clocks and disks. The
+Generations order the starts of a coordinator, so they must grow independently of clocks and disks. The
 next one is a counter (`generations`) above every number that this host has recorded and any other host
 knows. One counter serves all coordinators of a host, since they are started together.
 
@@ -35,7 +35,7 @@ class StartGate:
         self._last_line = ""
 
     def on_states(self, host: str, known: Iterable[CoordinatorState] = ()) -> None:
-        """A host has reported its records; or it has ended for good, and has none."""
+        """A host has reported its records; or it has ended permanently, and has none."""
         self._states_of[host] = list(known)
         self._unanswered.discard(host)
         self.on_generations(self._states_of[host])

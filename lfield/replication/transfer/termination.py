@@ -2,8 +2,8 @@
 
 The home host of a coordinator may restart while the coordinator is on another host, and start it again. Then
 there are two starts. The earlier one has done work and continues; the later one is superseded wherever a host
-learns of both. A recovery is the exception: a host that knows of one runs no earlier start, whatever became
-of the recovery.
+learns of both. A recovery is the exception: a host that knows of one runs no earlier start, whether or
+not the recovery succeeded.
 """
 
 from __future__ import annotations
@@ -198,7 +198,7 @@ class Termination:
         return effects
 
     def fence(self, agent: str, generation: int, host: str) -> list[Effect]:
-        """`host` knows of a start. If it is a recovery, earlier ones stop, whatever became of it."""
+        """`host` knows of a start. If it is a recovery, earlier ones stop, even if it failed."""
         effects: list[Effect] = []
         for copy in self._copies.starts_of(agent) if is_recovery(generation) else ():
             if copy.state != "EXITED" and copy.generation < generation:

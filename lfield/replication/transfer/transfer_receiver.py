@@ -36,7 +36,7 @@ class InjectHook(Protocol):
 
 
 class TransferReceiver:
-    """The arriving copies of one host."""
+    """The hops that end on one host: its arriving copies."""
 
     def __init__(
         self, own: Hello, copies: CopyTable, departures: TransferSender, endings: Termination
@@ -45,7 +45,7 @@ class TransferReceiver:
         self._state_id = own.state_id
 
     def on_transfer(self, host: str, header: Transfer, block: Buffer, inject: InjectHook) -> list[Effect]:
-        """A coordinator has arrived from `host`."""
+        """A hop: a coordinator has arrived from `host`."""
         if header.receiver_memory != self._state_id:
             return [self._stale_note(host, header)]
         copy = self._admissible(header, len(block))
@@ -79,8 +79,8 @@ class TransferReceiver:
         return [Send(host, _refusal_of(header, unfit))]
 
     def on_query(self, host: str, message: TransferQuery) -> list[Effect]:
-        """Answer a query about a transfer. One that never arrived is refused for good, even if it arrives
-        later."""
+        """Answer a query about a transfer. One that never arrived is refused permanently, even if it
+        arrives later."""
         if message.receiver_memory != self._state_id:
             proof = self.prove_outcome(message)
             return [Send(host, proof)] if proof else [self._stale_note(host, message)]

@@ -44,7 +44,7 @@ MIN_DOUBT_TIME = 10.0
 
 
 class TransferSender:
-    """The departing copies of one host."""
+    """The hops that start on one host: its departing copies."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class TransferSender:
         self._probed: set[str] = set()
 
     def depart(self, copy: CoordinatorCopy) -> list[Effect]:
-        """Send a frozen copy to its target, at once if there is a link."""
+        """Start a hop: send a frozen copy to its target, at once if there is a link."""
         return self._send(copy)
 
     def on_linked(self, peer: Hello) -> list[Effect]:
@@ -127,7 +127,7 @@ class TransferSender:
         return [effect for copy in waiting for effect in self._send(copy)]
 
     def on_accepted(self, host: str, message: TransferAccepted) -> list[Effect]:
-        """The receiver has admitted it, or it has moved on from there: the commit point for the sender.
+        """The receiver has admitted it, or it has moved on: the commit point of the hop for the sender.
 
         Any host may know that it has moved on.
         """

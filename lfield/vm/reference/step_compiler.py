@@ -40,7 +40,7 @@ class HostCallSite:
 class PreparedProgram:
     """A program as the engine runs it: a step per instruction, and its groups by first instruction.
 
-    `host_calls` are the groups that always exit, whatever readings there are.
+    `host_calls` are the groups that always exit, whether or not there are readings.
     """
 
     program: Program

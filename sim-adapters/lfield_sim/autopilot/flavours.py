@@ -218,9 +218,9 @@ class Flavour:
     setpoint_text       text for a setpoint that is too old
     mute, stale         seconds without a ground station after which it sends no texts; they follow, unless
                         they are too old by then
-    tells_modes         a heartbeat is sent at each change of mode, not only once a second
-    tells_home          home is sent when it is set, not only as a stream
-    told_once           messages that come when the first station is heard, and again only by REQUEST_MESSAGE
+    sends_modes         a heartbeat is sent at each change of mode, not only once a second
+    sends_home          home is sent when it is set, not only as a stream
+    sent_once           messages sent at the first contact of a station, and again only by REQUEST_MESSAGE
     no_mission          text when there is no mission
     airborne_text       text when it is not disarmed because it flies
     idle_text           text when it disarms because nothing follows an arming

@@ -31,30 +31,30 @@ KEPT_TEXTS = 100
 
 @dataclass(slots=True)
 class Pilot:
-    """What is so, and what becomes of it when a mode is entered; it takes no commands (`Autopilot` does).
+    """State of the vehicle and its transitions when a mode is entered; `Autopilot` handles the commands.
 
     Faults: `refuse_arming` is a reason to refuse every arming, or ''; `gps_lost`, `compass_failed`,
     `motor_failed`; `gps_glitch` in metres north; `motor_power` is the share that one motor gives; `sticks` is
     a pilot who moves them; `warm_up` are the seconds after a start in which it is not healthy yet.
 
     altitude             of the local frame's origin above mean sea level, m
-    setpoint_at          when the last setpoint came; stream_at the first of those without a pause
+    setpoint_at          when the last setpoint arrived; stream_at the first of those without a pause
     takeoff_goal         the height in m that a takeoff of PX4 was given
     lifts_at, lift_goal  when the motors are up for a takeoff under way, and how far down it leads
-    risen_to             the goal at which a takeoff has ended, which ArduCopter does not tell
+    risen_to             the goal at which a takeoff has ended, which ArduCopter does not report
     entered_at, entered_down  when the mode was entered, and how far down; a return may climb, and keep that
-    weak_at              since when a motor is too weak, minus infinity once that has been said
+    weak_at              since when a motor is too weak, minus infinity once that has been reported
     sinks_at             when a landing goes down: ArduCopter's failsafes stand still for a while first
     on_its_way           of PX4's rover: what it calls flying
-    stood                what was last said about standing
-    intended             the mode that somebody commanded, whatever a failsafe made of it
+    stood                what was last reported about standing
+    intended             the commanded mode, which a failsafe may have replaced
     resumes              the mode that PX4 goes back to after a landing
-    station_at           when a ground station was heard
-    perform              carries out what a mission has beside places
-    dice                 those of GNSS
+    station_at           when a packet of a ground station arrived last
+    perform              executes the commands of a mission that are no positions
+    rng                  the RNG of GNSS errors
     ailing, calibrating  why a calibration keeps it from being armed, or ''; whether one runs
-    told_goal            of a rover, the last goal that it has told as reached
-    deaf_to_arming       after a motor test while armed it says yes and stays disarmed, until it is restarted
+    sent_goal            of a rover, the last goal that it has reported as reached
+    ignores_arm          after a motor test while armed it accepts arming and stays disarmed, until a restart
     """
 
     kind: VehicleKind

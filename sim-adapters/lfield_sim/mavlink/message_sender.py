@@ -101,7 +101,7 @@ class MessageSender:
             self._streams.set(kind, rate, self.autopilot.now)
 
     def on_peer(self) -> None:
-        """A peer was heard; PX4 sends the origin to the first one."""
+        """A packet of a peer arrived; PX4 sends the origin to the first one."""
         if self._has_no_peer and self.autopilot.flavour.sent_once:
             self._owes_origin = True
         self._has_no_peer = False

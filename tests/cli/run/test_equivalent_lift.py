@@ -31,7 +31,7 @@ def shown(lfield, alone, *words: str) -> str:
 
 
 @pytest.mark.few(0)
-def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alone):
+def test_the_best_then_the_equivalent_then_the_composed_then_none(lfield, alone):
     said = shown(lfield, alone, str(DEMO))
     runs = re.split(r"^Run \d: .*$", said, flags=re.M)[1:]
     lifts = [lifts_of(run) for run in runs]
@@ -41,6 +41,6 @@ def test_the_best_then_the_equivalent_then_the_composed_then_nobody(lfield, alon
     assert "(direct, " in runs[0]
     assert "equivalent: climb-lifts of Climb" in runs[1]
     assert "composed: grip-and-climb of Grip (hand), Climb (arm)" in runs[2]
-    explanation = runs[3].partition("nobody can lift the parcel\n")[2]
+    explanation = runs[3].partition("no agent can lift the parcel\n")[2]
     assert re.search(r"crane: axis: no message for \d", explanation), runs[3]
     assert re.search(r"sky: battery 0\.1\d* < 0\.3", explanation), runs[3]

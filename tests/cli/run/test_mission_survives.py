@@ -78,7 +78,7 @@ def test_missions_complete_whose_hosts_are_killed(lfield, alone):
 
 def assert_it_went_on_without(summary: str, said: str) -> None:
     """One host never came back: what it had done is lost and told, and the rest is done elsewhere."""
-    (gone,) = re.findall(r"^killed +(\w+) after .* for good", summary, re.M)
+    (gone,) = re.findall(r"^killed +(\w+) after .* permanently", summary, re.M)
     ((heir, seconds),) = re.findall(r"^back +on (\w+), ([\d.]+) s after the kill", summary, re.M)
     assert heir != gone
     assert float(seconds) > INTERVAL

@@ -111,7 +111,7 @@ def test_every_value_of_an_offer_says_where_it_is_from(fleet):
             assert near["chassis"] == ("fixed", "stated")
             assert near["reach"] == (0.5, "nominal")
             assert near["mass"] == (9.0, "nominal")
-            assert near["speed"] == (4.0, "told by the device")
+            assert near["speed"] == (4.0, "reported by the device")
             assert near["battery"] == (0.75, "measured")
             # What its device has not told is what is usual; the mission's word counts before the binding's.
             assert far["speed"] == (0.5, "nominal")

@@ -78,7 +78,7 @@ class PlannerDriver(Driver):
             else:
                 raise self._lost("not an endpoint; write process: or tcp:HOST:PORT")
         except OSError as error:
-            raise self._lost(error.strerror or str(error) or "nobody answers") from None
+            raise self._lost(error.strerror or str(error) or "no answer") from None
         return self._link
 
     async def _start(self) -> Link:

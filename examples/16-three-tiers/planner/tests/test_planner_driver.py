@@ -48,7 +48,7 @@ def length(start, sites, tour):
 
 
 @pytest.mark.parametrize("seed", range(10))
-def test_no_other_way_is_better(seed):
+def test_no_other_route_is_better(seed):
     rng = random.Random(seed)
     sites = [(rng.uniform(-40, 40), rng.uniform(-40, 40)) for _ in range(rng.randint(0, 5))]
     worth = [rng.choice((1.0, 3.0)) for _ in sites]
@@ -67,7 +67,7 @@ def test_no_other_way_is_better(seed):
     assert (sum(worth[site] for site in found), -length(start, sites, found)) == pytest.approx(best)
 
 
-def test_whoever_cannot_come_home_is_told():
+def test_a_vehicle_that_cannot_return_is_reported():
     assert answer('{"sites": [], "worth": [], "start": [30, 40], "reach": 49}') == (
         '{"error": "ValueError: there is no way home of 49.0 m"}'
     )
@@ -113,7 +113,7 @@ SITES = [10.0, 0.0, 0.0, 10.0], [1.0, 1.0], [0.0, 0.0]
         ('{"tour": [0, 1]}', "its plan is invalid: it is 34 m long, more than 30 m"),
     ],
 )
-def test_a_planner_that_fails_or_answers_nonsense_is_not_believed(said, problem, tmp_path):
+def test_a_planner_that_fails_or_answers_nonsense_is_rejected(said, problem, tmp_path):
     bench = planner(sys.executable, "-c", STUB, said, str(tmp_path / "pid"))
 
     async def story(device):
@@ -199,7 +199,7 @@ def test_there_is_no_other_endpoint():
 
 
 @pytest.mark.process
-def test_the_fake_is_the_planner_with_what_can_be_wrong():
+def test_the_simulated_planner_has_the_faults_of_the_real_one():
     with running_fake("planner") as fake:
         bench = DriverBench(
             PLUGIN, bind(PLUGIN, "Planner", endpoint=fake.endpoint, options={"patience": 120.0})

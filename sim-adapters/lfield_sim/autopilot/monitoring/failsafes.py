@@ -122,7 +122,7 @@ class Failsafes:
             pilot.say(rule.text)
 
     def _clear_gcs(self) -> None:
-        """The station is heard again: the failsafe ends a moment later."""
+        """The station sends again: the failsafe ends a moment later."""
         pilot, rule = self._pilot, self._rules.gcs
         if not self._is_gcs_back:
             return

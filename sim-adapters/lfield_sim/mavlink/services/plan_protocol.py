@@ -37,7 +37,7 @@ Peer = tuple[int, int]
 class PlanStyle:
     """An autopilot's variant of the protocol.
 
-    `home_first`: item 0 of a mission is home, whatever was uploaded, also before the first upload.
+    `home_first`: item 0 of a mission is home, instead of the uploaded one, also before the first upload.
     `old_request`: uses the deprecated MISSION_REQUEST 40. `refuses_disorder`: an item out of order ends the
     upload, instead of being requested again. `writes_at_once`: see above. `needs_list`: items are sent only
     after a list request. `cancels`: an abandoned upload gets an acknowledgement. `frames`: frames that are

@@ -133,7 +133,7 @@ class PlanService(VehicleService):
     def _place(self, item: PlanItem) -> Vector | None:
         """The local position; None for a command without one, and for 0, 0: "here".
 
-        A takeoff goes straight up to its height, whatever its position.
+        A takeoff goes straight up to its height and ignores its position.
         """
         somewhere = (item.x, item.y) != (0, 0) or item.command in (TAKEOFF, VTOL_TAKEOFF)
         if item.command not in PLACE_COMMANDS | {RALLY} or not somewhere:

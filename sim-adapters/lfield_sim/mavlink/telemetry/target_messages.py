@@ -1,6 +1,6 @@
 """Reported targets of an autopilot: POSITION_TARGET_LOCAL_NED 85 and POSITION_TARGET_GLOBAL_INT 87.
 
-ArduPilot reports the goal of GUIDED, of a mission and of a return as 87, whatever its source
+ArduPilot reports the goal of GUIDED, of a mission and of a return as 87, from any source
 (ap-rover.g-mission, ap-rover.h-rover; `ModeAuto::get_wp` of ArduCopter 4.7), and nothing without a target
 position; a copter reports its setpoint as 85 in GUIDED (`ModeGuided::get_wp` and
 `send_position_target_local_ned` of ArduCopter 4.7). PX4 reports the goal of an automatic mode as 87, and its
