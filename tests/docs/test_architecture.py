@@ -15,7 +15,12 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGE = ROOT / "lfield" / "docs" / "architecture.md"
 PICTURE = PAGE.with_name("packages.svg")
 
-WALKS = ("Text to running", "A hop", "An instruction to wire bytes and back", "A question to an offer")
+WALKS = (
+    "From text to a running mission",
+    "A hop",
+    "From an instruction to bytes on the wire, and back",
+    "From a query to an offer",
+)
 
 _STEP = re.compile(r"(\d+)\. \[`([^`]+)`\]\(([^)]+)\) `([^`]+)`: \S")
 _PACKAGE = re.compile(r"\| `(\w+)` \|")
