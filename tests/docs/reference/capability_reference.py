@@ -51,10 +51,12 @@ def _sorted(found: Mapping[str, T]) -> list[T]:
 
 
 def _term(registry: Registry, term: TaxonomyTerm) -> Sheet:
-    """A term by what can be called there; what lies below it stands below it on the page."""
+    """A term with its primitives; the terms below it are the next rows. A name as in the id is omitted."""
     sheet = sheets.term_sheet(registry, term)
     called = tuple(map(code, primitives_of(registry, term.id)))
-    return replace(sheet, rows=(*(row for row in sheet.rows if row[0] != "below"), ("called as", called)))
+    plain = term.id.rpartition(".")[2].replace("_", " ")
+    omitted = {"below", "name"} if term.name.casefold() == plain else {"below"}
+    return replace(sheet, rows=(*(row for row in sheet.rows if row[0] not in omitted), ("called as", called)))
 
 
 def _brief(sheet: Sheet) -> Sheet:
