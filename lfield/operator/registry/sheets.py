@@ -132,7 +132,7 @@ def _stated_by(registry: Registry, attribute: Attribute) -> Iterator[str]:
 
 def primitive_sheet(registry: Registry, primitive: Primitive) -> Sheet:
     """A primitive: its portals, its providers, and the primitives that it serves."""
-    none = ["Nothing that we ship serves it: a mission's own resource types may."]
+    none = ["No stock resource type serves it; a mission's own types may."]
     rows = {
         "id": code(primitive.id),
         "meaning": primitive.meaning,
@@ -196,11 +196,14 @@ def _attributes_of(registry: Registry, primitive: str) -> str:
 
 def provider_sheet(registry: Registry, provider: Provider) -> Sheet:
     """A resource type: the attributes that it states and reports, and the primitives that it serves."""
+    stated = {name: value for name, value in provider.attributes.items() if name not in provider.nominal}
+    nominal = {name: value for name, value in provider.attributes.items() if name in provider.nominal}
     rows = {
         "meaning": provider.meaning,
         "source": code(f"include <{provider.include}>;") if provider.include else "the mission's own",
-        "states": _values(registry, provider.attributes, provider.nominal),
-        "tells": [f"{name}: {_source(live)}" for name, live in provider.live.items()],
+        "states": _values(registry, stated, ()),
+        "nominal": _values(registry, nominal, ()),
+        "reports": [f"{name}: {_source(live)}" for name, live in provider.live.items()],
         "serves": [line for s in provider.serves.values() for line in _served(registry, provider, s)],
     }
     return _sheet("provider", provider.type, rows)

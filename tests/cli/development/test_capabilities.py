@@ -175,7 +175,7 @@ def test_a_provider(run):
         "  source   the mission's own",
         "  states   balls: 5",
         "           environment: aquatic and terrestrial",
-        "  tells    tired: body.tired",
+        "  reports  tired: body.tired",
         "  serves   Juggle when balls >= 3",
         "               juggle: Clown.toss(height * 1000, 7) -> emitted * 0.01",
     ]

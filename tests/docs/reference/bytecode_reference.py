@@ -61,7 +61,7 @@ def page_with_table(page: str) -> str:
 
 def _line(row: Opcode) -> str:
     operands = ", ".join(f"{o.role}:{o.kind}" if o.kind else o.role for o in row.operands)
-    leaves = " Leaves the engine." if row.leaves_engine else ""
+    leaves = " *" if row.leaves_engine else ""
     return f"| {row.code} | `{row.name}` | {operands} | {_stack(row)} | {row.description}{leaves} |"
 
 

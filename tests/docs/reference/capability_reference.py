@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
-from lfield.capability.model import Registry, TaxonomyTerm
+from lfield.capability.model import Argument, PortalMap, Provider, Registry, TaxonomyTerm
 from lfield.capability.registry_reader.registry_files import read_registry
 from lfield.operator.registry import sheets
 from lfield.operator.registry.sheets import Sheet, code
@@ -28,6 +28,8 @@ The registry that lfield ships. [capabilities.md](capabilities.md) explains how 
 entry, also with the providers of an attribute and the attributes of a primitive. This page is generated
 from `capabilities/`: `python tests/docs/reference/capability_reference.py --write`."""
 
+_SAME = "A portal without a line is mapped to the portal of the same name, with the same parameters.\n\n"
+
 #: Rows that repeat the values of the providers.
 _REPEATED = {"stated by", "attributes"}
 
@@ -39,7 +41,10 @@ def page(registry: Registry) -> str:
         f"Taxonomy, version {registry.version}": _table(_term(registry, t) for t in registry.terms.values()),
         "Attributes": _table(_brief(sheets.attribute_sheet(registry, a)) for a in attributes),
         "Primitives": _chapters(_brief(sheets.primitive_sheet(registry, p)) for p in primitives),
-        "Providers": _chapters(sheets.provider_sheet(registry, p) for p in _sorted(registry.providers)),
+        "Providers": _SAME
+        + _chapters(
+            sheets.provider_sheet(registry, _mapped(registry, p)) for p in _sorted(registry.providers)
+        ),
         "One-to-one": _table(map(sheets.equivalence_sheet, _sorted(registry.equivalences))),
         "One-to-many": _chapters(map(sheets.composition_sheet, _sorted(registry.compositions))),
     }
@@ -51,10 +56,29 @@ def _sorted(found: Mapping[str, T]) -> list[T]:
 
 
 def _term(registry: Registry, term: TaxonomyTerm) -> Sheet:
-    """A term by what can be called there; what lies below it stands below it on the page."""
+    """A term with its primitives; the terms below it are the next rows. A name as in the id is omitted."""
     sheet = sheets.term_sheet(registry, term)
     called = tuple(map(code, primitives_of(registry, term.id)))
-    return replace(sheet, rows=(*(row for row in sheet.rows if row[0] != "below"), ("called as", called)))
+    plain = term.id.rpartition(".")[2].replace("_", " ")
+    omitted = {"below", "name"} if term.name.casefold() == plain else {"below"}
+    return replace(sheet, rows=(*(row for row in sheet.rows if row[0] not in omitted), ("called as", called)))
+
+
+def _mapped(registry: Registry, provider: Provider) -> Provider:
+    """A provider without the portals that are mapped to themselves."""
+
+    def is_same(primitive: str, mapped: PortalMap) -> bool:
+        parameters = registry.primitives[primitive].portals[mapped.portal].parameters
+        same = tuple(Argument(parameter.name) for parameter in parameters)
+        return mapped.target == mapped.portal and mapped.arguments == same and mapped.result is None
+
+    serves = {
+        name: replace(
+            served, portals={key: m for key, m in served.portals.items() if not is_same(served.primitive, m)}
+        )
+        for name, served in provider.serves.items()
+    }
+    return replace(provider, serves=serves)
 
 
 def _brief(sheet: Sheet) -> Sheet:

@@ -23,11 +23,11 @@ def test_the_page_has_everything() -> None:
     assert [heading for heading in headings if f"\n### {heading}\n" not in text] == []
 
 
-def test_something_that_we_ship_serves_everything() -> None:
+def test_a_stock_resource_type_serves_every_primitive() -> None:
     text = capability_reference.page(REGISTRY)
     unserved = {
         section.partition("\n")[0]
         for section in text.split("\n### ")
-        if "Nothing that we ship serves it" in section
+        if "No stock resource type serves it" in section
     }
     assert unserved == set()
