@@ -311,13 +311,13 @@ class Stuck(MissionTestError):
 class RealEndpoint(MissionTestError):
     """Code under test tried to use a network, port or device of this computer."""
 
-    code, remedy = "mission-test-real-device", "give the device a fake, or its agent a double"
+    code, remedy = "mission-test-real-device", "simulate the device, or give its agent a double"
 
     def __init__(self, what: str) -> None:
         self.what = what
         super().__init__(
             f"a mission test must not use real networks, ports or devices: {what}: "
-            "give the device a fake, or its agent a double"
+            "simulate the device, or give its agent a double"
         )
 
 

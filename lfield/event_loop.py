@@ -104,10 +104,10 @@ class SerialLineEnd(Protocol):
 
 
 class ServedFake(NamedTuple):
-    """A running fake: its kind and endpoint, its settings and the state of its devices.
+    """A running simulated device: its kind and endpoint, its settings and the state of its devices.
 
     `devices` maps ids to binding names; `facts` and `places` are by id. Places are metres north, east and up
-    of one origin for all fakes. Objects that are no devices have places under their own names.
+    of one origin for all simulated devices. Objects that are no devices have places under their own names.
     """
 
     kind: str
@@ -143,10 +143,11 @@ class SimulatedLoop(Protocol):
         """
 
     def shared(self, name: str, make: Callable[[], T]) -> T:
-        """An object shared by all fakes of this simulation (terrain); the first caller creates it."""
+        """An object shared by all simulated devices of this simulation (terrain); the first caller creates
+        it."""
 
     async def serve(self, fake: ServedFake) -> None:
-        """Run a fake of this simulation until it is stopped."""
+        """Run a simulated device of this simulation until it is stopped."""
 
 
 #: File descriptors needed to start a process, with a margin.
@@ -178,8 +179,9 @@ def _ended(task: asyncio.Task[None]) -> None:
 def raise_timer_priority() -> None:
     """Give this thread real-time priority, so that its timers are on time on a busy computer.
 
-    For the guard, and for fakes, which stand for dedicated hardware. Needs CAP_SYS_NICE or LimitRTPRIO=1 in
-    the service's unit. Other threads do not inherit it, so that one that spins cannot starve the computer.
+    For the guard, and for simulated devices, which stand for dedicated hardware. Needs CAP_SYS_NICE or
+    LimitRTPRIO=1 in the service's unit. Other threads do not inherit it, so that one that spins cannot starve
+    the computer.
     """
     policy = os.SCHED_RR | os.SCHED_RESET_ON_FORK
     with contextlib.suppress(PermissionError):

@@ -1,4 +1,4 @@
-"""Runs the mission four times on fakes, with one more failed robot each time.
+"""Runs the mission four times on simulated devices, with one more failed robot each time.
 
     python examples/02-equivalent-lift/demo.py
 
@@ -93,7 +93,7 @@ class Team:
                 host.process.kill()
 
     def start(self, host: str) -> None:
-        """Starts a host, with the fakes of its devices."""
+        """Starts a host, with its simulated devices."""
         # No host waits for the cart's, which comes later, and nothing is stored beyond the run.
         options = ("--sim", "--volatile", "--first-start", "--until-done", "--lost-after", "900")
         arguments = ("up", str(self._mission), "--host", host, *options, *self._maps, *self._keys)
@@ -192,7 +192,7 @@ def wrong(said: list[str], expected: str) -> str:
 
 
 def fail(failures: tuple[tuple[str, str, str], ...]) -> None:
-    """Sets the faults of the fakes."""
+    """Sets the faults of the simulated devices."""
     for device, fault, description in failures:
         with open(os.devnull, "w") as null_device, contextlib.redirect_stdout(null_device):
             status = lfield(["sim", "fault", device, fault])

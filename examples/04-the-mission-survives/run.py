@@ -1,10 +1,11 @@
-"""Two missions on fakes whose computers are killed with SIGKILL in the middle of a call, side by side.
+"""Two missions on simulated devices whose computers are killed with SIGKILL in the middle of a call, side by
+side.
 
     python examples/04-the-mission-survives/run.py
 
 Under `self` a host is started again, as systemd does, and goes on; twice. Under `quorum` one never comes
-back, and another host goes on without it. Fakes are processes of their own, as vehicles are: they outlive the
-computer that drives them. Each host has a journal.
+back, and another host goes on without it. Simulated devices are processes of their own, as vehicles are: they
+outlive the computer that drives them. Each host has a journal.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from lfield import exit_status
 
 HERE = Path(__file__).parent
 SERVOS = "dynamixel --servo 1:XM540-W270 --servo 2:XM540-W270"
-#: The fake at each endpoint of the devices files.
+#: The simulated device at each endpoint of the devices files.
 MISSION = {
     "udp:127.0.0.1:14550": "mavlink --listen udp:127.0.0.1:0 --set-up land --land 2 --param WPNAV_SPEED=500",
     "udp:127.0.0.1:14560": "mavlink --listen udp:127.0.0.1:0 --kind rover --system 2 --set-up hold",

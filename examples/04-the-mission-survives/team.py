@@ -1,4 +1,4 @@
-"""The fakes and the hosts of one deployment as processes, and all that these hosts say."""
+"""The simulated devices and the hosts of one deployment as processes, and all that these hosts say."""
 
 from __future__ import annotations
 
@@ -49,7 +49,8 @@ class Team:
         self._said = threading.Condition()
 
     def launch(self, fakes: Mapping[str, str]) -> None:
-        """Starts a fake for each endpoint of the devices file, and the hosts with these endpoints."""
+        """Starts a simulated device for each endpoint of the devices file, and the hosts with these
+        endpoints."""
         self._fakes = [
             popen("sim", *arguments.split(), "--until-stdin-closes") for arguments in fakes.values()
         ]
@@ -108,7 +109,7 @@ class Team:
         return " / ".join([f"{host} has ended, and its last words were", *(last or ["none"])])
 
     def end(self) -> None:
-        """Stops the hosts, which bring their devices to rest, then the fakes."""
+        """Stops the hosts, which bring their devices to rest, then the simulated devices."""
         for host in self._hosts.values():
             host.terminate()
         for host in self._hosts.values():

@@ -46,7 +46,7 @@ def bears(team, start, end, pair):
 
 
 def lies(team):
-    """Where the middle of the beam was put down, from the fakes' true positions."""
+    """Where the middle of the beam was put down, from the true positions of the simulated vehicles."""
     west, east = list(flown.carried(team))[-1]
     assert max(west.up, east.up) < flown.LOW
     return (west.north + east.north) / 2, (west.east + east.east) / 2

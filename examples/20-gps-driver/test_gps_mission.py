@@ -8,7 +8,7 @@ import re
 
 import pytest
 
-#: Speed of the fake in m/s.
+#: Speed of the simulated device in m/s.
 SPEED = 2.0
 
 

@@ -67,7 +67,7 @@ def test_three_catch_it_when_a_computer_dies(lfield_mission, who):
 @pytest.mark.few(0)
 @pytest.mark.process
 def test_in_processes_all_are_on_one_plane():
-    """As in the README: a process for each host and each fake, in real time."""
+    """As in the README: a process for each host and each simulated device, in real time."""
     mission = Path(__file__).parent / "mission.dL"
     command = [
         sys.executable,

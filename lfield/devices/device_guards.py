@@ -1,4 +1,4 @@
-"""All devices of one host: a guard process per bus, and fakes in simulated missions."""
+"""All devices of one host: a guard process per bus, and simulated devices in simulated missions."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ class DeviceGuards:
         return {name: values for guard in self._guards for name, values in guard.snapshots.telemetry.items()}
 
     async def close(self) -> dict[str, str]:
-        """Makes every device safe, ends the guards when all are at rest, then the fakes.
+        """Makes every device safe, ends the guards when all are at rest, then the simulated devices.
 
         Returns the devices that were not confirmed at rest, with their last known condition, which can still
         be queried. Bounded by their `rest_within`; `stop_waiting` shortens it.

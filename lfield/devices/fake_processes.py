@@ -1,4 +1,4 @@
-"""Processes of fakes for `--sim`, which end with the host in every case."""
+"""Processes of simulated devices for `--sim`, which end with the host in every case."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from lfield.driver.binding import SIMULATED, DeviceBinding, by_bus
 from lfield.driver.sims import Sims, sims_of
 from lfield.errors import PluginError
 
-#: Seconds for a fake to be ready; seconds to end on request.
+#: Seconds for a simulated device to be ready; seconds to end on request.
 READY_TIMEOUT, END_TIMEOUT = 20.0, 3.0
-#: Characters of a fake's output at startup that are kept (the last ones).
+#: Characters of a simulated device's output at startup that are kept (the last ones).
 MAX_OUTPUT = 1 << 16
 
 
 @dataclass(frozen=True, slots=True)
 class FakeProcess:
-    """A running fake and its endpoint."""
+    """A running simulated device and its endpoint."""
 
     endpoint: str
     process: asyncio.subprocess.Process
@@ -52,16 +52,16 @@ def fault_options(bus: Sequence[DeviceBinding]) -> list[str]:
 
 
 async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
-    """Starts the fake of all devices of one bus on a free port. Raises PluginError.
+    """Starts the simulation of all devices of one bus on a free port. Raises PluginError.
 
-    The fake ends when its stdin closes, also when this process is killed. It has its own session: a Ctrl-C
-    must not end it while devices are still being made safe.
+    The simulated device ends when its stdin closes, also when this process is killed. It has its own session:
+    a Ctrl-C must not end it while devices are still being made safe.
     """
     names, driver = ", ".join(device.name for device in bus), bus[0].driver
     sim = sims.get(driver)
     if sim is None:
         known = ", ".join(sorted(sims)) or "none"
-        raise PluginError(f"{names}: there is no fake for driver '{driver}' (fakes installed: {known})")
+        raise PluginError(f"{names}: there is no simulated device for driver '{driver}' (installed: {known})")
     reference, options = sims.references[sim.name], [*sim.arguments(bus), *fault_options(bus)]
     process = await asyncio.create_subprocess_exec(
         *(sys.executable, "-P", "-m", "lfield.driver.sims", reference, *options, "--until-stdin-closes"),
@@ -81,7 +81,9 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
     fake = FakeProcess(next(iter(line.split()[1:2]), ""), process, output)
     if not line.startswith("ready ") or not fake.endpoint:
         await fake.stop()
-        raise PluginError(output.exit_reason(f"{names}: the fake '{sim.name}' did not start", line))
+        raise PluginError(
+            output.exit_reason(f"{names}: the simulated device '{sim.name}' did not start", line)
+        )
     output.flush()
     return fake
 
@@ -89,9 +91,9 @@ async def start_fake(sims: Sims, bus: Sequence[DeviceBinding]) -> FakeProcess:
 async def bind_to_fakes(
     devices: Sequence[DeviceBinding], running: list[FakeProcess], problems: list[str]
 ) -> list[DeviceBinding]:
-    """The same devices, with the simulated ones bound to the endpoints of started fakes.
+    """The same devices, with the simulated ones bound to the endpoints of started processes.
 
-    The fakes are added to `running`, and a sentence to `problems` for each that does not start.
+    The simulated devices are added to `running`, and a sentence to `problems` for each that does not start.
     """
     simulated = by_bus(device for device in devices if device.endpoint.startswith(SIMULATED))
     if not simulated:
@@ -112,8 +114,8 @@ async def bind_to_fakes(
 
 
 class FakeOutput:
-    """Output of a fake on stderr: buffered while it starts, since it may explain a failure, then passed
-    on.
+    """Output of a simulated device on stderr: buffered while it starts, since it may explain a failure, then
+    passed on.
     """
 
     def __init__(self, stream: asyncio.StreamReader) -> None:
@@ -135,8 +137,8 @@ class FakeOutput:
         sys.stderr.write(kept or "")
 
     def exit_reason(self, what: str, said: str) -> str:
-        """`what` with the output of a fake that has ended (stderr or `said`): of a traceback the last
-        line.
+        """`what` with the output of a simulated device that has ended (stderr or `said`): of a traceback the
+        last line.
         """
         lines = [line.strip() for line in f"{self._kept or ''}\n{said}".splitlines() if line.strip()]
         if any(line.startswith("Traceback") for line in lines):

@@ -37,7 +37,7 @@ async def _longest(limit: JitterLimit, clock: Clock) -> float:
 
 
 async def require_timely(limit: JitterLimit, devices: Iterable[DeviceBinding], clock: Clock) -> None:
-    """Raises DevicesError if this computer's jitter is too large for its bindings; fakes have no
+    """Raises DevicesError if this computer's jitter is too large for its bindings; simulated devices have no
     requirement.
     """
     if all(device.endpoint.startswith(SIMULATED) for device in devices):

@@ -37,8 +37,8 @@ class DeviceBinding(msgspec.Struct, frozen=True, kw_only=True):
     reaction). `limits` are in the SI units of the manifest; an absent limit does not apply. `options` are
     specific to the driver (`system`, `kind`). `waivers` are the protections that the binding gives up,
     `reasons` the reason for each. `frame` is the pose of the agent in the team's frame, None if unknown.
-    `sim` holds faults and conditions of the fake (`NAME=VALUE`) for simulated missions. `type` is the device
-    type in L. A pure sensor has no `safe_state`; its `ttl` and `rest_within` are ignored.
+    `sim` holds faults and conditions of the simulated device (`NAME=VALUE`) for simulated missions. `type` is
+    the device type in L. A pure sensor has no `safe_state`; its `ttl` and `rest_within` are ignored.
     """
 
     agent: str

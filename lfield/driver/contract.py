@@ -77,7 +77,7 @@ class Manifest:
         return any(q.frame for q in self.device.telemetry) or any(p.frame for p in parameters)
 
     def fake_options(self, resource: str) -> dict[str, OptionValue]:
-        """The default options of a fake without a binding, in a resource of this type.
+        """The default options of a simulated device without a binding, in a resource of this type.
 
         Options without a default are absent.
         """
@@ -92,7 +92,7 @@ class Manifest:
         return self.fakes[like[0]] if len(like) == 1 else {}
 
     def fake_label(self, resource: str) -> str:
-        """Describes the fake of a resource without a binding; '' when there is only one kind."""
+        """Describes the simulated device of a resource without a binding; '' when there is only one kind."""
         chosen = {key for options in self.fakes.values() for key in options}
         values = self.fake_options(resource)
         kinds = ", ".join(f"{o.name} {values[o.name]}" for o in self.options if o.name in chosen)

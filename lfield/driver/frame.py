@@ -73,7 +73,7 @@ class Placement(msgspec.Struct, frozen=True):
     """The pose of an agent according to a devices file.
 
     Without a `pose` the device must locate itself on the Earth, where the team's frame has its `origin`.
-    `number` is the agent's index in the deployment, which separates fakes that have no position.
+    `number` is the agent's index in the deployment, which separates simulated devices that have no position.
     """
 
     origin: Origin | None = None

@@ -231,7 +231,7 @@ def _option(name: str, fields: YamlFields) -> Option:
 
 
 def _fake(fields: YamlFields, options: Iterable[Option]) -> dict[str, OptionValue]:
-    """The options of a fake for one resource type; only scalar options are allowed."""
+    """The options of a simulated device for one resource type; only scalar options are allowed."""
     found = {option.name: _default(fields.node(option.name)) for option in options if option.name in fields}
     fields.report_unread()
     return {name: value for name, value in found.items() if value is not None}

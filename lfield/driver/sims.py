@@ -1,4 +1,4 @@
-"""Fakes: simulated devices, found by the entry-point group `lfield.sims.v1`.
+"""Simulated devices ("fakes" in names of code), found by the entry-point group `lfield.sims.v1`.
 
 `python -m lfield.driver.sims package.module:SIM ...` runs one, as the host does for `--sim`.
 """
@@ -30,7 +30,7 @@ _SOCKET_DIR = "sims"
 
 @runtime_checkable
 class Sim(Protocol):
-    """One kind of fake. Importing its module must not import a vendor library."""
+    """One kind of simulated device. Importing its module must not import a vendor library."""
 
     name: str
     help: str
@@ -53,14 +53,14 @@ class Sim(Protocol):
 
 @runtime_checkable
 class SimOnLoop(Sim, Protocol):
-    """A fake that can run on an existing event loop, for tests of missions."""
+    """A simulated device that can run on an existing event loop, for tests of missions."""
 
     async def serve(self, args: argparse.Namespace) -> None:
         """As `run`, but on the loop's time only: no thread, clock or file."""
 
 
 class Sims(dict[str, Sim]):
-    """The installed fakes by driver name.
+    """The installed simulated devices by driver name.
 
     `references` are their import paths; `problems` has a sentence for each broken one.
     """
@@ -71,7 +71,7 @@ class Sims(dict[str, Sim]):
         self.problems: list[str] = []
 
     def add(self, reference: str) -> None:
-        """Adds a fake, or records why it cannot be used. Raises PluginError on a duplicate name."""
+        """Adds a simulated device, or records why it is unusable. Raises PluginError on a duplicate name."""
         try:
             sim = load_sim(reference)
         except PluginError as error:
@@ -80,13 +80,13 @@ class Sims(dict[str, Sim]):
         if sim.name in self:
             rival = self.references[sim.name]
             raise PluginError(
-                f"{rival} and {reference} are both the fake '{sim.name}'; uninstall one of them"
+                f"{rival} and {reference} are both the simulated device '{sim.name}'; uninstall one of them"
             )
         self[sim.name], self.references[sim.name] = sim, reference
 
 
 def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
-    """Every installed fake. Raises PluginError on duplicate names."""
+    """Every installed simulated device. Raises PluginError on duplicate names."""
     sims = Sims()
     for reference in sorted({entry.value for entry in (installed() if entries is None else entries)}):
         sims.add(reference)
@@ -94,17 +94,17 @@ def discover_sims(entries: Iterable[EntryPoint] | None = None) -> Sims:
 
 
 def installed() -> list[EntryPoint]:
-    """The entry points of the installed fakes."""
-    # Imported here: it is slow to load and a host without fakes does not need it.
+    """The entry points of the installed simulated devices."""
+    # Imported here: it is slow to load and a host without simulated devices does not need it.
     from importlib.metadata import entry_points
 
     return list(entry_points(group=GROUP))
 
 
 def sims_of(drivers: Collection[str]) -> Sims:
-    """The fakes of some drivers; others are not imported. Raises PluginError on duplicate names.
+    """The simulated devices of some drivers; others are not imported. Raises PluginError on duplicate names.
 
-    Fakes are registered under the names of their drivers; if one is missing, all are examined.
+    Simulated devices are registered under the names of their drivers; if one is missing, all are examined.
     """
     entries = installed()
     sims = discover_sims(entry for entry in entries if entry.name in drivers)
@@ -112,7 +112,7 @@ def sims_of(drivers: Collection[str]) -> Sims:
 
 
 def control_folder() -> Path:
-    """The folder for the fault-injection sockets of running fakes; created on demand.
+    """The folder for the fault-injection sockets of running simulated devices; created on demand.
 
     Raises OutputFileError when no folder is protected from other users.
     """
@@ -120,7 +120,7 @@ def control_folder() -> Path:
 
 
 def control_sockets() -> list[Path]:
-    """The sockets of this user's fakes, including those that were killed."""
+    """The sockets of this user's simulated devices, including those that were killed."""
     base = runtime_dir()
     with suppress(OSError), open_private_folder(base), open_private_folder(base / _SOCKET_DIR):
         return sorted((base / _SOCKET_DIR).glob("*.sock"))
@@ -128,19 +128,19 @@ def control_sockets() -> list[Path]:
 
 
 def load_sim(reference: str) -> Sim:
-    """The fake at `package.module:NAME`. Raises PluginError."""
+    """The simulated device at `package.module:NAME`. Raises PluginError."""
     module, _, name = reference.partition(":")
     try:
         sim = getattr(importlib.import_module(module), name)
     except Exception as error:  # third-party code: an import may raise anything
-        raise PluginError(f"the fake '{reference}' cannot be imported: {error}") from error
+        raise PluginError(f"the simulated device '{reference}' cannot be imported: {error}") from error
     if not isinstance(sim, Sim):
-        raise PluginError(f"the fake '{reference}' is not an lfield.driver.sims.Sim")
+        raise PluginError(f"the simulated device '{reference}' is not an lfield.driver.sims.Sim")
     return sim
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Runs the fake named by the first argument with the options that follow."""
+    """Runs the simulated device named by the first argument with the options that follow."""
     if not arguments:
         print("usage: python -m lfield.driver.sims package.module:SIM [options]", file=sys.stderr)
         return exit_status.USAGE

@@ -16,7 +16,7 @@ ANSWER_TIMEOUT, MAX_ANSWER = 10.0, 1 << 20
 
 
 def send_fault_command(path: Path, settings: Sequence[str]) -> dict[str, Any]:
-    """Set faults (`NAME[@DEVICE]=VALUE`) of the fake at a socket; without faults, query it.
+    """Set faults (`NAME[@DEVICE]=VALUE`) of the simulated device at a socket; without faults, query it.
 
     The answer has kind, endpoint, devices, and faults or error. Raises AddressError when there is no answer.
     """
@@ -29,9 +29,9 @@ def send_fault_command(path: Path, settings: Sequence[str]) -> dict[str, Any]:
     except OSError as error:
         raise AddressError(str(path), error.strerror or str(error)) from None
     except (ValueError, RecursionError):
-        raise AddressError(str(path), "not the socket of a fake: invalid answer") from None
+        raise AddressError(str(path), "not the socket of a simulated device: invalid answer") from None
     if not isinstance(answer, dict):
-        raise AddressError(str(path), "not the socket of a fake: invalid answer")
+        raise AddressError(str(path), "not the socket of a simulated device: invalid answer")
     return answer
 
 

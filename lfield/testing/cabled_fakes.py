@@ -1,4 +1,4 @@
-"""A fake on virtual time at the far end of a cable: a process on its own machine.
+"""A simulated device on virtual time at the far end of a cable: a process on its own machine.
 
 Like hardware, it is independent of the computer at the near end.
 """
@@ -19,19 +19,20 @@ from lfield.simulate.computers.simulated_computer import SimulatedComputer
 from lfield.simulate.computers.simulated_machine import SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
 
-#: Seconds for all fakes to be ready, and between two checks.
+#: Seconds for all simulated devices to be ready, and between two checks.
 READY, POLL_INTERVAL = 5.0, 0.01
 
 
 class CabledFake:
-    """A fake with options of `lfield sim`. Raises PluginError, or MissionTestError for unknown options."""
+    """A simulated device with options of `lfield sim`. Raises PluginError, or MissionTestError for unknown
+    options."""
 
     def __init__(
         self, name: str, sim: Sim, options: Sequence[str], timeline: EventQueue, network: SimulatedNetwork
     ) -> None:
         if not isinstance(sim, SimOnLoop):
-            raise PluginError(f"the fake '{sim.name}' cannot run on virtual time: it has no `serve`")
-        parser = _Parser(prog=f"the fake '{sim.name}'", add_help=False)
+            raise PluginError(f"simulated device '{sim.name}' cannot run on virtual time: it has no `serve`")
+        parser = _Parser(prog=f"the simulated device '{sim.name}'", add_help=False)
         sim.add_arguments(parser)
         args = parser.parse_args(options)
         self.name = name
@@ -55,7 +56,7 @@ class CabledFake:
             if self.serving:
                 self._has_failed(error)
             self.problem = f"{self.name}: {error}"
-        except Exception as error:  # a fake is third-party code: report to the test
+        except Exception as error:  # a simulated device is third-party code: report to the test
             self._has_failed(error)
 
     def _serves(self, fake: ServedFake) -> None:
@@ -65,7 +66,8 @@ class CabledFake:
         self._has_failed(context.get("exception") or RuntimeError(context["message"]))
 
     def _has_failed(self, cause: BaseException) -> None:
-        trouble = MissionTestError(f"the fake of {self.name} has failed by {type(cause).__name__}: {cause}")
+        problem = f"the simulated device of {self.name} has failed: {type(cause).__name__}: {cause}"
+        trouble = MissionTestError(problem)
         trouble.__cause__ = cause
         self.trouble.append(trouble)
 
@@ -83,7 +85,7 @@ def wait_until_serving(fakes: Mapping[K, CabledFake], timeline: EventQueue) -> d
             raise MissionTestError("; ".join(problems))
         if timeline.now >= end:
             pending = ", ".join(fake.name for fake in fakes.values() if fake.serving is None)
-            raise MissionTestError(f"the fake of {pending} was not ready within {READY:g} s")
+            raise MissionTestError(f"the simulated device of {pending} was not ready within {READY:g} s")
         with closing_generators():
             timeline.run(POLL_INTERVAL)
     return served

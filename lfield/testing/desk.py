@@ -1,6 +1,6 @@
-"""A test bench on virtual time: drivers behind their guards, and fakes on cables, in one process.
+"""A test bench on virtual time: drivers behind their guards, and simulated devices on cables, in one process.
 
-The conformance kit of a driver on its own fake, in seconds instead of minutes:
+The conformance kit of a driver on its own simulated device, in seconds instead of minutes:
 
     def test_a_lamp_passes_its_kit():
         desk = Desk()
@@ -16,8 +16,8 @@ Or a scenario of the test, with devices as of `lfield.testing.driver_bench.guard
 
     desk.run(scenario, bind(PLUGIN, endpoint=fake.endpoint))
 
-Guards, drivers and fakes are the real ones, as in a mission's test: the computer, its processes, its clock
-and the cables are a model. One seed is one run.
+Guards, drivers and simulated devices are the real ones, as in a mission's test: the computer, its processes,
+its clock and the cables are a model. One seed is one run.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ POLL_INTERVAL = 0.02
 
 
 class DeskFake:
-    """A fake on the desk, for tests; the counterpart of `lfield.testing.driver_bench.RunningFake` in real
-    time.
+    """A simulated device on the desk, for tests; the counterpart of `lfield.testing.driver_bench.RunningFake`
+    in real time.
     """
 
     def __init__(self, process: SimulatedProcess, fake: ServedFake) -> None:
@@ -81,7 +81,7 @@ class DeskFake:
         with _outside_story():
             self._process.loop.enter(apply)
         if wrong:
-            raise MissionTestError(f"the fake '{self._fake.kind}': {wrong[0]}")
+            raise MissionTestError(f"the simulated device '{self._fake.kind}': {wrong[0]}")
 
     def facts(self, device: str = "") -> Mapping[str, str | int | bool]:
         """True values of a device, by its id or the only one, independent of the wire."""
@@ -120,7 +120,8 @@ class Desk:
         self._timeline.after(0.0, partial(process.die, -9))
 
     def fake(self, sim: str | Sim, *options: str) -> DeskFake:
-        """Starts a fake, by the name of its driver if it is installed, with options of `lfield sim`.
+        """Starts a simulated device, by the name of its driver if it is installed, with options of `lfield
+        sim`.
 
         Raises PluginError and MissionTestError.
         """
@@ -128,7 +129,7 @@ class Desk:
             known = discover_sims()
             if sim not in known:
                 available = ", ".join(sorted(known)) or "none"
-                raise PluginError(f"there is no fake '{sim}' (fakes installed: {available})")
+                raise PluginError(f"there is no simulated device '{sim}' (installed: {available})")
             sim = known[sim]
         name = f"{sim.name}-{len(self._fakes) + 1}"
         with io_guarded() as caught:

@@ -57,7 +57,7 @@ Story = Callable[..., Awaitable[T]]
 LONGEST, LONGEST_REAL = 1e6, 180.0
 #: Default seconds for a condition, and seconds between two checks.
 BOUND, POLL_INTERVAL = 60.0, 0.01
-#: Seconds for a fake to end.
+#: Seconds for a simulated device to end.
 END = 60.0
 #: Host time-out in seconds: longer than on a robot, since a test computer may be busy.
 SILENCE = 2.0
@@ -94,8 +94,9 @@ def _manifests(plugin: Plugin) -> dict[str, Manifest]:
 class DriverBench(KeptReports):
     """A driver with its devices, without a guard; records their reports. A crash fails the test.
 
-    `make` creates the driver, by default its class: a test passes a function that connects it to a fake in
-    memory. Each of `fakes` is a coroutine function that runs from before the driver opens until it is closed.
+    `make` creates the driver, by default its class: a test passes a function that connects it to a simulated
+    device in memory. Each of `fakes` is a coroutine function that runs from before the driver opens until it
+    is closed.
     """
 
     #: Of the present or last scenario.
@@ -117,7 +118,8 @@ class DriverBench(KeptReports):
         return run_jumping(self.play(story, LoopClock(), opened=opened, within=within))
 
     def run_real(self, story: Story[T], *, opened: bool = True, within: float = LONGEST_REAL) -> T:
-        """Runs `play` in real time, on the loop of a guard: for fakes that are processes, and for threads."""
+        """Runs `play` in real time, on the loop of a guard: for simulated devices that are processes, and for
+        threads."""
         return event_loop.run(self.play(story, SystemClock(), opened=opened, within=within))
 
     async def play(
@@ -132,7 +134,7 @@ class DriverBench(KeptReports):
         background = [asyncio.ensure_future(self._live(fake)) for fake in self._fakes]
         try:
             async with asyncio.timeout(within):
-                # The fakes start before the driver connects.
+                # The simulated devices start before the driver connects.
                 await asyncio.sleep(0)
                 result = await self._run_story(story, opened)
         except BaseException as error:
@@ -158,7 +160,7 @@ class DriverBench(KeptReports):
         try:
             await fake()
         except Exception as error:  # it is not awaited
-            self.crashed(f"the fake: {error!r}")
+            self.crashed(f"the simulated device: {error!r}")
 
     async def until(self, condition: Callable[[], bool], bound: float = BOUND) -> None:
         """Waits until the condition holds. Raises AssertionError after `bound` seconds."""
@@ -173,7 +175,7 @@ class DriverBench(KeptReports):
 
 
 class RunningFake:
-    """A fake in its own process. `ready_line` is its output when it was ready, starting with its
+    """A simulated device in its own process. `ready_line` is its output when it was ready, starting with its
     endpoints.
     """
 
@@ -196,7 +198,7 @@ class RunningFake:
 
 @contextmanager
 def running_fake(driver: str, *options: str) -> Iterator[RunningFake]:
-    """Runs the installed fake of a driver, with options of `lfield sim DRIVER`, for the block."""
+    """Runs the installed simulated device of a driver, with options of `lfield sim DRIVER`, for the block."""
     command = (sys.executable, "-P", "-m", "lfield.driver.sims", discover_sims().references[driver])
     with tempfile.TemporaryFile("w+", errors="replace") as errors:
         process = subprocess.Popen(
@@ -213,14 +215,14 @@ def running_fake(driver: str, *options: str) -> Iterator[RunningFake]:
                 process.wait(END)
                 errors.seek(0)
                 last = [*line.splitlines(), *errors.read().splitlines(), "nothing"][-2:][0]
-                raise AssertionError(f"the fake '{driver}' did not start; its output: {last}")
+                raise AssertionError(f"the simulated device '{driver}' did not start; its output: {last}")
             yield RunningFake(driver, process, line.split()[1:])
         finally:
             process.communicate(timeout=END)
             errors.seek(0)
             sys.stderr.write(errors.read())
     if process.returncode:
-        raise AssertionError(f"the fake '{driver}' ended with status {process.returncode}")
+        raise AssertionError(f"the simulated device '{driver}' ended with status {process.returncode}")
 
 
 class GuardedDevice(LiveBench):

@@ -1,4 +1,4 @@
-"""`python -m lfield_sim mavlink --listen udp:127.0.0.1:14550`: runs a fake by its name."""
+"""`python -m lfield_sim mavlink --listen udp:127.0.0.1:14550`: runs a simulated device by its name."""
 
 from __future__ import annotations
 

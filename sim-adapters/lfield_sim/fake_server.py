@@ -1,4 +1,4 @@
-"""Common server of fakes: readiness, fault injection at runtime, shutdown.
+"""Common server of simulated devices: readiness, fault injection at runtime, shutdown.
 
 The fault-injection socket is a Unix socket in `lfield.driver.sims.control_folder()`. A request is one line of
 JSON, `{"set": ["loss=0.1"]}` (an empty list only queries); the answer is one line, `{"faults": {...}}` or
@@ -37,8 +37,8 @@ async def serve_until_stopped(
     """Prints `ready ENDPOINT WORDS` and waits for SIGTERM, SIGINT or, if requested, the end of stdin.
 
     `devices` are ids with the names of their bindings ('' without one). By the same ids `facts` are true
-    values, and `places` positions: metres north, east and up of a common point of all fakes. On a simulated
-    computer nothing is printed, and the simulation ends it.
+    values, and `places` positions: metres north, east and up of a common point of all simulated devices. On a
+    simulated computer nothing is printed, and the simulation ends it.
     """
     loop, stop = asyncio.get_running_loop(), asyncio.Event()
     if isinstance(loop, SimulatedLoop):

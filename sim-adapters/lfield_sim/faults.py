@@ -1,6 +1,7 @@
-"""Faults of a fake by name: definitions and present values, for all or one device, changed at runtime.
+"""Faults of a simulated device by name: definitions and present values, for all or one device, changed at
+runtime.
 
-loss=0.1           a share, for every device of the fake dead@3=true        of device 3 only
+loss=0.1           a share, for every device of the simulated device dead@3=true        of device 3 only
 silent@alpha.fc=true   by the name of the device's binding in a mission.
 """
 
@@ -65,7 +66,7 @@ class Faults:
         self._watchers.append(changed)
 
     def get(self, name: str, device: object = "") -> Any:
-        """The value of a fault for a device (by its id), or for the whole fake."""
+        """The value of a fault for a device (by its id), or for the whole simulated device."""
         own = self._set.get((name, str(device)))
         return self._set.get((name, ""), self._known[name].default) if own is None else own
 

@@ -1,12 +1,13 @@
-"""Log of the true states of a fake's devices: `--log FILE`.
+"""Log of the true states of simulated devices: `--log FILE`.
 
 The wire shows what a device reports; this log shows what it does, for external measurements: for example how
 long after the failure of a computer its devices are safe. A line per change, starting with everything:
 
 1234.567890 3 mode=LAND
 
-The time is CLOCK_MONOTONIC in seconds, common to all processes of a computer, when the fake had processed it:
-at most one step of its model late (see TICK in the servers). Simultaneous changes have the same time.
+The time is CLOCK_MONOTONIC in seconds, common to all processes of a computer, when the simulated device had
+processed it: at most one step of its model late (see TICK in the servers). Simultaneous changes have the same
+time.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ Facts = Mapping[str, str | int | bool]
 
 
 class StateLog:
-    """The log of one fake. `devices` return present values, by id; without a path nothing is written."""
+    """The log of one simulated device. `devices` return present values, by id; without a path nothing is
+    written."""
 
     def __init__(
         self,
@@ -33,7 +35,7 @@ class StateLog:
         self._devices, self._clock = devices, clock
         self._known: dict[tuple[str, str], str] = {}
         try:
-            # Unbuffered, so that nothing is lost however the fake ends.
+            # Unbuffered, so that nothing is lost however the simulated device ends.
             self._file = open(path, "wb", buffering=0) if path else None  # noqa: SIM115
         except OSError as error:
             raise OutputFileError(path, error.strerror or str(error)) from None

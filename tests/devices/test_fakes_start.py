@@ -70,7 +70,7 @@ def bare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize("driver", ["mavlink", "can"])
 def test_a_fake_without_its_library_names_the_extra(bare: None, driver: str) -> None:
     said = refused(discover_sims(), driver)
-    assert said.startswith("sky.fc: the fake ")
+    assert said.startswith("sky.fc: the simulated device ")
     assert said.endswith(f"pip install 'lfield[{driver}]'")
 
 
@@ -147,7 +147,7 @@ def test_its_last_words_are_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, words: str
 ) -> None:
     said = refused(made(tmp_path, body, monkeypatch), "mavlink")
-    assert said == f"sky.fc: the fake 'mavlink' did not start{words}"
+    assert said == f"sky.fc: the simulated device 'mavlink' did not start{words}"
 
 
 def test_what_it_says_later_is_passed_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:

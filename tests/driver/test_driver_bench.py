@@ -150,7 +150,7 @@ def test_a_fake_that_breaks_is_told_beside_what_comes_of_it(make_bench, fake):
 
     with pytest.raises(DeviceError, match="no answer") as error:
         make_bench("device", fakes=(broken,)).run(nothing)
-    assert error.value.__notes__ == ["meanwhile: the fake: ValueError('stumbled')"]
+    assert error.value.__notes__ == ["meanwhile: the simulated device: ValueError('stumbled')"]
 
 
 def test_a_story_without_an_end_is_ended(make_bench):
@@ -198,10 +198,10 @@ def test_a_fake_as_a_process_and_its_device_in_real_time_and_behind_a_guard():
 
 @pytest.mark.process
 def test_what_does_not_start_says_why(capfd):
-    words = "the fake 'dynamixel' did not start"
+    words = "the simulated device 'dynamixel' did not start"
     with pytest.raises(AssertionError, match=words), running_fake("dynamixel", "--servo", "1:XM999"):
         pass
-    assert "there is no fake of the servo 'XM999'" in capfd.readouterr().err
+    assert "there is no simulation of the servo 'XM999'" in capfd.readouterr().err
 
     async def story():
         async with guarded(bind(SERVOS, "Dynamixel", endpoint="serial:/dev/nothing-there:57600")):

@@ -118,7 +118,7 @@ def test_broken_and_duplicate_fakes(plugin_at):
     sims = discover_sims([entry("lfield_sim.mavlink:SIM"), entry(reference), entry("none:SIM")])
     assert list(sims) == ["mavlink"]
     assert len(sims.problems) == 2
-    with pytest.raises(PluginError, match="are both the fake 'mavlink'"):
+    with pytest.raises(PluginError, match="are both the simulated device 'mavlink'"):
         discover_sims([entry("lfield_sim.mavlink:SIM"), entry("lfield_sim.mavlink:MavlinkSim")])
 
 

@@ -241,6 +241,6 @@ def test_no_fake_for_a_driver():
         await start_fake(Sims(), [binding()])
 
     with pytest.raises(
-        Exception, match=r"alpha.fc: there is no fake for driver 'mavlink' \(fakes installed: none\)"
+        Exception, match=r"alpha.fc: there is no simulated device for driver 'mavlink' \(installed: none\)"
     ):
         asyncio.run(attempt())

@@ -121,9 +121,14 @@ def test_who_left_a_device_unsafe_is_told(desk, fake, servo):
 @pytest.mark.parametrize(
     ("sim", "options", "error", "words"),
     [
-        ("pigeon", (), PluginError, r"there is no fake 'pigeon' \(fakes installed: can, dynamixel"),
+        ("pigeon", (), PluginError, r"there is no simulated device 'pigeon' \(installed: can, dynamixel"),
         ("dynamixel", ("--wings", "2"), MissionTestError, "unrecognized arguments: --wings 2"),
-        ("dynamixel", ("--servo", "1:XM999"), MissionTestError, "there is no fake of the servo 'XM999'"),
+        (
+            "dynamixel",
+            ("--servo", "1:XM999"),
+            MissionTestError,
+            "there is no simulation of the servo 'XM999'",
+        ),
         ("can", ("--fault", "wings=2"), MissionTestError, "there is no fault 'wings'"),
     ],
 )
@@ -133,7 +138,7 @@ def test_a_fake_that_does_not_start_says_why(desk, sim, options, error, words):
 
 
 def test_a_fault_that_there_is_not_is_refused_where_it_is_set(desk, fake, servo):
-    with pytest.raises(MissionTestError, match="the fake 'dynamixel': there is no fault 'wings'"):
+    with pytest.raises(MissionTestError, match="the simulated device 'dynamixel': there is no fault 'wings'"):
         fake.fault("wings=true")
 
     async def story(servo):
@@ -156,14 +161,18 @@ def test_a_fake_without_serve_and_one_that_breaks(desk):
         def run(self, args):
             return 0
 
-    with pytest.raises(PluginError, match="the fake 'old' cannot run on virtual time: it has no `serve`"):
+    with pytest.raises(
+        PluginError, match="simulated device 'old' cannot run on virtual time: it has no `serve`"
+    ):
         desk.fake(Old())
 
     class Broken(Old):
         async def serve(self, args):
             raise ZeroDivisionError("a bug")
 
-    with pytest.raises(MissionTestError, match="the fake of old-1 has failed by ZeroDivisionError: a bug"):
+    with pytest.raises(
+        MissionTestError, match="the simulated device of old-1 has failed: ZeroDivisionError: a bug"
+    ):
         desk.fake(Broken())
 
 

@@ -197,13 +197,13 @@ def test_a_host_that_ends_by_itself_ends_the_test_with_its_words(lfield_mission,
 
 def test_what_is_not_there_is_named_with_what_there_is(lfield_mission, walk):
     team = lfield_mission(FLIGHT)
-    with pytest.raises(MissionTestError, match=r"there is no device 'lead' .*lead.fc, wing.fc"):
+    with pytest.raises(MissionTestError, match=r"there is no simulated device 'lead' .*lead.fc, wing.fc"):
         team.fake("lead")
     with pytest.raises(MissionTestError, match=r"lead.fc: there is no fault 'wings'"):
         team.fake("lead.fc").set("wings=off")
     with pytest.raises(MissionTestError, match=r"there is no host 'lead'; there are: alpha, bravo"):
         team.crash("lead")
-    with pytest.raises(pytest.fail.Exception, match=r"there is no device 'nobody.fc' with a fake"):
+    with pytest.raises(pytest.fail.Exception, match=r"there is no simulated device 'nobody.fc'"):
         walk(fakes={"nobody.fc": ["silence=true"]})
     with pytest.raises(pytest.fail.Exception, match=r"lead.fc: --fault: 'battery@lead.fc' is not a fault"):
         lfield_mission(FLIGHT, fakes={"lead.fc": ["battery"]})

@@ -22,7 +22,7 @@ from lfield_sim.terminal import Terminal
 LATITUDE, LONGITUDE, HEIGHT, RADIUS, SPEED = 47.397742, 8.545594, 488.0, 20.0, 2.0
 #: Metres of a degree of latitude.
 DEGREE = 111_320.0
-#: The number of the fake's only device.
+#: The number of the simulated receiver.
 NUMBER = "1"
 #: Baud: at ten times a second its three sentences are 2,000 bytes, too many for 9,600.
 BAUD = 38_400
@@ -113,7 +113,7 @@ class Receiver:
 
 
 class GpsSim:
-    """The fake for `lfield sim gps` and `lfield up --sim`."""
+    """The simulated device for `lfield sim gps` and `lfield up --sim`."""
 
     name = "gps"
     help = "A receiver that drives in a circle of 20 m and sends NMEA 0183 on a pseudo-terminal."
@@ -127,7 +127,7 @@ class GpsSim:
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The fake of a binding."""
+        """The simulated device of a binding."""
         return ["--called", devices[0].name]
 
     def run(self, args: argparse.Namespace) -> int:

@@ -1,4 +1,5 @@
-"""The GPS driver: its sentences, the fake at the other end of a pseudo-terminal, its kit behind a guard."""
+"""The GPS driver: its sentences, the simulated device at the other end of a pseudo-terminal, its kit behind a
+guard."""
 
 from __future__ import annotations
 
@@ -86,7 +87,7 @@ def test_the_simulated_receiver_sends_sentences(seconds):
 
 
 class Rig:
-    """A bench with the fake on a pseudo-terminal; real time, at ten times a second."""
+    """A bench with the simulated device on a pseudo-terminal; real time, at ten times a second."""
 
     def __init__(self, folder: Path, connect: float = 60.0) -> None:
         self.faults, self._path = Faults(FAULTS, ["1"]), folder / "gps"

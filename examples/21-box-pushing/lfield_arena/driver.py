@@ -9,7 +9,7 @@ from typing import Any
 from lfield.driver import DeviceBinding, DeviceError, Driver
 from lfield_arena.device import POLL, OmniDevice
 
-#: Opens a link: by asyncio, or in a test to a fake in memory.
+#: Opens a link: by asyncio, or in a test to a simulated device in memory.
 Connect = Callable[..., Awaitable[tuple[asyncio.StreamReader, asyncio.StreamWriter]]]
 #: Seconds for an answer; bytes of the longest line.
 ANSWER, LONGEST = 0.5, 4096

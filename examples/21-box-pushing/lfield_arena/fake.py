@@ -1,4 +1,4 @@
-"""A simulated robot on the plane: its radio, at its own port. All such fakes share the plane."""
+"""A simulated robot on the plane: its radio, at its own port. All such simulated devices share the plane."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Radio:
 
 
 class ArenaSim:
-    """The fake for `lfield sim arena` and `lfield up --sim`."""
+    """The simulated device for `lfield sim arena` and `lfield up --sim`."""
 
     name = "arena"
     help = "A small robot on a plane with a box, a prey or a ball, shared by all of them on this computer."

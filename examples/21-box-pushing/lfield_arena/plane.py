@@ -1,4 +1,4 @@
-"""The shared plane of all robots, and the access of their fakes to it.
+"""The shared plane of all robots, and the access of their simulated devices to it.
 
 The first fake on a computer has the plane and serves it at a port; the others connect to it. On a simulated
 computer they share it directly.
@@ -25,7 +25,7 @@ Place = tuple[float, float, float]
 
 
 class Way(Protocol):
-    """Access of a fake to the plane."""
+    """Access of a simulated device to the plane."""
 
     async def ask(self, line: str) -> str:
         """Sends a request of a robot to the plane, `NUMBER REQUEST`; returns the answer. Raises OSError."""
@@ -57,7 +57,7 @@ class Plane:
         return north - aside * math.sin(heading), east + aside * math.cos(heading), 0.0
 
     async def serve(self, port: int) -> None:
-        """Accepts other fakes. Raises OSError if there is a plane already."""
+        """Accepts other simulated devices. Raises OSError if there is a plane already."""
         await asyncio.start_server(self._talk, HOST, port, limit=LONGEST)
 
     async def ask(self, line: str) -> str:
@@ -91,7 +91,7 @@ class Plane:
 
 
 class Joined:
-    """The plane of another fake, over its port."""
+    """The plane of another simulated device, over its port."""
 
     def __init__(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._reader, self._writer = reader, writer

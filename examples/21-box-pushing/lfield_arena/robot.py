@@ -8,7 +8,7 @@ A request is a line, and so is its answer:
     kick SPEED            m/s: the ball, away from it; `no ball` when none is near enough
     stop
     watchdog SECONDS      without a request for longer it stops by itself; 0 is off
-    wrong GRIP BROKEN     by its fake: the share of its grip that is left, 1 when its motors are off
+    wrong GRIP BROKEN     a fault: the share of its grip that is left, 1 when its motors are off
 """
 
 from __future__ import annotations

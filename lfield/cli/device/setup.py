@@ -107,7 +107,7 @@ async def _set_up(
             return exit_status.DONE
         _show(found)
         if args.sim:
-            print("nothing was written: a fake forgets it when it ends")
+            print("nothing was written: a simulated device forgets it when it ends")
             return exit_status.FAILED
         if not (args.yes or _confirmed()):
             print("nothing was written")
@@ -152,7 +152,7 @@ async def _restore(args: argparse.Namespace, plugins: Plugins, entries: list[Bac
 
 @asynccontextmanager
 async def _reachable_devices(devices: Sequence[DeviceBinding]) -> AsyncIterator[list[DeviceBinding]]:
-    """The devices, those of a simulated mission on fakes that run as long as the block."""
+    """The devices, simulated in a simulated mission, for the duration of the block."""
     from lfield.devices.fake_processes import FakeProcess, bind_to_fakes
 
     running, problems = list[FakeProcess](), list[str]()

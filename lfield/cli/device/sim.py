@@ -1,4 +1,4 @@
-"""`lfield sim KIND ...`: a stand-alone fake of a device; `lfield sim fault ...`: makes it go wrong."""
+"""`lfield sim KIND ...`: a stand-alone simulated device; `lfield sim fault ...`: makes it go wrong."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ from lfield.errors import AddressError, UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Every installed fake is a subcommand with its own options; `fault` sets faults of running ones."""
+    """Every installed simulated device is a subcommand with its own options; `fault` sets faults of running
+    ones."""
     from lfield.driver.sims import discover_sims
 
     kinds = parser.add_subparsers(dest="kind_of_sim", metavar="KIND")
@@ -23,14 +24,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "target",
         nargs="?",
         default="",
-        metavar="FAKE",
+        metavar="TARGET",
         help="endpoint, kind or name (alpha.fc) of a simulated device (default: show the faults of all)",
     )
     fault.add_argument("settings", nargs="*", metavar="NAME[@DEVICE]=VALUE", help="fault to inject")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until SIGTERM, SIGINT or the end that the fake's options name; or set faults."""
+    """Serve until SIGTERM, SIGINT or the end that the simulated device's options name; or set faults."""
     from lfield.driver.sims import discover_sims
 
     sims = discover_sims()
@@ -50,7 +51,7 @@ def _fault(target: str, settings: list[str]) -> int:
         for fake in running.values():
             _show(fake)
         if not running:
-            print("no fake runs")
+            print("no simulated device runs")
         return 0
     path, device = _select_fake(target, running)
     answer = send_fault_command(path, [_setting_for(setting, device) for setting in settings])
@@ -61,7 +62,7 @@ def _fault(target: str, settings: list[str]) -> int:
 
 
 def _running() -> dict[Path, dict[str, Any]]:
-    """Every fake of this user that answers, by its door. Doors of fakes that were killed are cleared away."""
+    """Every simulated device of this user that answers, by its socket. Sockets of killed ones are removed."""
     from lfield.driver.sims import control_sockets
     from lfield.net.fault_client import is_stale_socket, send_fault_command
 
@@ -77,7 +78,7 @@ def _running() -> dict[Path, dict[str, Any]]:
 
 
 def _select_fake(target: str, running: Mapping[Path, Mapping[str, Any]]) -> tuple[Path, str]:
-    """The fake with that name, and the device on it, '' for all. Raises UsageError."""
+    """The simulated device with that name, and the device on it, '' for all. Raises UsageError."""
     found = []
     for path, fake in running.items():
         device = target if target in fake["devices"].values() else ""
@@ -88,7 +89,11 @@ def _select_fake(target: str, running: Mapping[Path, Mapping[str, Any]]) -> tupl
     names = [
         name for fake in running.values() for name in (fake["endpoint"], *fake["devices"].values()) if name
     ]
-    problem = f"{len(found)} fakes are '{target}'" if found else f"no running fake is '{target}'"
+    problem = (
+        f"{len(found)} simulated devices are '{target}'"
+        if found
+        else f"no running simulated device is '{target}'"
+    )
     raise UsageError(f"{problem}; running: {', '.join(names) or 'none'}")
 
 

@@ -25,7 +25,8 @@ def exit_line(host: str) -> bytes:
 
 
 def set_cloexec_on_all() -> None:
-    """Do not pass the descriptors of this process, such as its listening socket, to guards and fakes.
+    """Do not pass the descriptors of this process, such as its listening socket, to guards and simulated
+    devices.
 
     They outlive a killed host: a caller would connect to a socket that no process reads.
     """

@@ -234,7 +234,7 @@ class Coordinators(Part):
             self.persist(BundleRecord(b""))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
-        """End of a hop: a coordinator arrived after `transit` s; it runs before the sender is answered."""
+        """End of a hop: a coordinator arrived after `transit` seconds, and runs before any reply."""
         if self._queued_arrivals is not None:
             if header.agent in self._members:
                 left = self._clock.monotonic() - transit

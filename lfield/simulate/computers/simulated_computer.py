@@ -39,7 +39,8 @@ class SimulatedComputer:
         self.processes: list[SimulatedProcess] = []
 
     def start(self, on_fake: Callable[[ServedFake], None] = lambda fake: None) -> SimulatedProcess:
-        """Creates a process, in which nothing runs yet; `on_fake` is called when a fake serves in it."""
+        """Creates a process, in which nothing runs yet; `on_fake` is called when a simulated device serves in
+        it."""
         process = SimulatedProcess(self, on_fake)
         self.processes.append(process)
         return process
@@ -62,7 +63,7 @@ class SimulatedProcess:
         self.computer, self.pid = computer, next(_PIDS)
         self.loop = _Loop(self)
         self._on_end: Callable[[int], None] = lambda status: None
-        #: Called when a fake serves in it.
+        #: Called when a simulated device serves in it.
         self.on_fake = on_fake
         self.children: list[SimulatedProcess] = []
         self._input: Input | None = None
@@ -167,7 +168,7 @@ class _Loop(ProcessLoop):
         return made
 
     async def serve(self, fake: ServedFake) -> None:
-        """Runs as a fake until the process ends."""
+        """Runs as a simulated device until the process ends."""
         self._process.on_fake(fake)
         await self.create_future()
 

@@ -41,7 +41,7 @@ class SimulatedNetwork:
         self.ports: dict[str, SimulatedSerialPort] = {}
         #: The process that has an exclusive resource, by name.
         self.ports_in_use: dict[str, ProcessLoop] = {}
-        #: Objects shared by fakes, by name.
+        #: Objects shared by simulated devices, by name.
         self.common: dict[str, Any] = {}
 
     def join(self, machine: SimulatedMachine) -> None:

@@ -44,7 +44,7 @@ class SimulatedSerialPort:
         self._later(self._far, len(data), partial(self._received, data, self._speed))
 
     def write(self, data: bytes) -> None:
-        """Bytes of the fake; lost without a reader."""
+        """Bytes of the simulated device; lost without a reader."""
         if (near := self._near) is not None:
             self._later(near.loop, len(data), partial(near.received, data))
 

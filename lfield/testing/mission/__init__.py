@@ -1,1 +1,1 @@
-"""Missions in one process on virtual time, with real hosts, guards, drivers and fakes, for tests."""
+"""Missions in one process on virtual time, with real hosts, guards and drivers, and simulated devices."""

@@ -1,4 +1,5 @@
-"""The fakes of a mission under test on virtual time: each bus is on a cable to its robot's computer."""
+"""The simulated devices of a mission under test on virtual time: each bus is on a cable to its robot's
+computer."""
 
 from __future__ import annotations
 
@@ -38,7 +39,7 @@ class FakeDevice:
     def set(self, *faults: str) -> None:
         """Sets faults: `set("battery=0.2", "motor_failure=true")`.
 
-        Raises MissionTestError for faults that this fake does not support.
+        Raises MissionTestError for faults that this simulated device does not support.
         """
         errors: list[ValueError] = []
         named = [
@@ -64,7 +65,8 @@ class FakeDevice:
 
     @property
     def place(self) -> FakePosition | None:
-        """Its position: metres north, east and up of where fakes are switched on; None if unknown."""
+        """Its position: metres north, east and up of where simulated devices are switched on; None if
+        unknown."""
         read = self._fake.places.get(self._number)
         return read() if read else None
 
@@ -75,7 +77,7 @@ def _at(text: str, number: str) -> str:
 
 
 class MissionFakes:
-    """All fakes of a mission. `faults` are initial faults, by device name.
+    """All simulated devices of a mission. `faults` are initial faults, by device name.
 
     `mark` is called with a description and the device for later faults.
     """
@@ -90,7 +92,7 @@ class MissionFakes:
 
     @property
     def trouble(self) -> list[Exception]:
-        """Unexpected exceptions of fakes."""
+        """Unexpected exceptions of simulated devices."""
         return [error for fake in self._cabled.values() for error in fake.trouble]
 
     def plug(self, fleet: Fleet, mission: Mission, _: random.Random) -> Mission:
@@ -99,11 +101,11 @@ class MissionFakes:
         names = {device.name for bus in buses.values() for device in bus}
         if unknown := sorted(self._wrong.keys() - names):
             known = ", ".join(sorted(names)) or "none"
-            raise MissionTestError(f"there is no device '{unknown[0]}' with a fake here; there are: {known}")
+            raise MissionTestError(f"there is no simulated device '{unknown[0]}' here; there are: {known}")
         sims = sims_of({driver for _, driver, _ in buses})
         for bus, devices in buses.items():
             if (sim := sims.get(bus[1])) is None:
-                raise PluginError(f"{devices[0].name}: there is no fake for driver '{bus[1]}'")
+                raise PluginError(f"{devices[0].name}: there is no simulated device for driver '{bus[1]}'")
             options = [*sim.arguments(devices), *fault_options(devices), *self._faults(devices)]
             self._cabled[bus] = CabledFake(devices[0].name, sim, options, fleet.timeline, fleet.network)
         served = wait_until_serving(self._cabled, fleet.timeline)
@@ -120,6 +122,7 @@ class MissionFakes:
         for device in devices:
             number = numbers.get(device.name, next(iter(fake.devices), ""))
             self.devices[device.name] = FakeDevice(device.name, process, fake, number, self._mark)
-        # Objects shared by several fakes, such as a box that their robots push, have names of their own.
+        # Objects shared by several simulated devices, such as a box that their robots push, have names of
+        # their own.
         for shared in [name for name in fake.places if name not in fake.devices]:
             self.devices[shared] = FakeDevice(shared, process, fake, shared, self._mark)

@@ -1,7 +1,7 @@
 """A team under test: the mission of a deployment, in one process, on virtual time.
 
-Hosts, VMs, guards and drivers are real, and use the fakes of `lfield up --sim` by their wire protocols.
-Computers, network, cables, disks and clocks are models. A seed determines a run.
+Hosts, VMs, guards and drivers are real, and use the simulated devices of `lfield up --sim` by their wire
+protocols. Computers, network, cables, disks and clocks are models. A seed determines a run.
 """
 
 from __future__ import annotations
@@ -286,11 +286,11 @@ class MissionTeam:
     # --- interventions --------------------------------------------------------------------------------
 
     def fake(self, device: str) -> FakeDevice:
-        """The fake of a device, by its name. Raises MissionTestError."""
+        """The simulation of a device, by its name. Raises MissionTestError."""
         self._be_open()
         if device not in self._fakes.devices:
             known = ", ".join(sorted(self._fakes.devices)) or "none"
-            raise MissionTestError(f"there is no device '{device}' with a fake here; there are: {known}")
+            raise MissionTestError(f"there is no simulated device '{device}' here; there are: {known}")
         return self._fakes.devices[device]
 
     def at(self, seconds: float, action: Callable[[], None]) -> None:

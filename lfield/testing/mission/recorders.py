@@ -145,7 +145,8 @@ def _targets(program: Program, method: MethodRecord) -> set[int]:
 
 
 class Point(NamedTuple):
-    """A position at a time: seconds; metres north, east and up of where the team's fakes are switched on."""
+    """A position at a time: seconds; metres north, east and up of where the team's simulated devices are
+    switched on."""
 
     at: float
     north: float

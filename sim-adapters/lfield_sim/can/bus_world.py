@@ -1,4 +1,4 @@
-"""A bus with its devices over time: the whole fake without its adapters. Pure: time is given."""
+"""A bus with its devices over time: the whole simulated device without its adapters. Pure: time is given."""
 
 from __future__ import annotations
 

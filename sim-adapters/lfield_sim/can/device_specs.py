@@ -53,7 +53,7 @@ def parse(text: str) -> DeviceSpec:
 def spec_of(binding: DeviceBinding) -> str:
     """The command-line text of a binding's device. Raises UsageError."""
     if binding.options.get("velocity_unit", "counts") != "counts":
-        raise UsageError(f"{binding.name}: the fake drive supports velocities in counts per second only")
+        raise UsageError(f"{binding.name}: the simulated drive supports velocities in counts per second only")
     if binding.type == "CanSignals":
         text = f"dbc:{binding.option('dbc')}:{binding.name}"
         if commands := binding.options.get("commands"):

@@ -329,5 +329,5 @@ def model_named(name: str) -> ServoModel:
     """The model of that name, ignoring a suffix -T or -R. Raises UsageError."""
     base_name = name.upper().removesuffix("-T").removesuffix("-R")
     if base_name not in MODELS:
-        raise UsageError(f"there is no fake of the servo '{name}'; there are: {', '.join(MODELS)}")
+        raise UsageError(f"there is no simulation of the servo '{name}'; there are: {', '.join(MODELS)}")
     return MODELS[base_name]

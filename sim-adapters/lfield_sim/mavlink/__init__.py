@@ -140,7 +140,9 @@ class MavlinkSim:
             from lfield_sim.mavlink.geo import GeoOrigin
             from lfield_sim.mavlink.link_setup import LinkSetup, serve
         except ImportError:
-            raise PluginError("the fake 'mavlink' needs pymavlink: pip install 'lfield[mavlink]'") from None
+            raise PluginError(
+                "a simulated autopilot needs pymavlink: pip install 'lfield[mavlink]'"
+            ) from None
         number = secrets.randbits(BOARD_BITS) if args.board is None else args.board
         field = GeoOrigin(*args.origin).on_ellipsoid if args.origin else None
         setup = LinkSetup(
@@ -167,7 +169,7 @@ class MavlinkSim:
 def _stand(placement: Placement, conditions: Sequence[str]) -> Stand:
     """Where a vehicle of a team with a frame is switched on: at its pose, else at a free position.
 
-    Positions of its fake in the binding are relative to that, and to the origin if it is given.
+    Positions of its simulated device in the binding are relative to that, and to the origin if it is given.
     """
     if placement.pose is not None:
         pose = placement.pose

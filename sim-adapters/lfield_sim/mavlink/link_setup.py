@@ -110,7 +110,7 @@ class LinkSetup:
         return fake
 
     def place(self, fake: MavlinkFake) -> tuple[float, float, float]:
-        """Position of a vehicle, in metres north, east and up of where fakes are switched on.
+        """Position of a vehicle, in metres north, east and up of where simulated devices are switched on.
 
         On the ellipsoid for a given origin; else in its autopilot's metres.
         """

@@ -1,4 +1,4 @@
-"""Command line of the fake as data: endpoints, vehicles, settings. Imports no vendor library."""
+"""Command line of the simulated device as data: endpoints, vehicles, settings. Imports no vendor library."""
 
 from __future__ import annotations
 

@@ -38,10 +38,10 @@ def fakes(alone, lfield, here, monkeypatch):
 
 def test_without_a_fake_there_is_nothing_to_show_or_set(fakes):
     shown = fakes.fault()
-    assert (shown.status, shown.out) == (0, ["no fake runs"])
+    assert (shown.status, shown.out) == (0, ["no simulated device runs"])
     refused = fakes.fault("alpha.fc", "loss=0.1")
     assert refused.status == 64
-    assert refused.err == ["lfield: no running fake is 'alpha.fc'; running: none"]
+    assert refused.err == ["lfield: no running simulated device is 'alpha.fc'; running: none"]
 
 
 def test_faults_are_shown_and_set_for_a_fake_and_for_a_device(fakes):
@@ -68,7 +68,7 @@ def test_what_cannot_be_set_is_a_sentence_and_changes_nothing(fakes):
         (("alpha.fc", "silence=perhaps"), "silence is true or false, not 'perhaps'"),
         (("mavlink", "loss@9=0.1"), "there is no device '9'; there are: 1 (alpha.fc)"),
         (("mavlink", "loss"), "'loss' is not a fault; write NAME=VALUE or NAME@DEVICE=VALUE"),
-        (("bravo.fc", "loss=0.1"), "no running fake is 'bravo.fc'; running: udp:127.0.0.1:"),
+        (("bravo.fc", "loss=0.1"), "no running simulated device is 'bravo.fc'; running: udp:127.0.0.1:"),
     ):
         refused = fakes.fault(*words)
         assert refused.status == 64, refused
@@ -81,7 +81,7 @@ def test_a_name_that_fits_two_fakes_is_refused(fakes):
     first, second = fakes.start("1"), fakes.start("1")
     refused = fakes.fault("mavlink", "loss=0.1")
     assert refused.status == 64
-    assert "2 fakes are 'mavlink'" in refused.err[0]
+    assert "2 simulated devices are 'mavlink'" in refused.err[0]
     assert first.endpoint in refused.err[0]
     assert second.endpoint in refused.err[0]
 
@@ -91,7 +91,7 @@ def test_the_door_of_a_fake_that_was_killed_is_cleared_away(fakes):
     assert len(list(fakes.doors.iterdir())) == 1
     fake.signal(signal.SIGKILL)
     fake.popen.wait()
-    assert fakes.fault().out == ["no fake runs"]
+    assert fakes.fault().out == ["no simulated device runs"]
     assert list(fakes.doors.iterdir()) == []
 
 

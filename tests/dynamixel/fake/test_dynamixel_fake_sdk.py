@@ -274,7 +274,7 @@ def test_signals_end_it(number):
     [
         (["--servo", "300:XM430-W350"], "write ID:MODEL[:NAME], with an id from 0 to 252"),
         (["--servo", "1:XM430-W350", "--servo", "1:XL330-M288"], "there is a servo 1 already"),
-        (["--servo", "1:XM999"], "there is no fake of the servo 'XM999'; there are: "),
+        (["--servo", "1:XM999"], "there is no simulation of the servo 'XM999'; there are: "),
         (["--servo", "1:XL330-M288", "--protocol", "1.0"], "XL330-M288 does not support protocol 1.0"),
         (["--servo", "1:XL330-M288", "--baud", "4500000"], "XL330-M288 does not support 4500000 baud"),
         (["--return-delay", "900"], "the return delay is from 0 to 508 microseconds"),

@@ -151,7 +151,7 @@ def test_numbers_out_of_range(capsys, options):
 def test_a_fake_nobody_knows(capsys):
     assert run_sim([]) == 64
     assert run_sim(["nowhere:SIM"]) == 69
-    assert "the fake 'nowhere:SIM' cannot be imported" in capsys.readouterr().err
+    assert "the simulated device 'nowhere:SIM' cannot be imported" in capsys.readouterr().err
 
 
 def test_listen_texts():

@@ -1,4 +1,4 @@
-"""The fake for `--sim`: the same planner, with fault injection."""
+"""The simulated device for `--sim`: the same planner, with fault injection."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def nonsense(kind: str, asked: str) -> str:
 
 
 class PlannerSim:
-    """The fake for `lfield sim planner` and `lfield up --sim`."""
+    """The simulated device for `lfield sim planner` and `lfield up --sim`."""
 
     name = "planner"
     help = "A planner that plans, fails, answers nonsense, or never answers."
@@ -50,7 +50,7 @@ class PlannerSim:
         add_fault_option(parser)
 
     def arguments(self, devices: Sequence[DeviceBinding]) -> list[str]:
-        """The fake of a binding, on a free port."""
+        """The simulated device of a binding, on a free port."""
         return ["--listen", "tcp:127.0.0.1:0", "--called", devices[0].name]
 
     def run(self, args: argparse.Namespace) -> int:

@@ -97,7 +97,7 @@ GETTERS: Mapping[int, str] = {
 #: Periodic messages: command -> seconds.
 CYCLIC: Mapping[int, float] = {HEARTBEAT: 0.1, 0x09: 0.01, 0x03: 0.1, 0x14: 0.1, 0x15: 0.5, 0x17: 0.5}
 
-#: Endpoints of RxSdo. Their numbers depend on the firmware; these are this fake's own.
+#: Endpoints of RxSdo. Their numbers depend on the firmware; these are this simulated device's own.
 ENDPOINTS: Mapping[int, tuple[str, str]] = {
     1: ("axis0.config.enable_watchdog", "<?3x"),
     2: ("axis0.config.watchdog_timeout", "<f"),

@@ -7,7 +7,7 @@ import random
 
 from lfield_sim.faults import Fault, Faults, share
 
-#: The faults of the fake; each can be set for one vehicle by its system id.
+#: The faults of the simulated device; each can be set for one vehicle by its system id.
 LINK_FAULTS = (
     share("loss", "packets lost, both ways"),
     share("corrupt", "packets with a broken byte"),

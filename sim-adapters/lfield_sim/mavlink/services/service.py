@@ -1,4 +1,5 @@
-"""The interface of services of the fake: missions, fences, parameters, files, each in its own file.
+"""The interface of services of the simulated device: missions, fences, parameters, files, each in its own
+file.
 
 A service belongs to one vehicle and handles messages, not packets. Four tables define what it handles:
 

@@ -16,7 +16,7 @@ from lfield_sim.mavlink.telemetry.motion_messages import micros, millis
 NO_VALUE_16 = 0xFFFF
 #: The share of a cold start in which ArduPilot reports booting.
 BOOTED = 0.07
-#: Seconds since 1970 at the start of the fake's GPS clock: 2026-11-01, for reproducible runs.
+#: Seconds since 1970 at the start of the simulated device's GPS clock: 2026-11-01, for reproducible runs.
 EPOCH = 1_793_491_200
 #: MAV_SYS_STATUS_SENSOR: inertial, magnetic, pressure, GPS, control, motors, battery, pre-arm checks.
 COMPASS = 0x4

@@ -1,4 +1,4 @@
-"""The messages of the fake, by message id."""
+"""The messages of the simulated vehicle, by message id."""
 
 from __future__ import annotations
 
