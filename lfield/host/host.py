@@ -182,7 +182,7 @@ class Host:
             if path:
                 await self.peers.open_control_socket(path)
         except AddressError as error:
-            self.note(log_messages.NO_CONTROL_SOCKET.line(reason=error))
+            self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, wait until they are at rest, then close everything.
