@@ -132,7 +132,7 @@ def test_a_child_of_all_that_was_reaped_is_proof(lfield):
     os.kill(lfield.child("carol"), signal.SIGKILL)
     assert team.wait() == 1
     for host in ("alpha", "bravo"):
-        assert f"{host} | walker lost: it moved to carol (transfer 1), which is gone" in team.err
+        assert f"{host} | walker lost: it was on carol, which has ended" in team.err
 
 
 @pytest.mark.few(0)
