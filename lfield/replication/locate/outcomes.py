@@ -190,8 +190,7 @@ class _ClusterQuery:
         last = max(rows, key=lambda row: row.sequence)
         where, way = last.where, f"it moved to {last.where} (transfer {last.sequence})"
         if where in self.unavailable.ended:
-            last_known = "moving to" if last.state == "IN DOUBT" else "on"
-            return self._lost_unless_elsewhere(f"it was {last_known} {where}, which has ended")
+            return self._lost_unless_elsewhere(f"its last host {where} has ended")
         if where in self.unavailable.silent_for:
             return self._silent(where, f"{way}, and")
         there = known.get(where)

@@ -61,12 +61,12 @@ def test_one_that_is_somewhere_is_alive(state):
 
 def test_one_that_went_to_a_host_that_is_gone_is_lost():
     found = fate({"alpha": [row("MOVED", 3, "bravo")], "carol": [row("MOVED", 2, "alpha")]}, gone=("bravo",))
-    assert found == CoordinatorOutcome("tom", "lost", "it was on bravo, which has ended")
+    assert found == CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
 
 
 def test_one_in_doubt_towards_a_host_that_is_gone_is_lost():
     found = fate({"alpha": [row("IN DOUBT", 4, "bravo")]}, gone=("bravo",))
-    assert found == CoordinatorOutcome("tom", "lost", "it was moving to bravo, which has ended")
+    assert found == CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
 
 
 def test_one_in_doubt_towards_a_host_that_is_there_may_yet_live():
