@@ -5,8 +5,8 @@ from lfield.driver import LogMessage
 # --- the bus --------------------------------------------------------------------------------------------
 
 ERROR_FRAMES = LogMessage("can-error-frames", "error frames on {bus} (count {count}): {reason}", "warning")
-SILENT = LogMessage("can-silent", "no longer responding: no message received", "warning")
-RESPONDING = LogMessage("can-responding", "responding again")
+SILENT = LogMessage("can-silent", "link lost: no message received", "warning")
+RESPONDING = LogMessage("can-responding", "link restored: messages are received again")
 ID_CONFLICT = LogMessage("can-id-conflict", "motion refused: {reason}", "error")
 ID_UNIQUE = LogMessage("can-id-unique", "motion permitted again: the id is unique")
 

@@ -2,8 +2,8 @@
 
 from lfield.driver import LogMessage
 
-PORT_LOST = LogMessage("dynamixel-port-lost", "port lost: {reason}; reopening it", "warning")
-PORT_BACK = LogMessage("dynamixel-port-back", "port open again")
+PORT_LOST = LogMessage("dynamixel-port-lost", "link lost: {reason}; reopening the port", "warning")
+PORT_BACK = LogMessage("dynamixel-port-back", "link restored: the port is open again")
 ECHO_REMOVED = LogMessage(
     "dynamixel-echo-removed", "echo removed: the adapter returns what is sent", "info", "half-duplex adapters"
 )

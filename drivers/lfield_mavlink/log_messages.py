@@ -4,41 +4,41 @@ from lfield.driver import LogMessage
 
 # --- links and identity ---------------------------------------------------------------------------------
 
-SERIAL_LOST = LogMessage("mavlink-serial-lost", "serial:{path} is lost: {reason}; reopening it", "warning")
-SERIAL_BACK = LogMessage("mavlink-serial-back", "serial:{path} is open again")
+SERIAL_LOST = LogMessage("mavlink-serial-lost", "link lost: serial:{path}: {reason}; reopening it", "warning")
+SERIAL_BACK = LogMessage("mavlink-serial-back", "link opened: serial:{path}")
 LINK_UNOPENED = LogMessage(
-    "mavlink-link-unopened", "link not open: {reason}; continuing with the other links", "warning"
+    "mavlink-link-unopened", "link not opened: {reason}; continuing with the other links", "warning"
 )
 LINK_STILL_UNOPENED = LogMessage(
-    "mavlink-link-still-unopened", "link still not open: {reason} (attempt {attempt})", "warning"
+    "mavlink-link-still-unopened", "link not opened: {reason} (attempt {attempt})", "warning"
 )
-LINK_OPENED = LogMessage("mavlink-link-opened", "{link} is open now, after {attempts} attempts")
+LINK_OPENED = LogMessage("mavlink-link-opened", "link opened: {link}, after {attempts} attempts")
 LINK_SILENT = LogMessage("mavlink-link-silent", "link lost: no message received", "warning")
 LINK_BACK = LogMessage("mavlink-link-back", "link restored: messages are received again")
 SETUP_FAILED = LogMessage(
-    "mavlink-setup-failed", "link restored, but setting up failed: {reason}; retrying", "warning"
+    "mavlink-setup-failed", "set-up failed after the link was restored: {reason}; retrying", "warning"
 )
 SIGNING_NOT_STORED = LogMessage(
     "mavlink-signing-not-stored",
     "signing time not stored: {reason}; after a restart the vehicle may ignore packets for a while",
     "warning",
 )
-ADDRESS_CHANGED = LogMessage("mavlink-address-changed", "vehicle's address changed to {new}, from {old}")
+ADDRESS_CHANGED = LogMessage("mavlink-address-changed", "address changed to {new}, from {old}")
 TWO_VEHICLES = LogMessage(
     "mavlink-two-vehicles",
-    "two vehicles send as system {system}: {own}, and {other}, which is ignored; {remedy}",
+    "not unique: two vehicles send as system {system}: {own}, and {other}, which is ignored; {remedy}",
     "error",
 )
 TWO_VEHICLES_MIXED = LogMessage(
     "mavlink-two-vehicles-mixed",
-    "two vehicles send as system {system}, both over {source}: the telemetry of the second is ignored, but "
-    "both receive commands; {remedy}",
+    "not unique: two vehicles send as system {system}, both over {source}: the telemetry of the second is "
+    "ignored, but both receive commands; {remedy}",
     "error",
 )
 STATION_CONFLICT = LogMessage("mavlink-station-conflict", "motion commands refused: {reason}", "error")
 FOREIGN_COMPONENT = LogMessage(
     "mavlink-foreign-component",
-    "heartbeats of {sender} ignored: they carry the ids of this vehicle's autopilot (system {system}, "
+    "ignoring heartbeats of {sender}: they carry the ids of this vehicle's autopilot (system {system}, "
     "component {component}) and arrive over {place}; give their sender its own ids",
     "warning",
 )
@@ -52,7 +52,7 @@ AUTOPILOT_TEXT = LogMessage(
 )
 NO_ORIGIN = LogMessage(
     "mavlink-no-origin",
-    "origin of its frame unknown: no position in the team's frame yet; wait for its position estimate",
+    "frame origin unknown: no position in the team's frame yet; wait for its position estimate",
 )
 NO_HOME = LogMessage(
     "mavlink-no-home", "home position unknown: positions are relative to the place where it was switched on"
@@ -67,10 +67,10 @@ AUTONOMOUS_WAIVED = LogMessage(
 # --- motion ---------------------------------------------------------------------------------------------
 
 FOREIGN_CONTROL = LogMessage(
-    "mavlink-foreign-control", "foreign control: {reason}. release() takes control again", "warning"
+    "mavlink-foreign-control", "under foreign control: {reason}; release() takes control again", "warning"
 )
 LEFT_ALONE = LogMessage(
-    "mavlink-left-alone", "no command sent: it is in {mode}, controlled by {holder}", "warning"
+    "mavlink-left-alone", "not commanded: it is in {mode}, controlled by {holder}", "warning"
 )
 FALLING = LogMessage("mavlink-falling", "falling: {reason}", "error")
 CRASHED = LogMessage("mavlink-crashed", "crashed: {reason}", "error")

@@ -74,6 +74,11 @@ class Profile:
         """The mode of a safe state of the manifest."""
         return {"land": self.land, "hold": self.hold, "return": self.home}[state]
 
+    def safe_action(self, state: str) -> str:
+        """What a vehicle of this kind does in a safe state: a rover cannot land, and holds."""
+        mode = self.safe(state)
+        return {"RTL": "return", "SURFACE": "surface"}.get(mode, "hold" if mode == self.hold else state)
+
     def mode_name(self, number: int) -> str:
         """`GUIDED`, or `mode 77` for an unknown one."""
         return self.modes.get(number, f"mode {number}")

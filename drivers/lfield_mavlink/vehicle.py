@@ -298,6 +298,9 @@ class MavlinkVehicle(Contact):
         await self._flight.make_safe(state)
         self.assume_control()
 
+    def _safe_action(self, state: str) -> str:
+        return self.profile.safe_action(state)
+
     def _frame(self) -> Frame | None:
         placement = self.binding.frame
         return None if placement is None else frame_of(placement, self.state)

@@ -9,7 +9,7 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
@@ -119,6 +119,17 @@ class _Parser(argparse.ArgumentParser):
     #: Guards against recursion: the intermixed parser calls this method.
     _is_intermixed = False
 
+    def flags(self) -> set[str]:
+        """The options without a value, of all subcommands."""
+        found: set[str] = set()
+        for action in self._actions:
+            if action.nargs == 0:
+                found.update(action.option_strings)
+            elif isinstance(action.choices, dict):
+                # Subcommands.
+                found.update(*(each.flags() for each in action.choices.values()))
+        return found
+
     def error(self, message: str) -> NoReturn:
         # argparse prints arguments as Python literals.
         message = _LONE_SURROGATE.sub(r"\\u{\1}", message)
@@ -207,18 +218,21 @@ def _print_error(text: str) -> None:
     print(escape_indented(text), file=sys.stderr)
 
 
-def _refuse_empty(arguments: list[str]) -> None:
-    """Refuse empty arguments, which would mean all, or this directory. Raises UsageError."""
+def _refuse_empty(arguments: list[str], flags: Collection[str]) -> None:
+    """Refuse empty arguments, which would mean all, or this directory. Raises UsageError.
+
+    `flags` are the options without a value.
+    """
     for before, argument in zip(["", *arguments], arguments, strict=False):
         option = before if not argument else argument[:-1] if re.fullmatch(r"--[a-z-]+=", argument) else None
         if option is None or option == REASON:
             continue
-        what = f"the value of {option}" if option.startswith("-") else "an argument"
+        is_value = option.startswith("-") and option not in flags
+        what = f"the value of {option}" if is_value else "an argument"
         raise UsageError(f"{what} is empty; is a shell variable not set?")
 
 
 def _dispatch(arguments: list[str]) -> int:
-    _refuse_empty(arguments)
     parser = _Parser(prog="lfield", description="Run one program on a team of robots.", epilog=_STATUSES)
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--version", action="version", version=f"lfield {__version__}")
@@ -229,6 +243,7 @@ def _dispatch(arguments: list[str]) -> int:
         # Only the chosen command is imported, so that small commands start fast.
         if name == chosen:
             _command(name).add_arguments(subparser)
+    _refuse_empty(arguments, parser.flags())
     try:
         args = _printable_args(parser.parse_args(arguments))
     except SystemExit:

@@ -365,7 +365,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
                 self._note(log_messages.report_line(device, text, code, level))
             case DevicesOpened(identities) if not identities.keys() <= self._devices.keys():
                 raise WireError(f"devices that it does not guard: {', '.join(identities)}")
-            case DevicesOpened(identities) if self._stopping or not self._opening.done():
+            case DevicesOpened(identities, actions) if self._stopping or not self._opening.done():
+                self.latched_devices.set_actions(actions)
                 self.identities, self._ready, self._ready_at = identities, True, self._clock.monotonic()
                 self._settled.set()
                 if not self._opening.done():

@@ -39,6 +39,8 @@ class LatchedDevices:
         self._devices, self._clock, self._note, self._pulse = devices, clock, note, pulse
         self._progress_logged_at: dict[str, float] = {}
         self._states: dict[str, str] = {}
+        #: What devices do in their safe states, where that differs from the name of the state.
+        self._actions: Mapping[str, Mapping[str, str]] = {}
         self._requests: dict[str, RequestSafeState] = {}
         #: Why no device may be released, '' while all may.
         self.barred = ""
@@ -65,6 +67,10 @@ class LatchedDevices:
     def set_change_handler(self, on_change: Callable[[], None]) -> None:
         """Sets what is called after every change."""
         self.on_change = on_change
+
+    def set_actions(self, actions: Mapping[str, Mapping[str, str]]) -> None:
+        """Sets what devices do in their safe states, by device and state."""
+        self._actions = actions
 
     def on_stop(self) -> None:
         """The host stops."""
@@ -113,7 +119,9 @@ class LatchedDevices:
         )
         if confirmed or not self.stopping:
             kind = log_messages.DEVICE_SAFE if confirmed else log_messages.DEVICE_GOES_SAFE
-            self._note(kind.line(device=device, state=self.state(device), reason=reason))
+            state = self.state(device)
+            action = self._actions.get(device, {}).get(state, state)
+            self._note(kind.line(device=device, state=action, reason=reason))
 
     def _log_progress(self, device: str, moving: str) -> None:
         """Logs the progress that a stop waits for."""

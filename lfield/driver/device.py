@@ -52,7 +52,8 @@ class Device:
 
     Authors override `_open` and, except for a pure sensor, `_make_safe`. Optional: `_set_watchdog` (the
     device has a watchdog), `_touched` (opening starts with queries only), `_moving` (coming to rest takes
-    time), `_taken_over` and `_guard_restarted` (others may control the device), `_frame` (its own frame
+    time), `_taken_over` and `_guard_restarted` (others may control the device), `_safe_action` (the log names
+    another action than the safe state), `_frame` (its own frame
     differs from its binding), `_settings`, `_write_setting`, `_in_use` and `_serial` (it stores settings that
     a binding needs).
 
@@ -125,6 +126,15 @@ class Device:
             call = call._replace(places=declared.parameters)
         self._calls[instruction] = call
         return call
+
+    def safe_actions(self) -> dict[str, str]:
+        """What it does in its safe states, by state, where that is not what the name of the state says."""
+        actions = {state: self._safe_action(state) for state in self.manifest.device.safe_states}
+        return {state: action for state, action in actions.items() if action != state}
+
+    def _safe_action(self, state: str) -> str:
+        """What it does in a safe state, for the log: a rover that cannot land holds."""
+        return state
 
     async def make_safe(self, state: str = "") -> None:
         """Brings it into a safe state ('': that of its binding) and confirms it. Raises DeviceError."""

@@ -93,9 +93,13 @@ class Stop(GuardMessage, frozen=True):
 
 
 class DevicesOpened(GuardMessage, frozen=True):
-    """Guard: the bus is open; identities of the devices by name."""
+    """Guard: the bus is open; identities of the devices by name.
+
+    `actions`: what a device does in a safe state, where that is not what the name of the state says.
+    """
 
     identities: dict[str, str]
+    actions: dict[str, dict[str, str]] = {}
 
 
 class OpenFailed(GuardMessage, frozen=True):

@@ -260,7 +260,8 @@ class Shell(asyncio.Protocol):
         )
         # Flush telemetry first: a query right after opening must find it.
         self._telemetry.flush()
-        self._send(DevicesOpened(identities))
+        actions = {d.binding.name: found for d in devices if (found := d.safe_actions())}
+        self._send(DevicesOpened(identities, actions))
         self._run(self._core.on_opened(message.latched))
         if self._leave is not None:
             self._run(self._leave(self._core))

@@ -245,8 +245,9 @@ class HostCore:
 
     def on_disk_space(self, trouble: str) -> None:
         """Why the journal should admit nothing more, or '': announced to the other hosts."""
-        accepted = log_messages.MIGRATIONS_ACCEPTED.line()
-        self._log(log_messages.MIGRATIONS_REJECTED.line(reason=trouble) if trouble else accepted)
+        accepted = log_messages.MIGRATIONS_ACCEPTED.line(host=self.name)
+        rejected = log_messages.MIGRATIONS_REJECTED.line(host=self.name, reason=trouble)
+        self._log(rejected if trouble else accepted)
         self.coordinators.set_space_trouble(trouble)
         self._send_backpressure()
 

@@ -163,7 +163,8 @@ class Host:
         await self.guards.open(devices)
         await self._observers.order_executor.restore_pause()
         where = f"on {self.address}" if self.address else "for commands of this computer"
-        journal = "" if self.journal_writer.journal_id else "; state not saved"
+        unsaved = "no journal (simulation)" if self.mission.world == "fakes" else "state not saved"
+        journal = "" if self.journal_writer.journal_id else f"; {unsaved}"
         self.note(log_messages.HOST_LISTENING.line(host=self.name, where=where, journal=journal))
         if line := self.options.admission.clock_warning():
             self.note(line)
@@ -182,7 +183,7 @@ class Host:
             if path:
                 await self.peers.open_control_socket(path)
         except AddressError as error:
-            self.note(log_messages.NO_CONTROL_SOCKET.line(reason=error))
+            self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, wait until they are at rest, then close everything.

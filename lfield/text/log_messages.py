@@ -79,7 +79,7 @@ TRACEBACK = _message(
 HOST_ENDING_ERROR = _message("host-ending-error", "{host} stopped with another error: {reason}", "error")
 NO_CONTROL_SOCKET = _message(
     "no-control-socket",
-    "no control socket: {reason}; commands reach this host over the network only, with an operator's keys",
+    "{host} without control socket: {reason}; commands reach it over the network only, with keys",
     "warning",
 )
 HOST_KILLED = _message("host-killed", "{host} killed ({signal})", "error", "by `lfield up --all`")
@@ -117,13 +117,11 @@ CODE_CACHE_IGNORED = _message(
 )
 JOURNAL_BLOCKED = _message("journal-blocked", "coordinators blocked: journal write failed: {reason}", "error")
 JOURNAL_WRITABLE = _message("journal-writable", "journal writable again")
-MIGRATIONS_REJECTED = _message(
-    "migrations-rejected", "rejecting migrations to this host: {reason}", "warning"
-)
-MIGRATIONS_ACCEPTED = _message("migrations-accepted", "accepting migrations to this host again")
+MIGRATIONS_REJECTED = _message("migrations-rejected", "{host} rejecting migrations: {reason}", "warning")
+MIGRATIONS_ACCEPTED = _message("migrations-accepted", "{host} accepting migrations again")
 WAITING_FOR_REST = _message(
     "waiting-for-rest",
-    "waiting for the devices to come to rest; a second Ctrl-C or SIGTERM does not wait for them",
+    "{host} stopping: waiting for its devices to come to rest; a second Ctrl-C or SIGTERM does not wait",
 )
 
 # --- the end of a run of all hosts ------------------------------------------------------------------------
@@ -316,15 +314,17 @@ PEER_BANNED = _message(
 )
 NO_DATAGRAMS = _message(
     "no-datagrams",
-    "no UDP port at {address}: {reason}; emergency stops need a TCP connection",
+    "UDP port {address} not opened: {reason}; emergency stops need a TCP connection",
     "warning",
 )
 NO_DESCRIPTORS = _message("no-descriptors", "new connections rejected: {reason}", "error")
-LISTENING_ALSO = _message("listening-also", "also listening on {address}: {host} now resolves to it")
+LISTENING_ALSO = _message("listening-also", "{host} listening on {address} too: the name now resolves to it")
 LISTENING_ENDED = _message(
-    "listening-ended", "no longer listening on {address}: {host} resolves to another address"
+    "listening-ended", "{host} no longer listening on {address}: the name resolves to another address"
 )
-LISTENING_FAILED = _message("listening-failed", "not listening on {address}: {reason}; retrying", "error")
+LISTENING_FAILED = _message(
+    "listening-failed", "{host} not listening on {address}: {reason}; retrying", "error"
+)
 LINES_SUPPRESSED = _message(
     "lines-suppressed", "log lines about invalid messages of peers suppressed for {period:g} s: too many"
 )
@@ -351,7 +351,7 @@ REPORT_INVALID = _message("report-invalid", "status report ignored: {reason}", "
 DEVICE_REPORT = _message(
     "device-report", "{device}: {text}", meaning="a report of a driver that has no code of its own"
 )
-DEVICE_OPENED = _message("device-opened", "{device} opened: {identity} at {endpoint}")
+DEVICE_OPENED = _message("device-opened", "{device} link opened: {identity} at {endpoint}")
 DEVICE_RELEASED = _message("device-released", "{device} released from its safe state")
 DEVICE_GOES_SAFE = _message("device-goes-safe", "{device} entering safe state '{state}': {reason}", "warning")
 DEVICE_SAFE = _message("device-safe", "{device} in safe state '{state}': {reason}", "warning")
@@ -380,7 +380,7 @@ HEARTBEAT_LATE = _message(
     "warning",
 )
 
-# --- reports of guards and of the base class of drivers; each follows "DEVICE: " ----------------------------
+# --- reports of guards and of the base class of drivers; each follows "DEVICE " ----------------------------
 
 #: Their lines, without the name of the device, by code.
 DEVICE_MESSAGES: dict[str, LogMessage] = {}
@@ -396,39 +396,39 @@ GUARD_SIGNAL_IGNORED = _device_message(
     "guard-signal-ignored",
     "{signal} ignored: the guard ends with its host, after it has made its devices safe",
 )
-DRIVER_TASK_FAILED = _device_message("driver-task-failed", "task of the driver failed: {reason}", "error")
+DRIVER_TASK_FAILED = _device_message("driver-task-failed", "driver task failed: {reason}", "error")
 SAFE_STATE_UNCONFIRMED = _device_message(
     "safe-state-unconfirmed", "safe state not confirmed: {reason}; retrying", "error"
 )
 SENSOR_NOT_LATCHED = _device_message(
-    "sensor-not-latched", "sensor has no safe state: {reason}", meaning="why its host would make it safe"
+    "sensor-not-latched", "sensor without safe state: {reason}", meaning="why its host would make it safe"
 )
 DEVICE_REOPENED_WRONG = _device_message(
     "device-reopened-wrong", "settings differ after a restart of the guard: {reason}", "warning"
 )
 WATCHDOG_WAIVED = _device_message(
-    "watchdog-waived", "device watchdog: {own}, at most {longest:g} s required; accepted by waiver"
+    "watchdog-waived", "watchdog too slow: {own}, limit {longest:g} s; accepted by a waiver"
 )
 SETTING_MISMATCH = _device_message("setting-mismatch", "setting {setting}: {reason}", "error")
 SERIAL_LATENCY = _device_message(
     "serial-latency",
-    "{port} delays every response by {milliseconds} ms: write 1 into {file} (as root, or by a udev rule) "
-    "for a faster bus",
+    "serial latency too high: {port} delays every response by {milliseconds} ms; write 1 into {file} (as "
+    "root, or by a udev rule)",
     "warning",
 )
-SERIAL_LOST = _device_message("serial-lost", "serial port lost: {reason}; reopening it", "warning")
-ENDPOINT_LOST = _device_message("endpoint-lost", "{endpoint} is lost: {reason}", "warning")
+SERIAL_LOST = _device_message("serial-lost", "link lost: {reason}; reopening the serial port", "warning")
+ENDPOINT_LOST = _device_message("endpoint-lost", "link lost: {endpoint}: {reason}", "warning")
 ENDPOINT_UNOPENED = _device_message(
-    "endpoint-unopened", "{endpoint} is not open yet: {reason} (attempt {count})", "warning"
+    "endpoint-unopened", "link not opened: {endpoint}: {reason} (attempt {count})", "warning"
 )
-ENDPOINT_REOPENED = _device_message("endpoint-reopened", "{endpoint} is open again{details}")
-SERIAL_BACK = _device_message("serial-back", "serial port {port} open again")
+ENDPOINT_REOPENED = _device_message("endpoint-reopened", "link opened: {endpoint}{details}")
+SERIAL_BACK = _device_message("serial-back", "link opened: serial port {port}")
 
 
 def report_line(device: str, text: str, code: str, level: Level) -> LogLine:
     """The log line of a report of a driver or guard; `code` is '' for a report without a code."""
     line = DEVICE_REPORT.line(device=device, text=text)
-    return LogLine(line, code, level, line.template_values) if code else line
+    return LogLine(f"{device} {text}", code, level, line.template_values) if code else line
 
 
 def report_fields(text: str) -> tuple[str, str, Level]:

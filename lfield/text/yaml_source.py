@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import yaml
 
 from lfield.errors import InputFileError
+from lfield.text.input_files import invalid_byte
 from lfield.text.source_text import Diagnostic, Diagnostics, Source, Span
 
 #: What each code of a finding in a YAML file means.
@@ -116,9 +117,9 @@ def decode(name: str, data: bytes, found: Diagnostics) -> YamlNode | None:
     try:
         source = Source(name, data.decode("utf-8"))
     except UnicodeDecodeError as error:
-        source = Source(name, data[: error.start].decode("utf-8") + "\N{REPLACEMENT CHARACTER}")
-        end = len(source.text)
-        found.add(Diagnostic("Y109", "this is not UTF-8 text", Span(source, end - 1, end)))
+        where, byte = invalid_byte(name, error)
+        message = f"the file is not UTF-8 here (byte {byte} at offset {error.start})"
+        found.add(Diagnostic("Y109", message, where, "save it as UTF-8 text"))
         return None
     return parse(source, found)
 

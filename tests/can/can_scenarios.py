@@ -27,9 +27,9 @@ async def vanish_and_return(fake, axis, wheel):
             await travel
         assert error.value.kind == "DeviceTimeoutException"
         assert device.now - start < 10.0
-        await device.until_note(f"{device.binding.name}: no longer responding")
+        await device.until_note(f"{device.binding.name} link lost")
         fake.fault(f"silence@{node}=false")
-        await device.until_note(f"{device.binding.name}: responding again")
+        await device.until_note(f"{device.binding.name} link restored")
         await device.reads("online", lambda value: value is True)
         await device.reads("velocity", lambda speed: abs(speed) < 0.1)
         await _enabled_again(device)

@@ -97,9 +97,9 @@ def test_a_bus_that_is_off_comes_back(drive):
         await axis.call("enable")
         await axis.call("setVelocity", 2.0)
         fake.fault("bus_off=true")
-        await axis.until_note("no longer responding")
+        await axis.until_note("link lost: no message received")
         fake.fault("bus_off=false")
-        await axis.until_note("responding again")
+        await axis.until_note("link restored")
         await axis.reads("velocity", lambda speed: abs(speed) < 0.1)
 
     play(story, drive())

@@ -46,8 +46,8 @@ def page() -> str:
             "## Log lines\n",
             _table(("code", "level", "line", "meaning"), _log_lines(LOG_MESSAGES.values())),
             "## Log lines of devices\n",
-            "Each line begins with the name of the device and a colon: `lead.fc: crashed: ...`. A driver\n"
-            "without codes of its own logs under `device-report`.\n",
+            "Each line begins with the name of the device: `lead.fc crashed: ...`. A driver without codes\n"
+            "of its own logs under `device-report`, with a colon after the name.\n",
             _table(("code", "level", "line", "meaning"), _log_lines(device_messages())),
             "## Findings of `lfield doctor`\n",
             _table(("code", "about"), ((f"`{code}`", about) for code, about in DIAGNOSES.items())),

@@ -86,7 +86,7 @@ def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):
             line.send(b"x")
         far.plug()
         await until(lambda: len(far.notes) == 2)
-        assert far.notes[1] == f"serial port {far.path} open again"
+        assert far.notes[1] == f"link opened: serial port {far.path}"
         os.write(far.master, b"again\n")
         await until(lambda: far.frames == [b"again"])
         line.close()
@@ -165,7 +165,7 @@ def test_what_keeps_a_port_from_being_opened_again_is_logged_once(far, monkeypat
         rival.open()
         await until(lambda: any("in use by another program" in note for note in far.notes))
         rival.close()
-        await until(lambda: far.notes[-1] == f"serial port {far.path} open again")
+        await until(lambda: far.notes[-1] == f"link opened: serial port {far.path}")
         os.write(far.master, b"hello\n")
         await until(lambda: far.frames == [b"hello"])
         line.close()

@@ -126,7 +126,7 @@ def test_a_device_beyond_a_limit_is_held_safe_and_no_other_on_its_bus(plugins):
 def test_a_failure_that_nobody_waits_for_is_told_and_stops_nothing(plugins):
     async def story(bench):
         await bench.call("forget")
-        told = "the driver: task of the driver failed: RuntimeError('forgotten')"
+        told = "the driver driver task failed: RuntimeError('forgotten')"
         await bench.until(lambda: told in bench.notes, 60.0, "a note")
         assert bench.latched == ""
 

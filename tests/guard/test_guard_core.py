@@ -662,7 +662,7 @@ def test_a_sensor_is_never_latched_nor_waited_for():
     clock = ManualClock()
     core = GuardCore([("eye", SENSOR, TTL, WITHIN)], clock, silence=SILENCE)
     (note,) = told(core.on_opened("its guard died"), Note)
-    assert (note.code, note.text) == ("sensor-not-latched", "sensor has no safe state: its guard died")
+    assert (note.code, note.text) == ("sensor-not-latched", "sensor without safe state: its guard died")
     assert made_safe(core.latch("", "somebody pressed it", lock=True)) == []
     core.clear_stop()
     assert told(core.latch("eye", "the driver failed: x"), Note)

@@ -110,7 +110,7 @@ def test_what_the_program_flies_is_landed_in_any_mode(desk, fly, flown):
         await flight.until_note(f"in safe state 'land': {AGAIN}")
         await mode_is(flight, "LAND")
         await flight.reads("armed", lambda now: now is False)
-        assert not any("no command sent: it is in" in note for note in flight.notes)
+        assert not any("not commanded: it is in" in note for note in flight.notes)
 
     fly(story)
 
@@ -127,7 +127,7 @@ def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
             # Each guard must be back at work before the next one dies: without its heartbeats for 2 s the
             # autopilot's own failsafe lands.
             await flight.until(
-                lambda already=already: sum("no command sent: " in note for note in flight.notes) > already,
+                lambda already=already: sum("not commanded: " in note for note in flight.notes) > already,
                 20.0,
                 "the next guard",
             )
@@ -136,7 +136,7 @@ def test_what_a_pilot_flies_is_left_to_him(desk, fly, times):
         await flight.until(lambda: (flight.moving or "").startswith(by_a_pilot_still), 20.0, "who flies it")
         await asyncio.sleep(3.0)
         assert flight.query("mode") == "LOITER"
-        assert any("no command sent: it is in" in note for note in flight.notes)
+        assert any("not commanded: it is in" in note for note in flight.notes)
 
     fly(story, rest_within=2.0)
 

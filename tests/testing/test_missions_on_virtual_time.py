@@ -272,3 +272,13 @@ def test_calls_without_end_at_a_double_that_takes_no_time_end_by_time(walk):
     team = walk('while (true) findPost("two").work(0.0);', doubles={"two": Quick()})
     with pytest.raises(Stuck, match="the coordinators have not ended after 1 s"):
         team.run(until_done=True, at_most=1.0)
+
+
+def test_the_longest_line_of_the_demo_is_no_waiver_of_its_own_fakes(lfield_mission):
+    team = lfield_mission(FLIGHT)
+    team.run(12.0)
+    waivers = [line.text for line in team.log if "watchdog" in line.text]
+    # Lines about the clocks of the simulated computers are not in the demo.
+    others = [line.text for line in team.log if "clock" not in line.text and line.text not in waivers]
+    assert len(waivers) == 2
+    assert max(map(len, waivers)) < max(map(len, others))

@@ -112,6 +112,8 @@ def test_too_large_and_not_utf8():
     found = Diagnostics()
     assert decode("t.yaml", b"a: 1\nb: \xff\n", found) is None
     assert (found.errors[0].code, found.errors[0].span.line, found.errors[0].span.column) == ("Y109", 2, 4)
+    assert "0xFF at offset 8" in found.errors[0].message
+    assert found.errors[0].hint == "save it as UTF-8 text"
 
 
 def test_a_file_that_is_not_there(tmp_path):

@@ -190,7 +190,7 @@ async def _stop(host: Host, signals: ShutdownSignals) -> dict[str, str]:
     """Stop the host; returns the devices that were not confirmed at rest in their safe states."""
     signals.call_on_second(host.guards.stop_waiting)
     report = asyncio.get_running_loop().call_later(
-        FLUSH_TIMEOUT, host.note, log_messages.WAITING_FOR_REST.line()
+        FLUSH_TIMEOUT, host.note, log_messages.WAITING_FOR_REST.line(host=host.name)
     )
     try:
         return await host.stop()

@@ -119,7 +119,7 @@ class PortListener:
         for at, why in failures.items():
             if self._failures.get(at) != why:
                 where = self._address_text(at)
-                self._note(log_messages.LISTENING_FAILED.line(address=where, reason=why))
+                self._note(log_messages.LISTENING_FAILED.line(host=self._host, address=where, reason=why))
         self._failures = failures
 
     async def _bind(self, found: list[ResolvedAddress]) -> dict[ResolvedAddress, str]:

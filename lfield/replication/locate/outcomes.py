@@ -174,7 +174,7 @@ class _ClusterQuery:
         if is_superseded:
             return self._lost_unless_elsewhere("no host knows the start that superseded the others")
         if home in self.unavailable.ended:
-            return self._lost_unless_elsewhere(f"its host {home} is gone")
+            return self._lost_unless_elsewhere(f"its host {home} has ended")
         return (
             self._silent(home, f"it starts on {home}, and") if home in self.unavailable.silent_for else None
         )
@@ -190,7 +190,7 @@ class _ClusterQuery:
         last = max(rows, key=lambda row: row.sequence)
         where, way = last.where, f"it moved to {last.where} (transfer {last.sequence})"
         if where in self.unavailable.ended:
-            return self._lost_unless_elsewhere(f"{way}, which is gone")
+            return self._lost_unless_elsewhere(f"its last host {where} has ended")
         if where in self.unavailable.silent_for:
             return self._silent(where, f"{way}, and")
         there = known.get(where)

@@ -175,8 +175,8 @@ def test_bus_off_opens_the_bus_again(stub):
 
     async def story(told):
         made[0].pending.append(can.Message(arbitration_id=0x40, is_error_frame=True, data=b"\0"))
-        await told.until(lambda: told.noted("open again"))
-        assert told.notes == ["virtual:x is lost: bus off", "virtual:x is open again"]
+        await told.until(lambda: told.noted("link opened: "))
+        assert told.notes == ["link lost: virtual:x: bus off", "link opened: virtual:x"]
         await told.bus.send(Frame(1))
         assert [m.arbitration_id for m in made[1].sent] == [1]
 
@@ -188,11 +188,11 @@ def test_an_interface_that_breaks_is_opened_again(stub):
 
     async def story(told):
         made[0].gone = True
-        await told.until(lambda: told.noted("lost"))
+        await told.until(lambda: told.noted("link lost"))
         with pytest.raises(DeviceError, match="the bus is lost") as error:
             await told.bus.send(Frame(1))
         assert error.value.kind == "DeviceTimeoutException"
-        await told.until(lambda: told.noted("open again"))
+        await told.until(lambda: told.noted("link opened: "))
         made[1].pending.append(can.Message(arbitration_id=7, is_extended_id=False))
         await told.until(lambda: told.frames)
 
@@ -202,13 +202,13 @@ def test_an_interface_that_breaks_is_opened_again(stub):
 def test_a_server_that_dies_is_noticed_at_once_and_costs_nothing(server):
     async def story(told):
         server.stop()
-        await told.until(lambda: told.noted("is lost: the server has closed the connection"))
+        await told.until(lambda: told.noted(": the server has closed the connection"))
         used = time.process_time()
         await asyncio.sleep(1.0)
         assert time.process_time() - used < 0.5  # python-can's own loop would use all of it
         again = Server(server.port)
         try:
-            await told.until(lambda: told.noted("open again"))
+            await told.until(lambda: told.noted("link opened: "))
             again.peers[-1].sendall(b"< frame 123 0.0 0102 >")
             await told.until(lambda: told.frames)
             assert told.frames == [Frame(0x123, b"\1\2")]
@@ -238,7 +238,7 @@ def test_what_makes_no_sense_is_counted_and_the_rest_is_read(server):
         await told.until(lambda: told.bus.malformed == len(nonsense))
         peer.sendall(b"< frame 004 0.0 >")
         await told.until(lambda: len(told.frames) == 4)
-        assert not told.noted("is lost")
+        assert not told.noted("link lost")
 
     run(server.endpoint, story)
 
@@ -376,7 +376,7 @@ def test_an_adapter_that_never_ends_a_line_is_given_up(adapter, monkeypatch):
 
     async def story(told):
         os.write(master, b"t" * 100)
-        await told.until(lambda: told.noted("is lost: the received data is not CAN frames"))
+        await told.until(lambda: told.noted(": the received data is not CAN frames"))
 
     run(f"slcan:{path}", story)
 
@@ -398,6 +398,6 @@ def test_an_adapter_speaks_and_is_pulled_out(adapter):
             await asyncio.sleep(0.01)
         os.close(slave)
         os.close(master)
-        await told.until(lambda: told.noted("is lost"))
+        await told.until(lambda: told.noted("link lost"))
 
     run(f"slcan:{path}", story)

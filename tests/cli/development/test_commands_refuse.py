@@ -155,6 +155,8 @@ def test_a_name_from_which_no_other_can_be_made(here, command, why):
         (["setup", "mavlink", "--state", ""], "the value of --state"),
         (["driver", "new", "lamp", "--into", ""], "the value of --into"),
         (["ps", "--run", ""], "the value of --run"),
+        (["query", "--explain", ""], "an argument"),
+        (["driver", "new", "--sensor", ""], "an argument"),
         (["sim", "mavlink", "--log", ""], "the value of --log"),
     ],
 )

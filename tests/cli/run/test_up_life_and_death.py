@@ -79,7 +79,7 @@ def test_a_coordinator_lost_with_a_killed_child_of_all(lfield):
     assert team.wait() == 1
     assert "bravo | bravo killed (SIGKILL)" in team.err
     killed = "bravo killed (SIGKILL)"
-    lost = "tom lost: it moved to bravo (transfer 1), which is gone"
+    lost = "tom lost: its last host bravo has ended"
     assert f"alpha | {lost}" in team.err
     end = re.sub(r"after \d+ s", "after N s", team.err[-1])
     assert end == f"mission failed on bravo after N s, 1 hop; exit status 1: {killed}; alpha: {lost}"

@@ -75,7 +75,7 @@ def test_the_host_stays_and_answers_until_its_vehicle_is_down(alone, flight, her
 def test_a_second_word_in_a_hurry_is_the_first_and_a_later_one_ends_the_wait(flight):
     flown = flight(land=("--land", "0.1", "--descend", "0.1"))
     signal_in_a_hurry(flown.host, signal.SIGINT, signal.SIGTERM)
-    flown.host.wait_for("waiting for the devices to come to rest; a second Ctrl-C or SIGTERM")
+    flown.host.wait_for("waiting for its devices to come to rest; a second Ctrl-C or SIGTERM")
     flown.host.wait_for("lead.fc still moving: .* up")
     assert flown.host.popen.poll() is None
     flown.host.signal(signal.SIGINT)

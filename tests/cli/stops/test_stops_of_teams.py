@@ -141,7 +141,9 @@ def test_a_later_second_ctrl_c_ends_the_team_and_names_who_is_still_up(team):
     flown.run.signal(signal.SIGINT)
     flown.land()
     for host in ("alpha", "bravo"):
-        flown.run.wait_for(rf"{host} \| waiting for the devices to come to rest; a second Ctrl-C or SIGTERM")
+        flown.run.wait_for(
+            rf"{host} \| {host} stopping: waiting for its devices to come to rest; a second Ctrl-C or SIGTERM"
+        )
     flown.run.signal(signal.SIGINT)
     assert flown.run.wait() == 3, flown.run.said
     named = [line for line in flown.run.err if "NOT SAFE" in line]

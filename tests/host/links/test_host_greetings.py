@@ -253,7 +253,7 @@ def test_a_host_without_its_door_says_so_and_runs(fleet):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         await team.up(mission, "bravo")
         (alpha,) = await team.up(mission, "alpha", control_socket="bravo:8181")
-        assert _told(alpha, "no control socket: ")
+        assert _told(alpha, " without control socket: ")
         assert await team.ended("tom") == "done"
 
     fleet(story)

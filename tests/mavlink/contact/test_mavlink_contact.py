@@ -158,3 +158,18 @@ def test_telemetry_that_makes_no_sense_is_not_published(numbers, percent, volts,
         values |= state.update(message, 1.0)
     assert 0.0 <= values.get("battery", 0.0) <= 1.0
     assert "altitude" not in values or abs(values["altitude"]) < float("inf")
+
+
+@pytest.mark.parametrize(
+    ("kind", "actions"),
+    [
+        ("copter", {}),
+        ("rover", {"land": "hold"}),
+        ("plane", {"land": "return"}),
+        ("submarine", {"land": "surface", "return": "surface"}),
+    ],
+)
+def test_the_log_names_what_a_vehicle_does_in_a_safe_state(kind, actions):
+    profile = PROFILES[ARDUPILOT, kind]
+    found = {state: profile.safe_action(state) for state in ("land", "hold", "return")}
+    assert {state: action for state, action in found.items() if action != state} == actions

@@ -286,9 +286,7 @@ def test_a_vehicle_whose_address_changes_flies_on(bench):
         assert {to for to, _ in b.links[0].sent_to[-3:]} == {SECOND}
 
     b.run(mission)
-    assert any(
-        note.startswith(f"vehicle's address changed to {PORT} from {SECOND}, from") for note in b.notes
-    )
+    assert any(note.startswith(f"address changed to {PORT} from {SECOND}, from") for note in b.notes)
     assert any("same vehicle as before" in note for note in b.notes)
     assert not any("two vehicles" in note for note in b.notes)
 
@@ -391,7 +389,7 @@ def test_heartbeats_of_what_is_no_autopilot_are_ignored_and_reported(bench, kind
     assert len(reports) == 1
     assert f"MAV_TYPE {kind}, MAV_AUTOPILOT {autopilot}" in reports[0]
     assert SECOND in reports[0]
-    assert "ignored" in reports[0]
+    assert reports[0].startswith("ignoring ")
 
 
 def test_a_port_where_only_a_station_sends_has_no_vehicle(bench):

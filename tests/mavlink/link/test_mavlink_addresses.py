@@ -80,7 +80,7 @@ def test_an_address_that_falls_silent_was_the_vehicle_s_own():
     assert run(s, 4.0, B, start=7.5, boards={B: SAME}) == {B: True}
     assert (s.moves, s.conflict(12.0), s.is_settled(12.0)) == (1, "", True)
     assert s.events == [
-        "vehicle's address changed to udpin:0.0.0.0:14550 from 10.0.0.6:14555, from "
+        "address changed to udpin:0.0.0.0:14550 from 10.0.0.6:14555, from "
         "udpin:0.0.0.0:14550 from 10.0.0.5:14555"
     ]
     assert s.address(0) == B.address

@@ -107,8 +107,8 @@ def test_a_link_that_cannot_be_opened_is_told_and_tried_again(bench):
 
     b.run(mission)
     told = [note for note in b.notes if "open" in note]
-    assert told[0] == "link not open: cannot open link 1; continuing with the other links"
-    assert re.fullmatch(r"\S+ is open now, after [4-6] attempts", told[1])
+    assert told[0] == "link not opened: cannot open link 1; continuing with the other links"
+    assert re.fullmatch(r"link opened: \S+, after [4-6] attempts", told[1])
     assert len(told) == 2
 
 

@@ -81,8 +81,8 @@ def test_a_tcp_connection_that_falls_silent_is_opened_again(host):
 
             await until(talks)
             link.close()
-        assert f"tcp:{host}:{port} is lost: no data for 0.25 s" in story.notes
-        assert any(f"open again: connected to {host.strip('[]')}, after" in note for note in story.notes)
+        assert f"link lost: tcp:{host}:{port}: no data for 0.25 s" in story.notes
+        assert any(f": connected to {host.strip('[]')}, after" in note for note in story.notes)
         assert story.reopened >= 1
 
     asyncio.run(talk())
@@ -161,7 +161,7 @@ def test_a_udp_link_is_opened_anew_when_it_falls_silent(host):
 
         await until(lambda: answers(1))
         # This computer's address may have changed: what is sent now comes from a socket of its own.
-        await until(lambda: any("open again: it sends to" in note for note in story.notes))
+        await until(lambda: any(": it sends to" in note for note in story.notes))
         heard = len(story.got)
         await until(lambda: answers(heard + 1))
         assert other.peers[0] != other.peers[-1]
@@ -188,7 +188,7 @@ def test_a_udp_link_follows_its_name(monkeypatch):
         await until(lambda: comes(b"a"))
         first.transport.close()
         await until(lambda: comes(b"b"))
-        assert f"udp:robot.local:{port} is lost: no data for 0.15 s" in story.notes
+        assert f"link lost: udp:robot.local:{port}: no data for 0.15 s" in story.notes
         link.close()
         second.transport.close()
 
@@ -327,14 +327,14 @@ def test_a_name_that_is_not_resolved_is_asked_for_once_at_a_time(monkeypatch):
 def test_what_the_log_says_of_attempts_is_said_once_in_a_while():
     tries = Attempts("tcp:10.0.0.5:5760")
     assert tries.opened("10.0.0.5", 0.0) == ""
-    assert tries.lost("it hung up", 1.0).startswith("tcp:10.0.0.5:5760 is lost: it hung up")
+    assert tries.lost("it hung up", 1.0).startswith("link lost: tcp:10.0.0.5:5760: it hung up")
     lines = [tries.failed("No route to host", 2.0 + number) for number in range(60)]
-    assert lines[0] == "tcp:10.0.0.5:5760 is not open yet: No route to host (attempt 1)"
+    assert lines[0] == "link not opened: tcp:10.0.0.5:5760: No route to host (attempt 1)"
     again = int(REPEAT_INTERVAL)
     assert [number for number, line in enumerate(lines) if line] == [0, again - 1, 2 * again - 1]
     assert tries.failed("Connection refused", 62.0).endswith("(attempt 61)")
     line = tries.opened("connected to 10.0.0.6", 63.0)
-    assert line == "tcp:10.0.0.5:5760 is open again: connected to 10.0.0.6, after 62 attempts and 62 s"
+    assert line == "link opened: tcp:10.0.0.5:5760: connected to 10.0.0.6, after 62 attempts and 62 s"
     tries.works()
     assert tries.lost("it hung up", 64.0) != ""
 

@@ -149,7 +149,7 @@ def test_ardupilot_is_told_its_speed_when_it_keeps_it(limited, kind):
         assert await fastest(b, fc.execute("orbit", [15.0, 0.0, -5.0, 4.0, 2.0, 0.3])) <= 2.25
 
     b.run(mission)
-    assert [note for note in b.notes if "limit" in note] == []
+    assert [note for note in b.notes if "limit exceeded" in note] == []
 
 
 def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(limited):
@@ -163,7 +163,7 @@ def test_px4s_rover_is_told_less_since_it_drives_faster_than_it_is_told(limited)
         assert 0.6 < await fastest(b, fc.execute("goTo", [32.0, 0.0, 0.0])) <= 0.8
 
     b.run(mission)
-    assert [note for note in b.notes if "limit" in note] == []
+    assert [note for note in b.notes if "limit exceeded" in note] == []
 
 
 def test_a_speed_that_was_lost_is_said_and_told_again(limited):

@@ -53,7 +53,7 @@ def test_a_rover_has_no_height_of_a_home_that_was_taken_before_there_was_one(ben
         await fc.execute("goTo", [6.0, 0.0, b.values["position"][2]])
 
     b.run(mission)
-    assert [note for note in b.notes if "limit" in note] == []
+    assert [note for note in b.notes if "limit exceeded" in note] == []
 
 
 # -- rovers -------------------------------------------------------------------------------------------

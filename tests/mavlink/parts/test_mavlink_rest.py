@@ -127,7 +127,7 @@ def test_a_pilot_who_takes_it_on_its_way_down_has_it_and_it_rests_when_its_motor
         for _ in range(3):
             await fc.make_safe()
         assert b.autopilot.mode == "STABILIZE"
-        assert sum("no command sent: it is in" in note for note in b.notes) == 1
+        assert sum("not commanded: it is in" in note for note in b.notes) == 1
         b.cut = True
         await asyncio.sleep(5.0)
         assert "no message for" in fc.moving()
@@ -167,7 +167,7 @@ def test_one_that_a_failsafe_had_before_the_stop_is_watched_too(bench):
         b.autopilot.go_home()
         await asyncio.sleep(1.5)
         await fc.make_safe()
-        assert any("no command sent: it is in" in note for note in b.notes)
+        assert any("not commanded: it is in" in note for note in b.notes)
         assert "in RTL" in fc.moving()
         await watched(fc)
 
@@ -355,6 +355,6 @@ def test_an_order_that_px4_refuses_while_it_lands_leaves_the_landing_ours(bench,
         assert b.autopilot.mode == "AUTO.LAND"
         await fc.make_safe()
         assert b.autopilot.mode == "AUTO.LOITER"
-        assert not any("no command sent: it is in" in note for note in b.notes)
+        assert not any("not commanded: it is in" in note for note in b.notes)
 
     b.run(mission)

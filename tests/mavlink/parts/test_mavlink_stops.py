@@ -83,7 +83,7 @@ def test_one_that_is_silent_in_the_hands_of_a_pilot_has_not_been_seen(bench):
         await asyncio.sleep(0.3)
         with pytest.raises(DeviceError, match="no heartbeat for"):
             await fc.make_safe()
-        assert not any("no command sent: it is in" in note for note in b.notes)
+        assert not any("not commanded: it is in" in note for note in b.notes)
 
     b.run(mission)
 

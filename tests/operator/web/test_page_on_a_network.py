@@ -237,7 +237,7 @@ def test_a_page_is_served_where_its_name_leads_now(keys: WebKeys, root: BrowserC
         async with asyncio.timeout(30.0):
             while not await answers("::1", site.port, root) or await answers("127.0.0.2", site.port, root):
                 await asyncio.sleep(0.01)
-        assert f"also listening on [::1]:{site.port}: {NAME} now resolves to it" in notes
+        assert f"{NAME} listening on [::1]:{site.port} too: the name now resolves to it" in notes
         assert any("not listening on 192.0.2.1:" in note and "'ip address' lists" in note for note in notes)
         site.close()
         await asyncio.sleep(0)

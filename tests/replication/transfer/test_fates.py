@@ -61,12 +61,12 @@ def test_one_that_is_somewhere_is_alive(state):
 
 def test_one_that_went_to_a_host_that_is_gone_is_lost():
     found = fate({"alpha": [row("MOVED", 3, "bravo")], "carol": [row("MOVED", 2, "alpha")]}, gone=("bravo",))
-    assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 3), which is gone")
+    assert found == CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
 
 
 def test_one_in_doubt_towards_a_host_that_is_gone_is_lost():
     found = fate({"alpha": [row("IN DOUBT", 4, "bravo")]}, gone=("bravo",))
-    assert found == CoordinatorOutcome("tom", "lost", "it moved to bravo (transfer 4), which is gone")
+    assert found == CoordinatorOutcome("tom", "lost", "its last host bravo has ended")
 
 
 def test_one_in_doubt_towards_a_host_that_is_there_may_yet_live():
@@ -106,7 +106,8 @@ def test_a_start_that_gave_way_to_an_earlier_one_does_not_count():
 
 
 def test_one_that_nobody_has_seen_is_lost_with_its_host():
-    assert fate({"bravo": []}, gone=("alpha",)) == CoordinatorOutcome("tom", "lost", "its host alpha is gone")
+    lost = CoordinatorOutcome("tom", "lost", "its host alpha has ended")
+    assert fate({"bravo": []}, gone=("alpha",)) == lost
     assert fate({"bravo": []}, gone=("carol",)) is None
 
 
