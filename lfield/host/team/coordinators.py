@@ -234,7 +234,7 @@ class Coordinators(Part):
             self.persist(BundleRecord(b""))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview, transit: float = 0.0) -> None:
-        """End of a hop: a coordinator arrived after `transit` seconds; it runs before the sender gets a reply."""
+        """End of a hop: a coordinator arrived in `transit` seconds. It runs before the sender has a reply."""
         if self._queued_arrivals is not None:
             if header.agent in self._members:
                 left = self._clock.monotonic() - transit
