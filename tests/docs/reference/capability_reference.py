@@ -30,8 +30,8 @@ from `capabilities/`: `python tests/docs/reference/capability_reference.py --wri
 
 _SAME = "A portal without a line is mapped to the portal of the same name, with the same parameters.\n\n"
 
-#: Rows that repeat the values of the providers.
-_REPEATED = {"stated by", "attributes"}
+#: Rows that repeat what the taxonomy, the providers or the rules hold.
+_REPEATED = {"id", "stated by", "attributes", "serves"}
 
 
 def page(registry: Registry) -> str:
