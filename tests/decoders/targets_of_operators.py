@@ -104,8 +104,10 @@ class _Watching:
             _require_plain(text.getvalue())
         assert self._picture.curves(110.0) is not None
         for told in self._timeline.drain_events():
-            lines = (event_view.event_line(told), event_view.event_json(told))
-            for line in (*lines, *self._table.rows(told), *self._log.lines(told)):
+            lines = [event_view.event_line(told), event_view.event_json(told), *self._table.rows(told)]
+            for line in self._log.lines(told):
+                lines += [event_view.log_text(told, line), event_view.log_json(told, line)]
+            for line in lines:
                 _require_plain(line)
 
 

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from lfield.cli.views.event_view import COLUMNS, EventCsv, LogLineView, event_json, event_line
+from lfield.cli.views.event_view import COLUMNS, EventCsv, LogLineView, event_json, event_line, log_text
 from lfield.operator.dashboard.event_feed import FeedNotice
 from lfield.operator.dashboard.timeline.event_timeline import Cause, DatedEvent
 from lfield.wire.events import (
@@ -28,6 +28,10 @@ from lfield.wire.events import (
 def dated(what: object) -> DatedEvent:
     event = Event(4, 1.7e9 + 0.49, 9.0, 3, what, 10, 2)  # type: ignore[arg-type]
     return DatedEvent("alpha", 7, event, Cause("beta", 8, 2))
+
+
+def log_of(view: LogLineView, what: object) -> list[str]:
+    return [log_text(dated(what), line) for line in view.lines(dated(what))]
 
 
 def test_a_line_obeys_no_order_of_a_program_to_the_terminal() -> None:
@@ -122,17 +126,17 @@ def test_a_table_has_hops_and_telemetry(what: object, rows: list[str]) -> None:
 
 def test_a_log_has_whole_lines_and_who_said_them() -> None:
     view = LogLineView()
-    assert list(view.lines(dated(Printed("boss", "half", "out")))) == []
-    (whole,) = view.lines(dated(Printed("boss", " a line\n", "out")))
+    assert log_of(view, Printed("boss", "half", "out")) == []
+    (whole,) = log_of(view, Printed("boss", " a line\n", "out"))
     assert whole.endswith(" alpha | boss: half a line")
-    two = list(view.lines(dated(LineLogged("one\n  two\x07"))))
+    two = log_of(view, LineLogged("one\n  two\x07"))
     assert [line.partition(" | ")[2] for line in two] == ["one", "  two\\u{7}"]
 
 
 def test_a_log_says_where_lines_are_missing() -> None:
-    (line,) = LogLineView().lines(dated(EventsDropped("printed", 4550)))
+    (line,) = log_of(LogLineView(), EventsDropped("printed", 4550))
     assert line.endswith(" alpha | 4550 lines left out: too frequent")
-    assert list(LogLineView().lines(dated(EventsDropped("left", 3)))) == []
+    assert log_of(LogLineView(), EventsDropped("left", 3)) == []
 
 
 def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:
@@ -144,5 +148,5 @@ def test_what_a_terminal_would_obey_is_shown_in_json_and_tables_too() -> None:
 
 def test_what_a_program_writes_begins_no_line_but_by_its_end() -> None:
     text = "here\rbeta | lead: lands\x85beta | lead: \u2028safe\n"
-    (line,) = LogLineView().lines(dated(Printed("walker", text, "log")))
+    (line,) = log_of(LogLineView(), Printed("walker", text, "log"))
     assert line.endswith("| walker: here\\rbeta | lead: lands\\u{85}beta | lead: \\u{2028}safe")
