@@ -15,7 +15,7 @@ from lfield.driver.binding import DeviceBinding
 from lfield.driver.driver_index import DriverInfo
 from lfield.errors import WireError
 from lfield.manifest import DeviceValue, Observation
-from lfield.text.log_messages import Level
+from lfield.text.log_messages import Level, report_line
 from lfield.wire.framing import FrameDecoder, frame
 
 #: The L exception of a cancelled call.
@@ -250,6 +250,6 @@ def unread_report(message: GuardMessage) -> str:
             return f"{device} in safe state: {reason}"
         case Stopped(unsafe):
             return "\n".join(f"{device} NOT SAFE: {why}" for device, why in unsafe.items())
-        case Note(device, text):
-            return f"{device}: {text}"
+        case Note(device, text, code, level):
+            return report_line(device, text, code, level)
     return ""

@@ -308,5 +308,5 @@ def _not_open(device: DeviceBinding, problem: str, setup: str, notes: Sequence[s
     if not setup:
         cure = "" if "log in again" in problem else "check power, cable, endpoint and ids"
         return DiagnosticFinding("endpoint", "problem", problem, cure)
-    details = [note.removeprefix(f"{device.name}: ") for note in notes]
+    details = [note.removeprefix(device.name).lstrip(": ") for note in notes]
     return DiagnosticFinding("endpoint", "problem", problem, f"{setup} (with a confirmation)", details)

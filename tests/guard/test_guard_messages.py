@@ -15,12 +15,17 @@ from lfield.guard.messages import (
     MESSAGES,
     CallDone,
     GuardCall,
+    Latched,
     MessageReader,
+    Note,
     OpenDevices,
     TelemetrySnapshot,
     encode,
+    unread_report,
 )
 from lfield.manifest import DeviceManifest, Observation, Quantity
+from lfield.text import log_messages
+from lfield.text.log_messages import report_fields
 
 BINDING = DeviceBinding(
     agent="a",
@@ -104,3 +109,10 @@ def test_a_member_without_a_number_survives_the_pipe():
     assert arrived.values["missing"].value == [2]
     assert arrived.values["positions"].value[0] == 0.5
     assert math.isnan(arrived.values["positions"].value[1])
+
+
+def test_a_report_without_a_host_reads_as_in_the_log_of_a_host():
+    coded = Note("a.fc", *report_fields(log_messages.SERIAL_LOST.line(reason="unplugged")))
+    assert unread_report(coded) == "a.fc link lost: unplugged; reopening the serial port"
+    assert unread_report(Note("a.fc", "warming up")) == "a.fc: warming up"
+    assert unread_report(Latched("a.fc", "fog", False)) == ""

@@ -61,7 +61,7 @@ def test_what_is_not_set_up_is_told_written_and_put_back(lfield, here, setup, en
     assert any(STOCK in line for line in up.err)
     assert any(line.endswith(f"to set it up: {command}") for line in up.err)
     assert (
-        "alpha | lead.fc: setting WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding"
+        "alpha | lead.fc setting WPNAV_SPEED is 1000 and must be 300: the speed limit of the binding"
         in up.err
     )
 
