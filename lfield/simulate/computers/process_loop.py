@@ -283,8 +283,15 @@ def release(machine: SimulatedMachine) -> None:
         while machine.pinned:
             task = machine.pinned.pop()
             # asyncio would report a task that is freed before its end.
-            task.get_loop().set_exception_handler(lambda loop, context: None)
-            _unwind(task.get_coro())
+            loop = task.get_loop()
+            loop.set_exception_handler(lambda loop, context: None)
+            # What a `finally` block starts belongs to this loop, and is unwound next.
+            running = asyncio._get_running_loop()
+            asyncio._set_running_loop(loop)
+            try:
+                _unwind(task.get_coro())
+            finally:
+                asyncio._set_running_loop(running)
             abandon(task)
             _unpin(task)
 

@@ -8,7 +8,7 @@ import random
 from collections.abc import AsyncIterator
 
 from lfield.simulate.computers.event_queue import EventQueue
-from lfield.simulate.computers.process_loop import closing_generators
+from lfield.simulate.computers.process_loop import closing_generators, release
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_machine import SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -43,6 +43,25 @@ def test_what_was_killed_is_never_unwound() -> None:
     timeline.run(10.0)
     gc.collect()
     assert said == []
+
+
+async def _ends_with_more(loops: list[asyncio.AbstractEventLoop]) -> None:
+    try:
+        await asyncio.sleep(5.0)
+    finally:
+        loops.append(asyncio.get_running_loop())
+        await asyncio.gather(*(asyncio.sleep(1.0) for _ in range(2)))
+
+
+def test_a_finally_block_that_runs_after_the_simulation_starts_its_tasks_on_the_loop_of_its_process() -> None:
+    """Else asyncio makes a loop that is never closed, and coroutines that are never awaited."""
+    timeline, loops = EventQueue(), list[asyncio.AbstractEventLoop]()
+    process = _computer(timeline).start()
+    process.loop.enter(lambda: process.loop.create_task(_ends_with_more(loops)))
+    timeline.run(1.0)
+    release(process.loop.machine)
+    assert loops == [process.loop]
+    assert not process.loop.machine.pinned
 
 
 def test_nor_is_what_nobody_simulates_any_more() -> None:
