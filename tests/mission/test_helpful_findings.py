@@ -86,6 +86,17 @@ def test_an_argument_in_a_block_that_is_always_entered(tmp_path: Path, line: str
     assert (("error", "L716", 2) in found(path)) == is_found
 
 
+@pytest.mark.parametrize("index", ["9223372036854775807", "2147483648", "-1", "1 + 2"])
+def test_an_argument_with_any_constant_index(tmp_path: Path, index: str) -> None:
+    """Also one of billions, without as many placeholders in the hint."""
+    path = mission(tmp_path, DEPLOYMENT.replace("?rover1&b&c", "?rover1&b"))
+    program = path.with_suffix(".L")
+    program.write_text(program.read_text().replace("arg[3]", f"arg[{index}]"))
+    (finding,) = check_file(path)
+    assert line_of(finding) == ("error", "L716", 2)
+    assert len(str(finding.as_data()["hint"])) < 200
+
+
 def test_an_argument_that_should_be_the_id_of_an_agent(tmp_path: Path) -> None:
     path = mission(tmp_path, DEPLOYMENT.replace("?rover1", "?rovr1"))
     finding = check_file(path)[0]

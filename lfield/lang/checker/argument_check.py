@@ -10,11 +10,16 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 
 from lfield.lang import messages, tree
+from lfield.lang.checker.together.block_rules import constant_number
 from lfield.lang.deployment import DeployedAgent, Deployment
 from lfield.lang.language_library import ARRAY_LENGTH
 from lfield.lang.tree_traversal import all_statements, descendants, statement_expressions
 from lfield.text.source_text import Diagnostic, Span
 from lfield.text.suggestions import did_you_mean, listed
+
+#: The most missing arguments that a hint writes out.
+_MAX_SHOWN = 8
+_NEGATIVE = "the first argument is arg[1]; arg[0] is the id of the agent itself"
 
 
 @dataclass(slots=True)
@@ -59,7 +64,7 @@ def _findings(
 ) -> Iterator[Diagnostic]:
     # arg[0] is the id of the agent itself; the arguments of the deployment follow.
     given, own = (agent.id, *agent.arguments), uses.get(agent.type, ArgumentUses())
-    missing = {index: expr for index, expr in own.indexes.items() if index >= len(given)}
+    missing = {index: expr for index, expr in own.indexes.items() if not 0 <= index < len(given)}
     if missing:
         index = min(missing)
         line = missing[index].span.line
@@ -67,6 +72,7 @@ def _findings(
         count = f"{number} argument{'s' if number != 1 else ''}"
         yield messages.MISSING_ARGUMENT.at(
             agent.span,
+            hint=_NEGATIVE if index < 0 else None,
             agent=agent.id,
             count=count,
             index=index,
@@ -74,14 +80,15 @@ def _findings(
             given="&".join(_complete(agent, max(missing))),
         )
     for index, resource in own.finds.items():
-        if index < len(given):
+        if 0 <= index < len(given):
             yield from _unknown_id(agent.span, given[index], resource, ids)
 
 
 def _complete(agent: DeployedAgent, needed: int) -> list[str]:
     """The arguments of an agent, with placeholders for those that are missing."""
     missing = range(len(agent.arguments) + 1, needed + 1)
-    return [*agent.arguments, *(f"ARGUMENT{number}" for number in missing)]
+    shown = [f"ARGUMENT{number}" for number in missing[:_MAX_SHOWN]]
+    return [*agent.arguments, *shown, *(["..."] if len(missing) > _MAX_SHOWN else [])]
 
 
 def argument_uses(unit: tree.Unit) -> ArgumentUses:
@@ -97,18 +104,21 @@ def argument_uses(unit: tree.Unit) -> ArgumentUses:
             case tree.LibraryCall(operation=operation, arguments=[tree.LocalGet(local=local)]):
                 if operation == ARRAY_LENGTH and local is argument:
                     return ArgumentUses()
-            case tree.Element(array=tree.LocalGet(local=local), index=tree.Literal_(value=int(index))):
-                if local is argument:
+            case tree.Element():
+                if (index := _argument_index(node, argument)) is not None:
                     uses.indexes.setdefault(index, node)
             case tree.Find(resource=resource, id=tree.Element() as element):
-                if _is_argument(element, argument) and isinstance(element.index, tree.Literal_):
-                    uses.finds[int(str(element.index.value))] = resource.name
+                if (index := _argument_index(element, argument)) is not None:
+                    uses.finds[index] = resource.name
     return uses
 
 
-def _is_argument(element: tree.Element, argument: tree.Local) -> bool:
-    is_constant = isinstance(element.index, tree.Literal_)
-    return is_constant and isinstance(element.array, tree.LocalGet) and element.array.local is argument
+def _argument_index(element: tree.Element, argument: tree.Local) -> int | None:
+    """The constant index with which an element of `argument` is read; None for any other element."""
+    if not isinstance(element.array, tree.LocalGet) or element.array.local is not argument:
+        return None
+    index = constant_number(element.index)
+    return None if index is None else int(index)
 
 
 def _evaluated(node: object) -> Iterator[object]:
