@@ -48,12 +48,16 @@ class BuildFailed(Exception):
 
 @dataclass(frozen=True, slots=True)
 class BuildRequest:
-    """Input of a build: a deployment with its files, or a bundle with other bindings."""
+    """Input of a build: a deployment with its files, or a bundle with other bindings.
+
+    `as_json`: an error is also printed as a JSON object.
+    """
 
     mission: Path
     program: Path | None = None
     devices: Path | None = None
     simulate: bool = False
+    as_json: bool = False
 
     @property
     def build_arguments(self) -> list[str]:
@@ -134,7 +138,7 @@ def _build_new(folder: Path, order: BuildRequest) -> Path:
 def _build(order: BuildRequest, workshop: Path) -> Path:
     """Build in a separate process; writes the bundle and its `inputs`."""
     made = workshop / f"mission{bundle.SUFFIX}"
-    options = ["-o", str(made), "--inputs", str(workshop / "inputs")]
+    options = ["-o", str(made), "--inputs", str(workshop / "inputs"), *(["--json"] if order.as_json else [])]
     command = [sys.executable, "-P", "-m", "lfield", "build", *order.build_arguments, *options]
     status = subprocess.run(command, stdin=subprocess.DEVNULL, check=False).returncode
     if status:

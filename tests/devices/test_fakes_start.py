@@ -82,7 +82,7 @@ def test_every_command_names_the_extra(bare: None, lfield_here, driver: str, com
     device = {"can": "--set=dbc=x.dbc"}.get(driver, "--set=ttl=1")
     (lfield_here.folder / "x.dbc").touch()
     words = {
-        "kit": ["kit", driver, "--type", kind, "--endpoint", "serial:none:57600", device],
+        "kit": ["kit", driver, "--type", kind, "--endpoint", "serial:/none:57600", device],
         "sim": ["sim", driver, *(["--device", "dbc:x.dbc"] if driver == "can" else [])],
         "doctor": ["doctor"],
     }[command]

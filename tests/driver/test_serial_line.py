@@ -115,6 +115,11 @@ def test_endpoints_that_are_none(endpoint):
         parse_serial_endpoint(endpoint)
 
 
+def test_a_port_has_an_absolute_path():
+    with pytest.raises(DeviceError, match=r"write serial:/dev/ttyACM0:57600$"):
+        parse_serial_endpoint("serial:ttyACM0:57600")
+
+
 @pytest.mark.parametrize(
     ("path", "words"), [("/dev/nothing-there", "No such file"), ("/dev/null", "it is not a serial port")]
 )

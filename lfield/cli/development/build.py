@@ -40,8 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--sim", action="store_true", help="bind simulated devices in place of the real ones")
     # For `lfield up`, which keeps what it builds here: names of files stay as they are, and of what it was
-    # made is written down.
+    # made is written down; an error is also a JSON object (lfield/cli/main.py).
     parser.add_argument("--inputs", metavar="FILE", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--json", action="store_true", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -160,7 +160,8 @@ def _run_built(path: Path, args: argparse.Namespace) -> int:
     from lfield.mission.build_cache import BuildFailed, BuildRequest, cached_bundle
 
     try:
-        with cached_bundle(BuildRequest(path, args.program, args.devices, simulate=args.sim)) as file:
+        request = BuildRequest(path, args.program, args.devices, simulate=args.sim, as_json=args.json)
+        with cached_bundle(request) as file:
             return _run(file, args, built=True)
     except BuildFailed as error:
         return error.status

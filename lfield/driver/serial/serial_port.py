@@ -47,6 +47,9 @@ def parse_serial_endpoint(endpoint: str) -> tuple[str, int]:
     path, _, baud = rest.rpartition(":")
     if kind != "serial" or not path or not baud.isdecimal() or not 0 < int(baud) <= MAX_BAUD:
         raise DeviceError("endpoint", f"'{endpoint}' is not a serial endpoint; write {SYNTAX}")
+    if not path.startswith("/"):
+        absolute = f"serial:/dev/{path}:{baud}"
+        raise DeviceError("endpoint", f"'{endpoint}': '{path}' is not an absolute path; write {absolute}")
     return path, int(baud)
 
 

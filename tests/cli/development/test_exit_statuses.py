@@ -85,7 +85,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("driver", 73): ("driver new lamp --into mission.L/lamp", "cannot write mission.L/lamp"),
     ("kit", 65): ("kit mavlink --devices latin.yaml", "latin.yaml:1:4: error["),
     ("kit", 66): ("kit mavlink --devices none.yaml", "cannot read none.yaml"),
-    ("kit", 69): ("kit mavlink --endpoint serial:none:57600", "none"),
+    ("kit", 69): ("kit mavlink --endpoint serial:/none:57600", "none"),
     ("sim", 65): ("sim can --device dbc:latin.L", "latin.L cannot be read as a DBC file"),
     ("sim", 66): ("sim can --device dbc:none.dbc", "cannot read none.dbc"),
     ("sim", 69): ("sim mavlink --listen udp:192.0.2.1:14550", "cannot use"),
@@ -146,7 +146,7 @@ def files(lfield):
     lfield.keys.give("alpha")
     lfield.mission(GOOD, DEPLOYMENT)
     lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
-    bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:none:57600'}}}}\n"
+    bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:/none:57600'}}}}\n"
     lfield.write("sky.yaml", bound)
     for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
         lfield.write(f"latin.{ending}", b"abc\xe9")

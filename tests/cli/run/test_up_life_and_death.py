@@ -386,3 +386,18 @@ def test_a_host_that_cannot_start_is_in_the_json_log(lfield):
     assert (refused["host"], refused["code"], refused["exit_status"]) == ("alpha", "devices-unavailable", 69)
     assert (last["code"], last["fields"]["where"]) == ("mission-failed", "alpha")
     assert "/dev/none" in last["fields"]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("program", "status", "code"),
+    [("", 66, "file-not-readable"), ("resource Arm {", 65, "program-errors")],
+    ids=["no file", "an error"],
+)
+def test_a_mission_that_cannot_be_built_is_in_the_json_log(lfield, program, status, code):
+    deployment = lfield.mission(program, "//Arm:arm@alpha\n")
+    if not program:
+        (lfield.folder / deployment).unlink()
+    done = lfield("up", "--deploy", deployment, "--all", "--json")
+    assert lfield.status(done) == status
+    (refused,) = [json.loads(line) for line in done.out]
+    assert (refused["code"], refused["exit_status"]) == (code, status)

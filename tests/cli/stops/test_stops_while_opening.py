@@ -35,13 +35,13 @@ def test_a_team_with_a_port_that_is_not_there_ends_with_69_and_names_it(lfield, 
     """The others are told to stop while they wait for the first word of theirs: nothing was commanded."""
     taken = lfield.ports.take(2)
     nowhere = {f"copter{n}": f"udp:127.0.0.1:{port}" for n, port in enumerate(taken)}
-    bound = devices({"lead": "serial:none:57600", **nowhere}, 2.0)
+    bound = devices({"lead": "serial:/none:57600", **nowhere}, 2.0)
     agents = "".join(f"//Copter:{name}@{name}\n" for name in ("lead", *nowhere))
     program = PROGRAM.replace("fc.arm(); fc.takeoff(3.0);", "")
     deployment = lfield.mission(program, agents, bound)
     team = lfield("up", deployment, "--all", "--until-done", env=alone)
     assert lfield.status(team) == 69, team.said
-    assert "lead.fc: cannot open serial:none" in team.said
+    assert "lead.fc: cannot open serial:/none" in team.said
     assert "NOT SAFE" not in team.said
 
 
