@@ -6,11 +6,12 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
+from lfield.errors import UsageError
 
 if TYPE_CHECKING:
     from lfield.errors import ReportableFinding
@@ -56,18 +57,31 @@ def _without_duplicates(findings: Iterable[ReportableFinding]) -> list[Reportabl
 def _findings(path: Path) -> list[ReportableFinding]:
     """What is found in a file.
 
-    A bundle has the warnings with which it was built. Raises BundleError for one that is not sound.
+    A bundle has the warnings with which it was built. Raises BundleError for one that is not sound, and
+    UsageError for a YAML file.
     """
     from lfield.mission import bundle
     from lfield.mission.loader import check_file, mission_problems
     from lfield.text.source_text import PlainFinding
 
+    if path.suffix in (".yaml", ".yml"):
+        raise UsageError(
+            f"{path} is not a program: check its deployment (.dL), which uses the files beside it"
+        )
     if path.suffix == bundle.SUFFIX:
         return [PlainFinding(warning, "warning", "bundle-warning") for warning in bundle.read(path).warnings]
     found = list(check_file(path, _hosts_with_keys() if path.suffix == ".dL" else ()))
-    if path.suffix == ".dL" and not any(finding.severity == "error" for finding in found):
-        found += mission_problems(path)
-    return found
+    if any(finding.severity == "error" for finding in found):
+        return [*found, *_broken_drivers()]
+    return [*found, *mission_problems(path)] if path.suffix == ".dL" else found
+
+
+def _broken_drivers() -> Iterator[ReportableFinding]:
+    """A warning for each installed driver that cannot be used: a type that the program lacks may be its."""
+    from lfield.driver.plugins import discover
+    from lfield.text.source_text import PlainFinding
+
+    return (PlainFinding(problem, "warning", "driver-broken") for problem in discover().problems)
 
 
 def _hosts_with_keys() -> frozenset[str]:

@@ -114,3 +114,39 @@ def test_an_unknown_agent_is_reported_with_the_agents_of_its_type(
     deployment.write_text(f"{line}\n//Boss:boss@alpha\n")
     status, found = findings(capsys, deployment)
     assert (status, [each["code"] for each in found], found[0]["hint"]) == (0, ["L907"], hint)
+
+
+def test_a_yaml_file_is_checked_with_its_deployment(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "m.devices.yaml").write_text("agents: {}\n")
+    assert main(["check", "--json", str(tmp_path / "m.devices.yaml")]) == 64
+    assert json.loads(capsys.readouterr().out)["code"] == "usage"
+
+
+def test_a_driver_that_cannot_be_used_is_named_where_a_type_is_missing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    package, metadata = tmp_path / "unit_of_fruit", tmp_path / "unit_of_fruit-1.0.dist-info"
+    package.mkdir()
+    metadata.mkdir()
+    (package / "__init__.py").write_text(
+        "from lfield.driver import Plugin\n"
+        "PLUGIN = Plugin('pump', 'unit_of_fruit', 'unit_of_fruit:X', 'pump')\n"
+    )
+    (package / "manifest.yaml").write_text(
+        "driver: pump\ntype: Pump\nmeaning: a pump\nsafe_states: [stop]\n"
+        "telemetry: {level: {type: real, unit: banana, max_age: 1.0, meaning: level}}\n"
+    )
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: unit-of-fruit\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[lfield.drivers.v1]\npump = unit_of_fruit:PLUGIN\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    program = tmp_path / "m.L"
+    program.write_text("resource P {\n    Pump pump;\n    init(string[] arg) { }\n}\n")
+    status, found = findings(capsys, program)
+    assert status == 65
+    assert [(finding["severity"], finding["code"]) for finding in found] == [
+        ("error", "L302"),
+        ("warning", "driver-broken"),
+    ]
+    assert "banana" in str(found[1]["message"])
