@@ -122,6 +122,7 @@ FINDING_CODES = {
     "bindings": "a mistake in a devices file, or in a device that it names",
     "bundle-warning": "a warning from the build of the bundle",
     "driver-broken": "an installed driver cannot be used; a missing device type may be one of its types",
+    "no-program": "a deployment without its program: types and arguments were not checked",
     "registry-note": "the program lacks portals that the registry of the mission promises for a resource",
 }
 

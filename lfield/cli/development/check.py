@@ -71,6 +71,10 @@ def _findings(path: Path) -> list[ReportableFinding]:
     if path.suffix == bundle.SUFFIX:
         return [PlainFinding(warning, "warning", "bundle-warning") for warning in bundle.read(path).warnings]
     found = list(check_file(path, _hosts_with_keys() if path.suffix == ".dL" else ()))
+    program = path.with_suffix(".L")
+    if path.suffix == ".dL" and not program.exists():
+        missing = f"there is no {program}: the types and arguments of {path} were not checked"
+        return [*found, PlainFinding(missing, "warning", "no-program")]
     if any(finding.severity == "error" for finding in found):
         return [*found, *_broken_drivers()]
     return [*found, *mission_problems(path)] if path.suffix == ".dL" else found

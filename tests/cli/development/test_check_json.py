@@ -150,3 +150,11 @@ def test_a_driver_that_cannot_be_used_is_named_where_a_type_is_missing(
         ("warning", "driver-broken"),
     ]
     assert "banana" in str(found[1]["message"])
+
+
+def test_a_deployment_without_its_program_is_a_warning(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "m.dL").write_text("//Arm:arm@here\n")
+    status, found = findings(capsys, tmp_path / "m.dL")
+    assert (status, [finding["code"] for finding in found]) == (0, ["no-program"])
