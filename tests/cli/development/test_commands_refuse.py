@@ -69,7 +69,7 @@ def refused(here):
         (["up", "--deploy", "mission.dL"], "name one with --host, or run all of them here with --all"),
         (["sim"], "no simulated device given; installed: can, dynamixel, mavlink"),
         (["sim", "mavlink", "--listen", "pigeon:1"], "write udp:HOST:PORT"),
-        (["check"], "required: FILE.L"),
+        (["check"], "required: FILE"),
     ],
 )
 def test_a_command_line_that_makes_no_sense(lfield, refused, good, command, words):
