@@ -186,7 +186,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "lfield/docs/operations.md": {
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
-        "and the shortest possible is 0.3 s: "
+        "and the shortest possible silence is 0.3 s: "
         "reduce the load of "
         "this computer, give its guards": "a computer that is late: tests/devices/test_late_computer.py",
         'lfield estop --reason "person on the field"': TEAM,
