@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 
 #: Validity in days: the authority longer than the keys that it issues.
 _AUTHORITY_DAYS, _DAYS, _MAX_DAYS = 3650, 365, 36500
-#: Browsers take nothing of a page that lasts longer.
+_AUTHORITY_HELP = "directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)"
+#: Browsers reject a certificate that is valid for longer.
 _MAX_PAGE_DAYS = 398
 
 
@@ -28,13 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     init = actions.add_parser("init", **action_help("create the certificate authority of a team"))
-    init.add_argument(
-        "folder",
-        metavar="DIR",
-        nargs="?",
-        type=Path,
-        help="directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)",
-    )
+    init.add_argument("folder", metavar="DIR", nargs="?", type=Path, help=_AUTHORITY_HELP)
     _add_days(init, _AUTHORITY_DAYS)
     host = actions.add_parser(
         "host", **action_help("create the keys of hosts, with the names that they have in the deployment")
@@ -86,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--authority",
             metavar="DIR",
             type=Path,
-            help="directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)",
+            help=_AUTHORITY_HELP,
         )
 
 

@@ -45,9 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_mission(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--host",
-        metavar="NAME",
-        help="host to run (default: the host with the name or an address of this computer)",
+        "--host", metavar="NAME", help="host to run (default: the host with this computer's name or address)"
     )
     where.add_argument(
         "--all", action="store_true", help="run all hosts on this computer, each in its own process"
