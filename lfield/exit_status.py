@@ -39,7 +39,7 @@ INTERRUPTED = 130
 #: For people, in the order of the numbers.
 MEANINGS: Mapping[int, str] = {
     DONE: "success",
-    FAILED: "the mission failed: a coordinator died or is lost; `kit`: a test failed; "
+    FAILED: "the mission failed: a coordinator died or is lost; `kit`: a check failed; "
     "`query`: no agent provides the capability",
     UNSAFE: "a device is not confirmed to be at rest in its safe state: look at it",
     UNKNOWN_OUTCOME: "a host was unreachable for too long: the state of the mission there is unknown",

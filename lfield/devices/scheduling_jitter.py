@@ -66,7 +66,11 @@ class JitterLimit:
                 f"'silence: {self.silence:g}'"
             )
         kept = self.shortest_silence(late)
-        could = f"the shortest possible is {kept:g} s" if kept <= MAX_SILENCE else "no silence is long enough"
+        could = (
+            f"the shortest possible silence is {kept:g} s"
+            if kept <= MAX_SILENCE
+            else "no silence is long enough"
+        )
         return (
             f"'silence: {self.silence:g}' is too short for this computer: heartbeats to guards are up to "
             f"{format_jitter(late)} late, and {could}"

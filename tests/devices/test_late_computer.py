@@ -71,7 +71,7 @@ def test_a_computer_that_is_late_each_time_is_refused_before_anything_is_opened(
     assert refused.value.exit_status == 69
     assert refused.value.problems == (
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
-        "and the shortest possible is 0.3 s: "
+        "and the shortest possible silence is 0.3 s: "
         "reduce the load of "
         "this computer, give its guards real-time priority (LimitRTPRIO=1, see 'lfield doctor') or write "
         "'silence: 0.3' if the vehicles may move for so long without their host",

@@ -50,7 +50,7 @@ def test_what_is_not_kept_is_told_with_what_could_be_and_what_to_do():
     limit = JitterLimit(0.1)
     assert limit.report(0.12) == (
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
-        "and the shortest possible is 0.3 s"
+        "and the shortest possible silence is 0.3 s"
     )
     assert limit.remedy(0.12) == (
         "reduce the load of this computer, give its guards real-time priority (LimitRTPRIO=1, see "

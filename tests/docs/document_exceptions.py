@@ -109,7 +109,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "examples/01-first-flight/README.md": {
         "lfield up --deploy examples/01-first-flight/mission.dL --all --sim --until-done": EXAMPLES,
         "alpha | lead: taking off to 2.0 m": EXAMPLES,
-        "bravo | pilot: never closer than 7.3 m; batteries lead 97 %, wing 97 %": EXAMPLES,
+        "bravo | pilot: smallest measured distance 7.3 m; batteries lead 97 %, wing 97 %": EXAMPLES,
         "lfield ps --deploy examples/01-first-flight/mission.dL": INSPECT,
         "$ lfield ps --deploy examples/01-first-flight/mission.dL": INSPECT,
     },
@@ -124,7 +124,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "examples/03-mixed-team/README.md": {
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
-        "sky   | carrier.fc watchdog too slow: 2 s, limit 1 s; accepted by a waiver": EXAMPLES,
+        "sky   | carrier.fc device watchdog: 2 s, required: at most 1 s; accepted by a waiver": EXAMPLES,
     },
     "examples/05-two-carry-one/README.md": {
         "lfield up --deploy examples/05-two-carry-one/mission.dL --all --sim --until-done": EXAMPLES,
@@ -186,7 +186,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "lfield/docs/operations.md": {
         "'silence: 0.1' is too short for this computer: heartbeats to guards are up to 0.12 s late, "
-        "and the shortest possible is 0.3 s: "
+        "and the shortest possible silence is 0.3 s: "
         "reduce the load of "
         "this computer, give its guards": "a computer that is late: tests/devices/test_late_computer.py",
         'lfield estop --reason "person on the field"': TEAM,

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "file",
         metavar="FILE",
         type=Path,
-        help="deployment (.dL) or program (.L) to compile, or bundle (.lfm) to bind to other devices",
+        help="deployment (.dL) or program (.L) to compile, or bundle (.lfm) to rebuild with other bindings",
     )
     parser.add_argument(
         "-o",

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
+from lfield.cli.action_help import action_help
 from lfield.errors import UsageError
 
 if TYPE_CHECKING:
@@ -17,10 +18,10 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    tree = actions.add_parser("tree", help="print the taxonomy with its L types")
+    tree = actions.add_parser("tree", **action_help("print the taxonomy with its L types"))
     tree.add_argument("id", metavar="ID", nargs="?", default="", help="print only the terms below this one")
     _add_mission(tree)
-    show = actions.add_parser("show", help="print a term, capability, attribute, provider or rule")
+    show = actions.add_parser("show", **action_help("print a term, capability, attribute, provider or rule"))
     show.add_argument("name", metavar="NAME", help="name or id")
     show.add_argument("--L", dest="as_class", action="store_true", help="print the L class of a capability")
     show.add_argument(
@@ -28,7 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_mission(show)
     check = actions.add_parser(
-        "check", help="report errors in registry files (default: the built-in registry)"
+        "check", **action_help("report errors in registry files (default: the built-in registry)")
     )
     check.add_argument("files", metavar="FILE", nargs="*", type=Path, help="registry files, or a mission")
     check.add_argument("--alone", action="store_true", help="check without the built-in registry")

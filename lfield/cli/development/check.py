@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     parser.add_argument(
         "files",
-        metavar="FILE.L",
+        metavar="FILE",
         nargs="+",
         type=Path,
         help="programs, deployments (.dL) and bundles (.lfm)",

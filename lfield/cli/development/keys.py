@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.cli.action_help import action_help
 from lfield.errors import KeysError, UsageError
 from lfield.text.number_arguments import whole_between
 
@@ -19,27 +20,22 @@ if TYPE_CHECKING:
 
 #: Validity in days: the authority longer than the keys that it issues.
 _AUTHORITY_DAYS, _DAYS, _MAX_DAYS = 3650, 365, 36500
-#: Browsers take nothing of a page that lasts longer.
+_AUTHORITY_HELP = "directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)"
+#: Browsers reject a certificate that is valid for longer.
 _MAX_PAGE_DAYS = 398
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    init = actions.add_parser("init", help="create the certificate authority of a team")
-    init.add_argument(
-        "folder",
-        metavar="DIR",
-        nargs="?",
-        type=Path,
-        help="directory of the authority (default: as for --authority)",
-    )
+    init = actions.add_parser("init", **action_help("create the certificate authority of a team"))
+    init.add_argument("folder", metavar="DIR", nargs="?", type=Path, help=_AUTHORITY_HELP)
     _add_days(init, _AUTHORITY_DAYS)
     host = actions.add_parser(
-        "host", help="create the keys of hosts, with the names that they have in the deployment"
+        "host", **action_help("create the keys of hosts, with the names that they have in the deployment")
     )
     host.add_argument("names", metavar="NAME", nargs="+", help="names of hosts")
-    person = actions.add_parser("person", help="create the keys of a person")
+    person = actions.add_parser("person", **action_help("create the keys of a person"))
     person.add_argument("names", metavar="NAME", nargs=1, help="name of the person")
     person.add_argument(
         "--may",
@@ -48,28 +44,34 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="rights: observe; stop (includes observe); operate (includes stop); command (sign bundles)",
     )
     page = actions.add_parser(
-        "page", help="create the keys of a web page on a network, for 'lfield watch --listen'"
+        "page", **action_help("create the keys of a web page on a network, for 'lfield watch --listen'")
     )
     page.add_argument(
         "names", metavar="ADDRESS", nargs="+", help="addresses or names at which browsers open the page"
     )
-    renew = actions.add_parser("renew", help="renew keys; the old certificate remains valid until it expires")
+    renew = actions.add_parser(
+        "renew", **action_help("renew keys; the old certificate remains valid until it expires")
+    )
     renew.add_argument("what", choices=("host", "person", "authority"), help="owner of the keys")
     renew.add_argument("names", metavar="NAME", nargs="*", help="names of hosts or persons")
     renew.add_argument(
         "--new-key",
         action="store_true",
-        help="also create a new private key, which must be copied to its computer again",
+        help="also create a new private key, which must then be copied to its computer",
     )
-    revoke = actions.add_parser("revoke", help="add keys to the revocation list")
+    revoke = actions.add_parser("revoke", **action_help("add keys to the revocation list"))
     revoke.add_argument("what", choices=("host", "person", "serial"), help="what NAME is")
     revoke.add_argument(
         "names", metavar="NAME", nargs=1, help="name of a host or person, or serial number of one certificate"
     )
-    listed = actions.add_parser("list", help="list all certificates that the authority has issued")
-    show = actions.add_parser("show", help="show the owner, rights and validity of keys")
+    listed = actions.add_parser("list", **action_help("list all certificates that the authority has issued"))
+    show = actions.add_parser("show", **action_help("show the owner, rights and validity of keys"))
     show.add_argument(
-        "folder", metavar="DIR", nargs="?", type=Path, help="directory (default: all keys on this computer)"
+        "folder",
+        metavar="DIR",
+        nargs="?",
+        type=Path,
+        help="directory with keys (default: all keys on this computer)",
     )
     for each in (host, person, renew):
         _add_days(each, _DAYS)
@@ -79,7 +81,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
             "--authority",
             metavar="DIR",
             type=Path,
-            help="directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)",
+            help=_AUTHORITY_HELP,
         )
 
 

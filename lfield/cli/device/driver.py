@@ -7,16 +7,18 @@ import json
 import re
 from pathlib import Path
 
+from lfield.cli.action_help import action_help
 from lfield.errors import UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    installed = actions.add_parser("list", help="list the installed drivers and their device types")
+    installed = actions.add_parser("list", **action_help("list the installed drivers and their device types"))
     installed.add_argument("--json", action="store_true", help="print the list as JSON")
     new = actions.add_parser(
-        "new", help="create a driver project with a simulated device; it passes the conformance tests"
+        "new",
+        **action_help("create a driver project with a simulated device; it passes the conformance checks"),
     )
     new.add_argument("name", metavar="NAME", help="name of the driver: lower-case letters and digits")
     new.add_argument("--sensor", action="store_true", help="for a sensor, which needs no safe state")

@@ -1,4 +1,4 @@
-"""`lfield kit DRIVER --endpoint E`: runs the conformance tests on a real or simulated device."""
+"""`lfield kit DRIVER --endpoint E`: runs the conformance checks on a real or simulated device."""
 
 from __future__ import annotations
 
@@ -35,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "use more on a busy computer)",
     )
     parser.add_argument(
-        "--yes", action="store_true", help="do not ask for confirmation before the tests that move the device"
+        "--yes",
+        action="store_true",
+        help="do not ask for confirmation before the checks that move the device",
     )
     parser.add_argument(
         "--json", action="store_true", help="print each finding as a JSON object on a line of its own"

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lfield.cli.action_help import action_help
 from lfield.errors import AddressError, UsageError
 
 
@@ -18,8 +19,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     kinds = parser.add_subparsers(dest="kind_of_sim", metavar="KIND")
     for name, sim in sorted(discover_sims().items()):
-        sim.add_arguments(kinds.add_parser(name, help=f"run a simulated device for the driver '{name}'"))
-    fault = kinds.add_parser("fault", help="show the faults of running simulated devices, or inject some")
+        sim.add_arguments(
+            kinds.add_parser(name, **action_help(f"run a simulated device for the driver '{name}'"))
+        )
+    fault = kinds.add_parser(
+        "fault", **action_help("show the faults of running simulated devices, or inject some")
+    )
     fault.add_argument(
         "target",
         nargs="?",

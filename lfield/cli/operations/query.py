@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="registry of the mission (default: MISSION.capabilities.yaml)",
     )
     parser.add_argument(
-        "--at", metavar="HOST", default="", help="rank the agents as for a coordinator on this host"
+        "--at", metavar="HOST", default="", help="rank the agents as a coordinator on this host would"
     )
     parser.add_argument(
         "--files", action="store_true", help="answer from the files only; do not connect to hosts"

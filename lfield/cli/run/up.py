@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_mission(parser)
     where = parser.add_mutually_exclusive_group()
     where.add_argument(
-        "--host", metavar="NAME", help="host to run (default: the host with an address of this computer)"
+        "--host", metavar="NAME", help="host to run (default: the host with this computer's name or address)"
     )
     where.add_argument(
         "--all", action="store_true", help="run all hosts on this computer, each in its own process"
@@ -74,7 +74,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=_SECONDS,
         default=15.0,
-        help="with --until-done: exit with status 4 when a host is unreachable for this long (default: 15)",
+        help="with --until-done: exit with status 4 when a host has been unreachable for this long "
+        "(default: 15; with --all: at most 3)",
     )
     _add_journal_options(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object per log line")
@@ -95,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SECONDS",
         type=real_above_0(MAX_SECONDS, "seconds"),
         default=DAY,
-        help="longest duration of the mission: do not start if the keys expire sooner (default: one day)",
+        help="maximum duration of the mission: do not start if the keys expire sooner (default: one day)",
     )
     _add_hidden(parser)
 

@@ -45,7 +45,7 @@ class CanSim:
             "--listen",
             action="append",
             metavar="socketcand:HOST:PORT|slcan-pty[:PATH]",
-            help="bus access (repeatable; default: socketcand:127.0.0.1:0)",
+            help="endpoint of the bus (repeatable; default: socketcand:127.0.0.1:0)",
         )
         parser.add_argument(
             "--device",

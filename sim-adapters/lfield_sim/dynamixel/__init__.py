@@ -52,7 +52,7 @@ class DynamixelSim:
             "--protocol",
             choices=("1.0", "2.0"),
             default="2.0",
-            help="protocol of the models that have both (default: 2.0)",
+            help="protocol version of models that support both (default: 2.0)",
         )
         parser.add_argument(
             "--return-delay",

@@ -86,7 +86,8 @@ class MavlinkSim:
         )
         parser.add_argument(
             "--set-up", nargs="?", const=STATES[0], default="", choices=STATES,
-            help="start as set up for this safe state (default: land), instead of with factory parameters",
+            help="start with the parameters for this safe state, not with factory parameters "
+            "(without a value: land)",
         )  # fmt: skip
         parser.add_argument(
             "--fitted", type=fitted, default="all", metavar="all|none|HARDWARE,...",
@@ -94,7 +95,8 @@ class MavlinkSim:
         )  # fmt: skip
         parser.add_argument(
             "--board", type=board, metavar="HEX",
-            help="unique id of the first board, which the next boards count up; 0: none (default: random)",
+            help="unique id of the first autopilot board; each further board has the next id; 0: none "
+            "(default: random)",
         )  # fmt: skip
         _add_places(parser)
         add_log_option(parser)

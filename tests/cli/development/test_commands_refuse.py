@@ -55,7 +55,7 @@ def refused(here):
         ([], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
         (["up"], "one of the arguments MISSION --deploy is required"),
-        (["ps", "--deploy", "mission.dL", "--deploy", "b.dL"], "--deploy names one mission"),
+        (["ps", "--deploy", "mission.dL", "--deploy", "b.dL"], "--deploy is given twice"),
         (["up", "--deploy", "mission.dL", "--wings"], "unrecognized arguments: --wings"),
         (["up", "--deploy", "mission.dL", "--all", "--host", "alpha"], "not allowed with argument"),
         (["up", "--deploy", "mission.dL", "--lost-after", "soon"], "--lost-after"),
@@ -69,7 +69,7 @@ def refused(here):
         (["up", "--deploy", "mission.dL"], "name one with --host, or run all of them here with --all"),
         (["sim"], "no simulated device given; installed: can, dynamixel, mavlink"),
         (["sim", "mavlink", "--listen", "pigeon:1"], "write udp:HOST:PORT"),
-        (["check"], "required: FILE.L"),
+        (["check"], "required: FILE"),
     ],
 )
 def test_a_command_line_that_makes_no_sense(lfield, refused, good, command, words):
@@ -133,7 +133,7 @@ def test_a_file_that_is_not_what_it_should_be(lfield, refused, good, command, na
     ("command", "why"),
     [
         *((command, "is a directory") for command in ("check", "build", "disasm", "up --all")),
-        ("inspect", "it is a folder without a host.journal"),
+        ("inspect", "the folder has no host.journal"),
         ("setup --deploy", "is a directory"),
         ("doctor --deploy", "is a directory"),
     ],

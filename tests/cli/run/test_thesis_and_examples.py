@@ -83,7 +83,9 @@ def test_first_flight(lfield):
     assert {line for line in lines if "taking off" in line} == {
         "lead: taking off to 2.0 m", "wing: taking off to 3.5 m",
     }  # fmt: skip
-    places = re.findall(r"^(\w+): at \((-?[\d.]+), (-?[\d.]+)\) at ([\d.]+) m$", "\n".join(lines), re.M)
+    places = re.findall(
+        r"^(\w+): at north (-?[\d.]+) m, east (-?[\d.]+) m, height ([\d.]+) m$", "\n".join(lines), re.M
+    )
     leads, wings = ([place for place in places if place[0] == name] for name in ("lead", "wing"))
     assert len(leads) == 3
     for lead, wing in zip(leads, wings, strict=True):
@@ -91,7 +93,9 @@ def test_first_flight(lfield):
         assert abs(float(lead[2]) + float(wing[2])) < 1.5
         assert abs(float(wing[3]) - float(lead[3]) - 1.5) < 1.0
     assert set(lines[-2:]) == {"lead: landed", "wing: landed"}
-    assert re.search(r"pilot: never closer than [\d.]+ m; batteries lead \d+ %, wing \d+ %", flight.said)
+    assert re.search(
+        r"pilot: smallest measured distance [\d.]+ m; batteries lead \d+ %, wing \d+ %", flight.said
+    )
     hops = re.search(r"pilot: the coordinator migrated (\d+) times", flight.said)
     # Takeoff, 3 legs, landing: out to begin and back to fetch; the summary ends on the other host.
     assert hops

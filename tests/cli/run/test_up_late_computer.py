@@ -74,7 +74,7 @@ def test_a_host_that_cannot_keep_its_bindings_does_not_start(here, lfield, monke
     # A computer that is late in earnest may have more to say, before and after this.
     (said,) = [line for line in up.err if line.startswith("'silence: 0.1' is too short for this computer")]
     # By more than the 0.12 s, if the computer is late in earnest while it is measured.
-    assert re.search(r"are up to [\d.]+ s late, and the shortest possible is ", said)
+    assert re.search(r"are up to [\d.]+ s late, and the shortest possible silence is ", said)
     assert "reduce the load of this computer, give its guards real-time priority" in said
     assert re.search(r"or write 'silence: [\d.]+' if ", said)
 
