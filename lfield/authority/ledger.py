@@ -59,8 +59,8 @@ class Ledger:
         self._list = folders.read_crl(folder)
         if not self._list:
             raise KeysError(
-                f"{folder / REVOKED} is not there: put a copy of it there, of the keys of any host; a list "
-                "that begins anew would be taken for an older one"
+                f"{folder / REVOKED} is missing: copy it there from the keys of any host; hosts refuse a new "
+                "list, because its number would be lower"
             )
         with folders.errors_in(folder / REVOKED):
             self.revoked = revoked_in(self._list, authority.certificate)

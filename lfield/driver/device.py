@@ -173,18 +173,13 @@ class Device:
         seconds = await self._set_watchdog(longest)
         if seconds is not None and seconds <= longest * (1.0 + 1e-9):
             return
-        has = "has no watchdog of its own" if seconds is None else f"has a watchdog of {seconds:g} s"
-        text = f"it {has}: nothing stops it {'' if seconds is None else 'sooner '}when this computer dies"
         if not self.binding.waives(WATCHDOG):
-            least = (
-                ""
-                if seconds is None
-                else f", and a ttl of {seconds / 2.0:g} s is the smallest that it supports"
-            )
-            raise self.error(
-                f"{text}; at most {longest:g} s (twice the ttl) is required{least}. Accept it by 'waivers: "
-                f"[{WATCHDOG}]' in its binding"
-            )
+            limit = f"limit {longest:g} s (twice the ttl)"
+            if seconds is None:
+                text = f"no watchdog in the device, {limit}: it moves on when this computer fails; "
+            else:
+                text = f"watchdog too slow: {seconds:g} s, {limit}; set 'ttl: {seconds / 2.0:g}', or "
+            raise self.error(f"{text}accept it with 'waivers: [{WATCHDOG}]' in its binding")
         own = "none" if seconds is None else f"{seconds:g} s"
         self.note(log_messages.WATCHDOG_WAIVED.line(own=own, longest=longest))
 

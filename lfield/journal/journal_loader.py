@@ -64,7 +64,9 @@ def open_journal(path: Path, owner: JournalOwner, report: Callable[[str], None],
     """
     _finish_replacement(path)
     if fault := unusable_reason(path):
-        raise JournalError(str(path), fault, "put the journal back, or remove it: then this host starts anew")
+        raise JournalError(
+            str(path), fault, "put the journal back, or remove it: this host then starts with an empty one"
+        )
     if not path.exists():
         _write_journal(path, _new_head(owner), {}, [], now)
         with suppress(OSError):
@@ -330,7 +332,8 @@ def _check_owner(path: Path, head: JournalHeader, owner: JournalOwner) -> None:
         raise ForeignJournal(
             str(path),
             "it was written on another computer, where its coordinators may still run",
-            "use it there; if that computer is lost permanently, remove this journal: the host starts anew",
+            "use it there; if that computer is lost permanently, remove this journal: the host then starts with "
+            "an empty one",
         )
 
 

@@ -86,7 +86,7 @@ def test_nothing_lasts_longer_than_the_root(root: BrowserCa) -> None:
     short = new_browser_ca(AT, AT + DAY)
     made = short.issue(NAMES, at=AT, ends=AT + 365 * DAY)
     assert parse_web_keys(made.certificate, made.key).valid_until == AT + DAY
-    with pytest.raises(KeysError, match=r"ended 2026-.*: remove browsers.crt and browsers.key"):
+    with pytest.raises(KeysError, match=r"expired 2026-.*: remove browsers.crt and browsers.key"):
         short.issue(NAMES, at=AT + DAY, ends=AT + 2 * DAY)
 
 

@@ -64,7 +64,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make test": SUITE,
         "bravo | link to alpha established": EXAMPLES,
         "lfield up mission.lfm --host alpha": HARDWARE,
-        "lfield watch --deploy mission.dL": WATCH,
+        "lfield watch --deploy examples/01-first-flight/mission.dL": WATCH,
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
     },
     "lfield/docs/getting-started.md": {

@@ -255,7 +255,7 @@ def test_every_kind_of_fence_is_found() -> None:
         (
             "yaml device",
             "fc: {driver: mavlink, endpoint: 'tcp:h:1', limits: {speed: 5.0}}\n",
-            "it has a watchdog of 2 s",
+            "watchdog too slow: 2 s",
         ),
         ("yaml", "agents: {a: [\n", "no YAML"),
         ("yaml", "agents\n", "neither a mapping nor a list"),

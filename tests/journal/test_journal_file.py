@@ -134,7 +134,7 @@ def test_what_is_no_journal_is_told_and_no_new_one_is_begun_in_its_place(
     assert (found.value.exit_status, path.lstat().st_ino) == (73, before)
     assert str(found.value) == (
         f"cannot use the journal {path}: {says}; "
-        "put the journal back, or remove it: then this host starts anew"
+        "put the journal back, or remove it: this host then starts with an empty one"
     )
     with pytest.raises(InputFileError, match=says):
         open_read_only(path)

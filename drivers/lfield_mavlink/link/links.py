@@ -84,7 +84,9 @@ def _from_url(link: str) -> str:
         return link
     if scheme == "udp" and rest.startswith(":"):
         return f"udpin:0.0.0.0{rest}"
-    if scheme == "udp" and ":" in rest:
+    if scheme == "udp":
+        # The advice must be valid itself.
+        _parsed(f"udp:{rest}")
         message = f"'{link}' is ambiguous: write udpin:{rest} to listen there, or udp:{rest} to send there"
         raise DeviceError("endpoint", message)
     kinds = {"udpin": "udpin", "udpout": "udp", "tcp": "tcp", "tcpout": "tcp", "serial": "serial"}

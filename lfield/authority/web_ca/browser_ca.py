@@ -42,9 +42,9 @@ class BrowserCa(CertificateSigner[ec.EllipticCurvePrivateKey]):
                 raise KeysError(_PUBLIC.format(name=name, endings=", ".join(f".{e}" for e in ENDINGS)))
         if at >= self.valid_until:
             raise KeysError(
-                f"the root for browsers ended {format_time(self.valid_until)}: remove browsers.crt and "
-                "browsers.key, and "
-                "the next page begins another, to be imported anew"
+                f"the root certificate for browsers expired {format_time(self.valid_until)}: remove "
+                "browsers.crt and browsers.key; the next start of the page creates another one, which each "
+                "browser must import"
             )
         key = ec.generate_private_key(ec.SECP256R1())
         subject, usages = f"page {names[0]}", [ExtendedKeyUsageOID.SERVER_AUTH]

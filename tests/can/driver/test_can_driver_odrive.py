@@ -113,7 +113,7 @@ def test_an_axis_is_found_enabled_and_moves_behind_its_gear(rig):
 
 def test_without_the_waiver_it_is_refused(rig):
     async def mission(axis):
-        with pytest.raises(DeviceError, match=r"has no watchdog of its own.*waivers: \[device_watchdog\]"):
+        with pytest.raises(DeviceError, match=r"no watchdog in the device.*waivers: \[device_watchdog\]"):
             await axis.open()
 
     rig(waivers=["no_homing"]).run(mission, opened=False)

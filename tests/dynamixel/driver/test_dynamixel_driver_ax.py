@@ -49,7 +49,7 @@ def test_the_first_motion_after_power_keeps_the_limit_of_speed(instruction):
 
 def test_it_has_no_watchdog_and_the_binding_must_say_so():
     async def story(servo):
-        with pytest.raises(DeviceError, match="no watchdog of its own"):
+        with pytest.raises(DeviceError, match="no watchdog in the device"):
             await servo.open()
 
     Bench(4, fake="AX-12A", protocol=1).run(story, opened=False)

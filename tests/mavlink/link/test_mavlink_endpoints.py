@@ -17,7 +17,19 @@ HERE = own_address()
 
 
 @pytest.mark.parametrize(
-    "text", ["", "udp", "udp:14550", "udp:h:x", "serial:/dev/x", "tcp::1", "tcp:h:0", "http:h:1", "udp://h"]
+    "text",
+    [
+        "",
+        "udp",
+        "udp:14550",
+        "udp:h:x",
+        "serial:/dev/x",
+        "tcp::1",
+        "tcp:h:0",
+        "http:h:1",
+        "udp://h",
+        "udp://1.2..3:x",
+    ],
 )
 def test_endpoints_that_are_none(text):
     with pytest.raises(DeviceError, match=r"is not an endpoint|is not a number from 1 to 65535"):

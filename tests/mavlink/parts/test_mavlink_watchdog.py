@@ -139,9 +139,9 @@ def test_a_shorter_time_to_live_than_the_autopilot_can_keep_needs_a_waiver(bench
         b.run(lambda fc: asyncio.sleep(0.1))
 
     opened(least / 2)
-    with pytest.raises(DeviceError, match=f"watchdog of {least} s: nothing stops it sooner") as error:
+    with pytest.raises(DeviceError, match=f"watchdog too slow: {least} s, limit 1 s") as error:
         opened(0.5)
-    assert f"a ttl of {least / 2:g} s is the smallest that it supports" in error.value.reason
+    assert f"set 'ttl: {least / 2:g}'" in error.value.reason
     assert "waivers: [device_watchdog]" in error.value.reason
 
 
