@@ -332,8 +332,8 @@ def _check_owner(path: Path, head: JournalHeader, owner: JournalOwner) -> None:
         raise ForeignJournal(
             str(path),
             "it was written on another computer, where its coordinators may still run",
-            "use it there; if that computer is lost permanently, remove this journal: the host then starts with "
-            "an empty one",
+            "use it there; if that computer is lost permanently, remove this journal: the host then starts "
+            "with an empty one",
         )
 
 
