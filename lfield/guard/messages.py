@@ -7,17 +7,23 @@ which detects messages delayed in the pipe. Values get their L types in `lfield.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 
+from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.driver_index import DriverInfo
 from lfield.errors import WireError
 from lfield.manifest import DeviceValue, Observation
-from lfield.text.log_messages import Level, report_line
+from lfield.text import log_messages
+from lfield.text.log_messages import Level, LogLine, json_line, report_line
 from lfield.wire.framing import FrameDecoder, frame
 
+#: Environment variable of a host's process: the name of the host, where its guards must log JSON lines.
+JSON_LOG_HOST = "LFIELD_GUARD_JSON_LOG"
 #: The L exception of a cancelled call.
 CANCELLED = "CancelledException"
 
@@ -243,13 +249,36 @@ def host_silent(silence: float) -> str:
     return f"the host was silent for over {silence * 1000:.0f} ms"
 
 
-def unread_report(message: GuardMessage) -> str:
-    """Log line of a guard whose host has ended; '' for messages that need none."""
-    match message:
-        case Latched(device, reason, True):
-            return f"{device} in safe state: {reason}"
-        case Stopped(unsafe):
-            return "\n".join(f"{device} NOT SAFE: {why}" for device, why in unsafe.items())
-        case Note(device, text, code, level):
-            return report_line(device, text, code, level)
-    return ""
+class OrphanLog:
+    """The log of a guard whose host has ended, on stderr; JSON lines where JSON_LOG_HOST names the host."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._safe_states: dict[str, str] = {}
+
+    def on_opening(self, devices: Sequence[DeviceBinding]) -> None:
+        """The devices that are opened, with the safe states of their bindings."""
+        self._safe_states = {device.name: device.safe_state for device in devices}
+
+    def write(self, message: GuardMessage) -> None:
+        """Log a message that the host cannot receive."""
+        host = os.environ.get(JSON_LOG_HOST, "")
+        for line in self.lines(message):
+            text = json_line(self._clock.time(), host, line) if host else f"{line}\n"
+            sys.stderr.write(text)
+            sys.stderr.flush()
+
+    def lines(self, message: GuardMessage) -> list[LogLine]:
+        """The log lines, as a host would write them; none for messages that need none."""
+        match message:
+            case Latched(device, reason, True, state):
+                state = state or self._safe_states.get(device, "")
+                return [log_messages.DEVICE_SAFE.line(device=device, state=state, reason=reason)]
+            case Stopped(unsafe):
+                return [
+                    log_messages.DEVICE_NOT_SAFE.line(device=device, reason=why)
+                    for device, why in unsafe.items()
+                ]
+            case Note(device, text, code, level):
+                return [report_line(device, text, code, level)]
+        return []

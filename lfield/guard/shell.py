@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-import sys
 from collections.abc import Callable, Coroutine, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -33,13 +32,13 @@ from lfield.guard.messages import (
     Note,
     OpenDevices,
     OpenFailed,
+    OrphanLog,
     Refused,
     Released,
     RequestSafeState,
     Stop,
     Stopped,
     encode,
-    unread_report,
 )
 from lfield.guard.standstill import UNFINISHED
 from lfield.guard.telemetry import Telemetry
@@ -70,7 +69,7 @@ class Shell(asyncio.Protocol):
         on_loaded: Callable[[], None] = lambda: None,
         lock: EndpointGuard | None = None,
     ) -> None:
-        self._output, self._clock = output, clock
+        self._output, self._clock, self._orphan_log = output, clock, OrphanLog(clock)
         self._loop = asyncio.get_running_loop()
         # A callback of a driver (socket, timer) that raises has no task that would report it.
         self._loop.set_exception_handler(self._callback_raised)
@@ -116,6 +115,7 @@ class Shell(asyncio.Protocol):
     def _receive(self, message: GuardMessage) -> None:
         if isinstance(message, OpenDevices) and not self._asked:
             self._asked = True
+            self._orphan_log.on_opening(message.devices)
             self._opening.on_request(message)
             self._spawn(self._open(message))
         elif isinstance(message, Stop):
@@ -150,8 +150,8 @@ class Shell(asyncio.Protocol):
             self._buffered.append(encode(message))
         elif not self._output.is_closing():
             self._output.write(encode(message))
-        elif line := unread_report(message):
-            print(line, file=sys.stderr, flush=True)
+        else:
+            self._orphan_log.write(message)
 
     @contextmanager
     def _in_one_write(self) -> Iterator[None]:

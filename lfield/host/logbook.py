@@ -6,13 +6,12 @@ of L, since a program of another author must not be able to control the terminal
 
 from __future__ import annotations
 
-import json
 import sys
 from typing import TextIO
 
 from lfield.clock import Clock
 from lfield.text import log_messages
-from lfield.text.log_messages import LogLine
+from lfield.text.log_messages import LogLine, json_line
 from lfield.text.terminal_escape import escape, escape_indented, escape_line
 
 #: The longest line without an end that a program may write as JSON, in characters.
@@ -99,8 +98,3 @@ class JsonLogbook(Logbook):
         if self._out is not None:
             self._out.write(json_line(self._clock.time(), self._host, line))
             self._out.flush()
-
-
-def json_line(time: float, host: str, line: LogLine) -> str:
-    """A log line as a JSON object in ASCII, with its time in seconds since 1970 UTC, and a line feed."""
-    return json.dumps({"time": round(time, 6), "host": host, **line.as_data()}) + "\n"

@@ -7,6 +7,7 @@ A host logs only the `LogLine`s that `LogMessage.line` makes. Drivers have table
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import isfinite
@@ -364,6 +365,12 @@ DEVICE_LOCKED_OUT = _message(
     "{device} LOCKED OUT: {reason}; inspect it, then run 'lfield estop --lift'",
     "error",
 )
+DEVICE_UNCONFIRMED = _message(
+    "device-unconfirmed",
+    "{device} safe state not confirmed: host killed ({signal})",
+    "error",
+    "by `lfield up --all`, when the guard of the device has not confirmed it within 1 s",
+)
 DEVICE_NOT_SAFE = _message("device-not-safe", "{device} NOT SAFE: {reason}", "error")
 GUARD_HANGS = _message("guard-hangs", "guard of {bus} unresponsive: restarting it", "error")
 GUARD_DIED = _message("guard-died", "guard of {bus} died with status {status}: restarting it", "error")
@@ -434,3 +441,8 @@ def report_line(device: str, text: str, code: str, level: Level) -> LogLine:
 def report_fields(text: str) -> tuple[str, str, Level]:
     """Text, code and level of a report; '' and "info" for a plain string."""
     return (str(text), text.code, text.level) if isinstance(text, LogLine) else (text, "", "info")
+
+
+def json_line(time: float, host: str, line: LogLine) -> str:
+    """A log line as a JSON object in ASCII, with its time in seconds since 1970 UTC, and a line feed."""
+    return json.dumps({"time": round(time, 6), "host": host, **line.as_data()}) + "\n"

@@ -1,17 +1,20 @@
 from __future__ import annotations
 
+import json
 import math
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from lfield.clock import ManualClock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import STANDARD_INSTRUCTIONS, Manifest, Option
 from lfield.driver.driver_index import DriverInfo, ManifestFile
 from lfield.driver.value_types import conform
 from lfield.errors import WireError
 from lfield.guard.messages import (
+    JSON_LOG_HOST,
     MESSAGES,
     CallDone,
     GuardCall,
@@ -19,9 +22,10 @@ from lfield.guard.messages import (
     MessageReader,
     Note,
     OpenDevices,
+    OrphanLog,
+    Stopped,
     TelemetrySnapshot,
     encode,
-    unread_report,
 )
 from lfield.manifest import DeviceManifest, Observation, Quantity
 from lfield.text import log_messages
@@ -111,8 +115,40 @@ def test_a_member_without_a_number_survives_the_pipe():
     assert math.isnan(arrived.values["positions"].value[1])
 
 
-def test_a_report_without_a_host_reads_as_in_the_log_of_a_host():
-    coded = Note("a.fc", *report_fields(log_messages.SERIAL_LOST.line(reason="unplugged")))
-    assert unread_report(coded) == "a.fc link lost: unplugged; reopening the serial port"
-    assert unread_report(Note("a.fc", "warming up")) == "a.fc: warming up"
-    assert unread_report(Latched("a.fc", "fog", False)) == ""
+@pytest.fixture
+def orphan_log() -> OrphanLog:
+    made = OrphanLog(ManualClock())
+    made.on_opening([BINDING])
+    return made
+
+
+DEVICE = BINDING.name
+REPORT = Note(DEVICE, *report_fields(log_messages.SERIAL_LOST.line(reason="unplugged")))
+
+
+def test_a_report_without_a_host_reads_as_in_the_log_of_a_host(orphan_log, capsys, monkeypatch):
+    monkeypatch.delenv(JSON_LOG_HOST, raising=False)
+    orphan_log.write(REPORT)
+    orphan_log.write(Note(DEVICE, "warming up"))
+    orphan_log.write(Latched(DEVICE, "fog", False))
+    orphan_log.write(Latched(DEVICE, "fog", True))
+    assert capsys.readouterr().err.splitlines() == [
+        f"{DEVICE} link lost: unplugged; reopening the serial port",
+        f"{DEVICE}: warming up",
+        f"{DEVICE} in safe state '{BINDING.safe_state}': fog",
+    ]
+
+
+def test_a_report_without_a_host_keeps_its_code_in_json(orphan_log, capsys, monkeypatch):
+    monkeypatch.setenv(JSON_LOG_HOST, "alpha")
+    for message in (REPORT, Latched(DEVICE, "fog", True, "hold"), Stopped({DEVICE: "moves"})):
+        orphan_log.write(message)
+    found = [json.loads(line) for line in capsys.readouterr().err.splitlines()]
+    assert {line["host"] for line in found} == {"alpha"}
+    assert {line["fields"]["device"] for line in found} == {DEVICE}
+    assert [(line["code"], line["level"]) for line in found] == [
+        ("serial-lost", "warning"),
+        ("device-safe", "warning"),
+        ("device-not-safe", "error"),
+    ]
+    assert found[1]["fields"]["state"] == "hold"

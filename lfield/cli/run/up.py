@@ -207,6 +207,7 @@ def _check_dump_folder(folder: Path) -> None:
 def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield import event_loop
     from lfield.cli.run.host_keys import built_here, load_credentials
+    from lfield.guard.messages import JSON_LOG_HOST
     from lfield.host.process.host_process import run_host
     from lfield.host.process.parent_pipe import set_cloexec_on_all
     from lfield.net.local_addresses import own_host
@@ -217,6 +218,9 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     if proof is not None and built:
         mission = built_here(mission, mission_path(args), args)
     _check_start(mission, name, proof, args)
+    if args.json or args.parent_pipe:
+        # Inherited by the guards, which log on their own after the end of the host.
+        os.environ[JSON_LOG_HOST] = name
     if not _may_start(mission, name, args):
         return exit_status.FAILED
     with (

@@ -18,7 +18,7 @@ import socket
 import sys
 from asyncio.subprocess import PIPE, Process
 from contextlib import suppress
-from typing import TYPE_CHECKING, TextIO
+from typing import TYPE_CHECKING, Any, TextIO
 
 from msgspec.structs import replace
 
@@ -28,7 +28,6 @@ from lfield.cli.run.host_keys import ephemeral_keys
 from lfield.cli.run.run_summary import summary
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
-from lfield.host.logbook import json_line
 from lfield.host.process import parent_pipe
 from lfield.host.process.run_result import RunResult, read_result
 from lfield.host.process.shutdown_signals import REPEAT_WINDOW, ShutdownSignals, install_signal_handlers
@@ -36,10 +35,11 @@ from lfield.mission.team import parse_maps
 from lfield.net.local_addresses import open_listening_socket
 from lfield.operator.runs import ControlSockets, publish_run, run_manifest
 from lfield.text import log_messages
-from lfield.text.terminal_escape import escape
+from lfield.text.log_messages import json_line
+from lfield.text.terminal_escape import escape, escape_line
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
     from lfield.cli.views.live_view import LiveView
@@ -54,6 +54,8 @@ ANY_FREE_PORT = "127.0.0.1:0"
 KILL_GRACE = 10.0
 #: Time to read the last output of the hosts, in seconds.
 OUTPUT_TIMEOUT = 3.0
+#: Time for the guards of a killed host to confirm their safe states, in seconds.
+CONFIRMATION_TIMEOUT = 1.0
 #: The longest line that is forwarded whole, in bytes.
 MAX_LINE = 1 << 20
 #: The exit statuses of a host that has run; any other means that it could not start, or failed.
@@ -84,6 +86,19 @@ def with_host(text: str, host: str) -> str:
     return text
 
 
+def guard_report(text: str, host: str) -> dict[str, Any] | None:
+    """The JSON log line of a guard whose host has ended; None for any other line of stderr."""
+    with suppress(json.JSONDecodeError):
+        found = json.loads(text)
+        if (
+            isinstance(found, dict)
+            and found.get("host") == host
+            and {"code", "level", "text"} <= found.keys()
+        ):
+            return found
+    return None
+
+
 class _HostProcesses:
     def __init__(
         self,
@@ -101,6 +116,10 @@ class _HostProcesses:
         self.pipes: list[asyncio.ReadTransport] = []
         #: Pipes to which the hosts write their results.
         self.results: dict[str, int] = {}
+        #: Safe states that the guards of hosts have confirmed after the end of the host, by host and device.
+        self.confirmed: dict[str, dict[str, str]] = {host: {} for host in addresses}
+        #: Set by each report of a guard whose host has ended.
+        self.guard_reported = asyncio.Event()
         #: Why hosts were killed.
         self.killed: dict[str, str] = {}
         self.width = max(len(host) for host in addresses)
@@ -226,8 +245,21 @@ class _HostProcesses:
             if self.args.json and target is sys.stdout:
                 text = with_host(text, host)
                 target.write(text + "\n")
+            elif target is sys.stderr and (report := guard_report(text, host)):
+                self.on_guard_report(host, text, report)
             else:
                 self.show(host, text, target)
+
+    def on_guard_report(self, host: str, text: str, report: dict[str, Any]) -> None:
+        """Forward a log line of a guard whose host has ended; note a confirmed safe state."""
+        if self.args.json:
+            sys.stdout.write(text + "\n")
+        else:
+            self.show(host, escape_line(str(report["text"])), sys.stderr)
+        fields = report.get("fields")
+        if report["code"] == log_messages.DEVICE_SAFE.code and isinstance(fields, dict):
+            self.confirmed[host][str(fields.get("device"))] = str(report["text"])
+            self.guard_reported.set()
 
     def note(self, host: str, line: LogLine) -> None:
         """A log line about a host that has ended."""
@@ -269,7 +301,7 @@ class _HostProcesses:
         if status:
             self.on_exit(host)
         if status < 0:
-            return self.signal_status(signal.Signals(-status), host)
+            return await self.signal_status(signal.Signals(-status), host)
         if status not in HOST_STATUSES and not self.stop_signals.first_requested.is_set():
             self.refused = self.refused or status
         if status not in HOST_STATUSES or status == exit_status.UNKNOWN_OUTCOME:
@@ -283,17 +315,32 @@ class _HostProcesses:
             if host != exited and child.returncode is None and child.stdin and not child.stdin.is_closing():
                 child.stdin.write(parent_pipe.exit_line(exited))
 
-    def signal_status(self, number: signal.Signals, host: str) -> int:
-        """The status of a host that a signal ended: its devices are not confirmed to be safe."""
-        devices = [device for device in self.mission.devices_of(host) if not device.is_sensor]
-        lines = [log_messages.HOST_KILLED.line(host=host, signal=number.name)]
+    async def signal_status(self, number: signal.Signals, host: str) -> int:
+        """The status of a host that a signal ended.
+
+        Unsafe if it has a device that acts: a confirmed safe state is not yet rest.
+        """
+        killed = log_messages.HOST_KILLED.line(host=host, signal=number.name)
+        self.note(host, killed)
+        devices = [device.name for device in self.mission.devices_of(host) if not device.is_sensor]
+        await self.confirmation(host, devices)
+        reasons: list[str] = [killed]
         for device in devices:
-            reason = f"not confirmed to be in its safe state '{device.safe_state}'"
-            lines.append(log_messages.DEVICE_NOT_SAFE.line(device=device.name, reason=reason))
-        for line in lines:
+            if device in self.confirmed[host]:
+                reasons.append(self.confirmed[host][device])
+                continue
+            reasons.append(line := log_messages.DEVICE_UNCONFIRMED.line(device=device, signal=number.name))
             self.note(host, line)
-        self.killed[host] = "; ".join(lines)
+        self.killed[host] = "; ".join(reasons)
         return exit_status.UNSAFE if devices else exit_status.FAILED
+
+    async def confirmation(self, host: str, devices: Sequence[str]) -> None:
+        """Wait until the guards have confirmed the safe states of the devices, up to a time-out."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(CONFIRMATION_TIMEOUT):
+                while not self.confirmed[host].keys() >= set(devices):
+                    self.guard_reported.clear()
+                    await self.guard_reported.wait()
 
     async def stop_on_signal(self) -> None:
         """Stop all hosts in order after a signal, and by force after a time-out."""

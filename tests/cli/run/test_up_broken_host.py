@@ -2,6 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[3] / "examples"
+
+
 PROGRAM = """
 include <mavlink/copter.L>;
 coordinator Pilot {
@@ -46,3 +56,19 @@ def test_a_host_with_a_bug_ends_with_70_and_its_copter_lands(lfield):
     assert status == 70, host.said
     assert "alpha stopped: bug in lfield: ZeroDivisionError: planted" in host.said
     assert "lead.fc in safe state 'land'" in host.said
+
+
+@pytest.mark.few(0)
+def test_guards_of_a_killed_host_log_json_lines_with_its_name(lfield):
+    deployment = EXAMPLES / "01-first-flight" / "mission.dL"
+    team = lfield.start("up", "--deploy", deployment, "--all", "--sim", "--until-done", "--json")
+    team.wait_for("wing: at ")
+    os.kill(lfield.child("bravo"), signal.SIGKILL)
+    assert team.wait() == 3
+    lines = [json.loads(line) for line in team.out]
+    codes = {line["code"] for line in lines if line["host"] == "bravo"}
+    assert "host-killed" in codes
+    # The fake of the device has ended with the host: its guard reports the lost link.
+    assert codes & {"mavlink-link-lost", "endpoint-lost"}, codes
+    assert ("device-safe" in codes) != ("device-unconfirmed" in codes)
+    assert not any("wing.fc" in line for line in team.err)

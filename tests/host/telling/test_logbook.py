@@ -7,9 +7,9 @@ import json
 import math
 
 from lfield.clock import SystemClock
-from lfield.host.logbook import MAX_INCOMPLETE, JsonLogbook, Logbook, json_line
+from lfield.host.logbook import MAX_INCOMPLETE, JsonLogbook, Logbook
 from lfield.text import log_messages
-from lfield.text.log_messages import LogMessage
+from lfield.text.log_messages import LogMessage, json_line
 
 
 class StillClock(SystemClock):
