@@ -55,7 +55,15 @@ def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
     if foreign := variable_hint(name, member[1] if member else "") or FOREIGN_STATEMENTS.get(name):
         return foreign
     known = [*body.scope.names(), *(f.name for f in body.unit.fields), "true", "false", "null"]
-    return did_you_mean(name, known)
+    return did_you_mean(name, known) or (_object_hint(body, name, member[1]) if member else None)
+
+
+def _object_hint(body: BodyContext, name: str, member: str) -> str:
+    """How to declare a variable whose member is used."""
+    offering = (unit.name for unit in body.symbols.units.values() if unit.overloads(member, "portal"))
+    if body.unit.usage == "coordinator" and (resource := next(offering, None)):
+        return f'find a resource first: write {resource} {name} = find{resource}("id");'
+    return "declare it first, with a resource, a device type or a class as its type"
 
 
 def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tree.Expr:
