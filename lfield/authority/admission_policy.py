@@ -160,7 +160,7 @@ class CertificateAdmission(AdmissionPolicy):
         line = log_messages.CRL_STORED.line(number=self.number)
         if why:
             known = {self._greeted[serial] for serial in self.revoked.serials & self._greeted.keys()}
-            holders = f" ({', '.join(sorted(known))})" if known else ""
+            holders = ", ".join(sorted(known))
             line = log_messages.CRL_NOT_STORED.line(number=self.number, reason=why, holders=holders)
         trouble = str(line) if why else ""
         if trouble != self.persist_error:

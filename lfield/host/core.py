@@ -307,8 +307,7 @@ class HostCore:
         self.recorder.hybrid_clock.merge(hello.host, hello.stamp, self._clock.monotonic())
         restarted = self.reachability.on_link_opened(hello.host, hello.incarnation)
         if restarted or hello.host in self.membership.neighbours:
-            was_restarted = "; it was restarted" if restarted else ""
-            self._log(log_messages.LINKED.line(host=hello.host, restarted=was_restarted))
+            self._log(log_messages.LINKED.line(host=hello.host, restarted=restarted))
         self.recorder.on_linked(hello.host, restarted=restarted)
         self._publish(LinkOpened(hello))
         self._effects.append(WAKE_WAITERS)

@@ -162,10 +162,9 @@ class Host:
         await require_timely(self.guards.lateness.limit, devices, self.clock)
         await self.guards.open(devices)
         await self._observers.order_executor.restore_pause()
-        where = f"on {self.address}" if self.address else "for commands of this computer"
-        unsaved = "no journal (simulation)" if self.mission.world == "fakes" else "state not saved"
-        journal = "" if self.journal_writer.journal_id else f"; {unsaved}"
-        self.note(log_messages.HOST_LISTENING.line(host=self.name, where=where, journal=journal))
+        unsaved = "simulation" if self.mission.world == "fakes" else "none"
+        journal = "stored" if self.journal_writer.journal_id else unsaved
+        self.note(log_messages.HOST_LISTENING.line(host=self.name, address=self.address, journal=journal))
         if line := self.options.admission.clock_warning():
             self.note(line)
         self.journal_writer.delete(self.core.coordinators.recovery.outdated)

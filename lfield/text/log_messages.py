@@ -8,10 +8,10 @@ A host logs only the `LogLine`s that `LogMessage.line` makes. Drivers have table
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from math import isfinite
-from typing import Literal
+from typing import Literal, NamedTuple
 
 Level = Literal["info", "warning", "error"]
 
@@ -46,33 +46,59 @@ def _is_finite(value: object) -> bool:
     return isinstance(value, float) and isfinite(value)
 
 
+class Clause(NamedTuple):
+    """A part of a template that is made from values: they stay plain data, and the text reads well."""
+
+    values: tuple[str, ...]
+    text: Callable[..., str]
+
+
 @dataclass(frozen=True, slots=True)
 class LogMessage:
-    """One kind of log line; `meaning` explains the template where necessary."""
+    """One kind of log line; `meaning` explains the template where necessary.
+
+    `clauses` are the fields of the template that are no values.
+    """
 
     code: str
     template: str
     level: Level = "info"
     meaning: str = ""
+    clauses: Mapping[str, Clause] = field(default_factory=dict, compare=False)
 
     def line(self, **values: object) -> LogLine:
-        """The line with the values of its template."""
-        return LogLine(self.template.format(**values), self.code, self.level, values)
+        """The line with the values of its template and of its clauses."""
+        made = {
+            name: clause.text(*(values[each] for each in clause.values))
+            for name, clause in self.clauses.items()
+        }
+        return LogLine(self.template.format(**values, **made), self.code, self.level, values)
 
 
 #: Every message by its code.
 LOG_MESSAGES: dict[str, LogMessage] = {}
 
 
-def _message(code: str, template: str, level: Level = "info", meaning: str = "") -> LogMessage:
+def _message(
+    code: str, template: str, level: Level = "info", meaning: str = "", **clauses: Clause
+) -> LogMessage:
     assert code not in LOG_MESSAGES, code
-    LOG_MESSAGES[code] = LogMessage(code, template, level, meaning)
+    LOG_MESSAGES[code] = LogMessage(code, template, level, meaning, clauses)
     return LOG_MESSAGES[code]
 
 
 # --- the host and its journal ---------------------------------------------------------------------------
 
-HOST_LISTENING = _message("host-listening", "{host} listening {where}{journal}")
+#: What the line of a host says for each value of `journal`.
+_JOURNALS = {"stored": "", "none": "; state not saved", "simulation": "; no journal (simulation)"}
+_LOCAL = "for commands of this computer"
+HOST_LISTENING = _message(
+    "host-listening",
+    "{host} listening {where}{unsaved}",
+    meaning=f"journal is one of: {', '.join(_JOURNALS)}",
+    where=Clause(("address",), lambda address: f"on {address}" if address else _LOCAL),
+    unsaved=Clause(("journal",), _JOURNALS.__getitem__),
+)
 HOST_FAILED = _message("host-failed", "{host} stopped: {reason}", "error")
 TRACEBACK = _message(
     "traceback", "traceback of the failure:\n{text}", "error", "only with LFIELD_TRACEBACK=1"
@@ -127,18 +153,23 @@ WAITING_FOR_REST = _message(
 
 # --- the end of a run of all hosts ------------------------------------------------------------------------
 
+_HOP_NOUN = Clause(("hops",), lambda hops: "hop" if hops == 1 else "hops")
 MISSION_COMPLETED = _message(
-    "mission-completed", "mission completed after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}"
+    "mission-completed",
+    "mission completed after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}",
+    hop_noun=_HOP_NOUN,
 )
 MISSION_INTERRUPTED = _message(
     "mission-interrupted",
     "mission stopped after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}: interrupted",
     "warning",
+    hop_noun=_HOP_NOUN,
 )
 MISSION_FAILED = _message(
     "mission-failed",
     "mission failed on {where} after {seconds:.0f} s, {hops} {hop_noun}; exit status {status}: {reason}",
     "error",
+    hop_noun=_HOP_NOUN,
 )
 
 # --- agents ---------------------------------------------------------------------------------------------
@@ -289,7 +320,11 @@ STOP_END_NOT_STORED = _message(
 
 # --- links ----------------------------------------------------------------------------------------------
 
-LINKED = _message("linked", "link to {host} established{restarted}")
+LINKED = _message(
+    "linked",
+    "link to {host} established{restart}",
+    restart=Clause(("restarted",), lambda restarted: "; it was restarted" if restarted else ""),
+)
 LINK_LOST = _message("link-lost", "link to {host} lost", "warning")
 LINK_TIMED_OUT = _message(
     "link-timed-out", "link to {host} timed out after {seconds:.1f} s; closing", "warning"
@@ -341,8 +376,9 @@ CRL_INCOMPLETE = _message(
 CRL_NOT_STORED = _message(
     "crl-not-stored",
     "certificate revocation list {number} not stored: {reason}; after a restart this host would accept the "
-    "certificates that it revokes{holders}; free disk space, or copy the list to the keys of this host",
+    "certificates that it revokes{of_holders}; free disk space, or copy the list to the keys of this host",
     "error",
+    of_holders=Clause(("holders",), lambda holders: f" ({holders})" if holders else ""),
 )
 CRL_STORED = _message("crl-stored", "certificate revocation list {number} stored")
 REPORT_INVALID = _message("report-invalid", "status report ignored: {reason}", "warning")
@@ -393,9 +429,11 @@ HEARTBEAT_LATE = _message(
 DEVICE_MESSAGES: dict[str, LogMessage] = {}
 
 
-def _device_message(code: str, template: str, level: Level = "info", meaning: str = "") -> LogMessage:
+def _device_message(
+    code: str, template: str, level: Level = "info", meaning: str = "", **clauses: Clause
+) -> LogMessage:
     assert code not in LOG_MESSAGES, code
-    made = DEVICE_MESSAGES[code] = LogMessage(code, template, level, meaning)
+    made = DEVICE_MESSAGES[code] = LogMessage(code, template, level, meaning, clauses)
     return made
 
 
@@ -428,7 +466,19 @@ ENDPOINT_LOST = _device_message("endpoint-lost", "link lost: {endpoint}: {reason
 ENDPOINT_UNOPENED = _device_message(
     "endpoint-unopened", "link not opened: {endpoint}: {reason} (attempt {count})", "warning"
 )
-ENDPOINT_REOPENED = _device_message("endpoint-reopened", "link opened: {endpoint}{details}")
+
+
+def _answer(address: str, attempts: int, seconds: float) -> str:
+    if not address:
+        return ""
+    return f": {address}, after {attempts} attempt{'s' * (attempts != 1)} and {seconds:.0f} s"
+
+
+ENDPOINT_REOPENED = _device_message(
+    "endpoint-reopened",
+    "link opened: {endpoint}{answer}",
+    answer=Clause(("address", "attempts", "seconds"), _answer),
+)
 SERIAL_BACK = _device_message("serial-back", "link opened: serial port {port}")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from bisect import bisect
 from collections.abc import Iterable
 from difflib import get_close_matches
@@ -9,6 +10,11 @@ from functools import lru_cache
 
 #: The longest name that is compared, and the maximum number of names it is compared with.
 MAX_LENGTH, MAX_NAMES = 64, 100
+#: The maximum number of names that a hint lists in full, and of similar names in place of more.
+MAX_LISTED, MAX_SIMILAR = 8, 3
+
+#: The words of a name such as goToGlobal.
+_NAME_PART = re.compile(r"[A-Z]?[a-z]+|[A-Z]+|\d+")
 
 
 def closest(name: str, known: Iterable[str]) -> str | None:
@@ -38,6 +44,35 @@ def did_you_mean(name: str, known: Iterable[str]) -> str | None:
     """`did you mean 'x'?`, or None when no name is similar."""
     close = closest(name, known)
     return f"did you mean '{close}'?" if close is not None else None
+
+
+def similar(name: str, known: Iterable[str]) -> list[str]:
+    """Up to MAX_SIMILAR names that share a word with an unknown one, or else resemble it; [] for none.
+
+    Only the first MAX_NAMES known names are compared.
+    """
+    if len(name) > MAX_LENGTH:
+        return []
+    names = list(known)[:MAX_NAMES]
+    parts = _name_parts(name)
+    sharing = [one for one in names if parts & _name_parts(one)]
+    return get_close_matches(name, sharing, MAX_SIMILAR, 0.0) or get_close_matches(
+        name, names, MAX_SIMILAR, 0.5
+    )
+
+
+def _name_parts(name: str) -> set[str]:
+    return {part.lower() for part in _NAME_PART.findall(name)}
+
+
+def choice(name: str, known: Iterable[str], intro: str) -> str:
+    """The hint for an unknown name: after `intro` all names if they are few, else similar or some names."""
+    names = list(known)
+    if len(names) <= MAX_LISTED:
+        return f"{intro} {listed(names)}"
+    if near := similar(name, names):
+        return f"similar names: {listed(near)}"
+    return f"{intro} {', '.join(names[:MAX_LISTED])}, ..."
 
 
 def listed(names: Iterable[str], nothing: str = "none") -> str:

@@ -208,6 +208,11 @@ _PROBLEMS = (
 )
 
 
+#: A closing bracket where PyYAML expects something else.
+_FOUND_BRACKET = re.compile(r"but found '([]}])'")
+_OPENING = {"}": "{", "]": "["}
+
+
 def _syntax_error(source: Source, start: int, error: yaml.MarkedYAMLError) -> Diagnostic:
     """The finding for an error of PyYAML, with a text of lfield where there is one."""
     reported = f"{error.context or ''}; {error.problem or ''}"
@@ -218,6 +223,12 @@ def _syntax_error(source: Source, start: int, error: yaml.MarkedYAMLError) -> Di
         return Diagnostic(
             "Y101", "a tab in the indentation of this line", _at(source, position), "indent with spaces"
         )
+    unmatched = _FOUND_BRACKET.search(reported)
+    # Inside { ... } or [ ... ] it may be a bracket of the wrong kind.
+    if unmatched and "parsing a flow" not in reported:
+        closing = unmatched[1]
+        hint = f"remove it, or add the {_OPENING[closing]} that it closes"
+        return Diagnostic("Y101", f"one {closing} too many", _at(source, start), hint)
     for part, sentence, hint in _PROBLEMS:
         if part in reported:
             return Diagnostic("Y101", sentence, _at(source, start), hint)

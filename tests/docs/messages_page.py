@@ -20,6 +20,7 @@ from lfield.operator.diagnostics import DIAGNOSES
 from lfield.text.log_messages import DEVICE_MESSAGES, LOG_MESSAGES, LogMessage
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import FINDING_CODES
+from lfield.text.suggestions import listed
 from lfield.text.yaml_source import YAML_CODES
 
 PAGE = Path(__file__).resolve().parents[2] / "lfield" / "docs" / "messages.md"
@@ -97,7 +98,15 @@ def device_messages() -> Iterator[LogMessage]:
 
 def _log_lines(messages: Iterable[LogMessage]) -> Iterator[tuple[str, ...]]:
     for each in messages:
-        yield f"`{each.code}`", each.level, _plain(each.template), each.meaning
+        yield f"`{each.code}`", each.level, _plain(each.template), "; ".join(_meaning(each))
+
+
+def _meaning(message: LogMessage) -> Iterator[str]:
+    """The meaning, and which fields of JSON the parts of the line stand for that are no fields."""
+    if message.meaning:
+        yield message.meaning
+    for name, clause in message.clauses.items():
+        yield f"{{{name}}} depends on {listed(clause.values)}"
 
 
 def _findings(kinds: Iterable[FindingKind]) -> Iterator[tuple[str, ...]]:

@@ -76,7 +76,10 @@ def log_calls() -> Iterator[tuple[Mapping[str, object], str, list[ast.keyword]]]
 
 
 def fields_of(message: log_messages.LogMessage) -> set[str]:
-    return {field for _, field, _, _ in string.Formatter().parse(message.template) if field}
+    """The values that a line needs: those of its template and of its clauses."""
+    named = {field for _, field, _, _ in string.Formatter().parse(message.template) if field}
+    assert message.clauses.keys() <= named
+    return (named - message.clauses.keys()).union(*(each.values for each in message.clauses.values()))
 
 
 def test_every_log_line_is_given_the_values_of_its_template() -> None:

@@ -24,3 +24,21 @@ def test_of_thousands_of_names_it_is_looked_for_near_in_the_alphabet() -> None:
 def test_a_name_that_is_no_name_is_like_none() -> None:
     long = "a" * 10_000
     assert suggestions.closest(long, [f"{long}b"]) is None
+
+
+MANY = ["arm", "land", "goTo", "goToGlobal", "setSpeed", "mode", "hold", "orbit", "yaw"]
+
+
+def test_few_names_are_listed_and_of_many_the_similar_or_the_first() -> None:
+    assert suggestions.choice("driveTo", MANY[:8], "it has") == f"it has {', '.join(MANY[:7])} and orbit"
+    assert suggestions.choice("driveTo", MANY, "it has") == "similar names: goTo and goToGlobal"
+    assert suggestions.choice("modus", MANY, "it has") == "similar names: mode"
+    assert suggestions.choice("zzz", MANY, "it has") == f"it has {', '.join(MANY[:8])}, ..."
+
+
+def test_similar_names_are_few_and_come_from_a_bounded_number() -> None:
+    known = [f"setValue{number}" for number in range(10_000)]
+    assert len(suggestions.similar("getValue", known)) == suggestions.MAX_SIMILAR
+    assert suggestions.similar("getValue9999", known[suggestions.MAX_NAMES :]) != []
+    assert suggestions.similar("land", [*known, "landing"]) == []
+    assert suggestions.similar("a" * 10_000, ["a"]) == []

@@ -98,6 +98,11 @@ def test_places():
         ('a: "\\xZZ"\n', "t.yaml:1:7: error[Y101]: an escape lacks hexadecimal digits"),
         ("a: \x07\n", "t.yaml:1:4: error[Y101]: the character U+0007 is not allowed in YAML"),
         ("a: |x\n", "t.yaml:1:5: error[Y101]: a | or > must be the last character of its line"),
+        ("a: {b: c}}\nd: 1\n", "t.yaml:1:10: error[Y101]: one } too many"),
+        ("a:\n  - [1]]\n", "t.yaml:2:8: error[Y101]: one ] too many"),
+        ("{a: {b: 1}}}\n", "t.yaml:1:12: error[Y101]: one } too many"),
+        ("a: ]\n", "t.yaml:1:4: error[Y101]: one ] too many"),
+        ("a: {b: [1}}\n", "t.yaml:1:10: error[Y101]: this [ ... ] list is not closed"),
         ("[" * 40, "error[Y102]: more than 32 levels deep"),
     ],
 )

@@ -33,7 +33,6 @@ TABLES: dict[str, str] = {
 SMALL = {
     "drivers/lfield_can/log_messages.py": "the log lines of a driver",
     "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",
-    "lfield/text/suggestions.py": "the known name that an unknown one resembles",
     "drivers/lfield_mavlink/link/link_events.py": "what a link reports to its driver",
     "lfield/authority/key_material.py": "keys as bytes, and the names of their files",
     "lfield/authority/ephemeral_ca.py": "keys of one run, in memory",

@@ -22,14 +22,13 @@ def summary(
     The order of `statuses` is that of the reasons, after their severity.
     """
     hops = total_hops(results)
-    noun = "hop" if hops == 1 else "hops"
     if status == exit_status.DONE:
-        return log_messages.MISSION_COMPLETED.line(seconds=seconds, hops=hops, hop_noun=noun, status=status)
+        return log_messages.MISSION_COMPLETED.line(seconds=seconds, hops=hops, status=status)
     if status == exit_status.INTERRUPTED:
-        return log_messages.MISSION_INTERRUPTED.line(seconds=seconds, hops=hops, hop_noun=noun, status=status)
+        return log_messages.MISSION_INTERRUPTED.line(seconds=seconds, hops=hops, status=status)
     where, reason = _failure(statuses, status, results)
     return log_messages.MISSION_FAILED.line(
-        where=where, seconds=seconds, hops=hops, hop_noun=noun, status=status, reason=reason
+        where=where, seconds=seconds, hops=hops, status=status, reason=reason
     )
 
 

@@ -11,7 +11,10 @@ REPEAT_INTERVAL = 30.0
 
 
 class Attempts:
-    """Attempts to reopen one link; `name` is its endpoint. Methods return a log line, '' for none."""
+    """Attempts to reopen one link; `name` is its endpoint.
+
+    Methods return a log line, '' for none.
+    """
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -37,11 +40,9 @@ class Attempts:
         if self._lost_at == math.inf:
             return ""
         self._count += 1
-        details = ""
-        if where:
-            tries = "1 attempt" if self._count == 1 else f"{self._count} attempts"
-            details = f": {where}, after {tries} and {now - self._lost_at:.0f} s"
-        line = log_messages.ENDPOINT_REOPENED.line(endpoint=self._name, details=details)
+        line = log_messages.ENDPOINT_REOPENED.line(
+            endpoint=self._name, address=where, attempts=self._count, seconds=now - self._lost_at
+        )
         return self._line(f"opened {where}", line, now)
 
     def works(self) -> None:

@@ -40,7 +40,7 @@ from lfield.lang.types import (
     array_of,
 )
 from lfield.text.source_text import Span
-from lfield.text.suggestions import closest, did_you_mean, listed
+from lfield.text.suggestions import choice, closest, did_you_mean
 
 #: The functions that convert to text.
 _TO_TEXT: dict[Type, str] = {INT: "i2s", REAL: "f2s", BOOLEAN: "b2s", STRING: ""}
@@ -285,7 +285,7 @@ def _unknown_member(body: BodyContext, function: syntax.Member, kind: Type, unit
         body.report(messages.NO_MEMBERS, place, given=with_article(kind))
         return
     what = {ResourceType: "portal", DeviceType: "instruction"}.get(type(kind), "method")
-    listing = f"it has {listed(known, 'no ' + what + 's')}"
+    listing = choice(name, known, "it has") if known else f"it has no {what}s"
     hint = _foreign_method(kind, name) or did_you_mean(name, known) or listing
     body.report(messages.UNKNOWN_METHOD, place, hint=hint, type=kind, kind=what, name=name, known=listing)
 

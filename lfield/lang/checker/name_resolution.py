@@ -11,7 +11,7 @@ from lfield.lang.checker.symbols import LIBRARY_NAMES
 from lfield.lang.language_library import EXCEPTION_METHODS, PROXY_METHODS, STRING_METHODS
 from lfield.lang.parser.foreign_words import FOREIGN_STATEMENTS, variable_hint
 from lfield.lang.types import STRING, UNKNOWN, ArrayType, ClassType, DeviceType, ResourceType, Type
-from lfield.text.suggestions import did_you_mean, listed
+from lfield.text.suggestions import choice, did_you_mean
 
 #: A member behind a name, as in `math.sqrt`.
 _MEMBER = re.compile(r"\s*\.\s*(\w+)")
@@ -55,7 +55,15 @@ def _variable_hint(body: BodyContext, raw: syntax.Name) -> str | None:
     if foreign := variable_hint(name, member[1] if member else "") or FOREIGN_STATEMENTS.get(name):
         return foreign
     known = [*body.scope.names(), *(f.name for f in body.unit.fields), "true", "false", "null"]
-    return did_you_mean(name, known)
+    return did_you_mean(name, known) or (_object_hint(body, name, member[1]) if member else None)
+
+
+def _object_hint(body: BodyContext, name: str, member: str) -> str:
+    """How to declare a variable whose member is used."""
+    offering = (unit.name for unit in body.symbols.units.values() if unit.overloads(member, "portal"))
+    if body.unit.usage == "coordinator" and (resource := next(offering, None)):
+        return f'find a resource first: write {resource} {name} = find{resource}("id");'
+    return "declare it first, with a resource, a device type or a class as its type"
 
 
 def check_member(body: BodyContext, raw: syntax.Member, owner: tree.Expr) -> tree.Expr:
@@ -95,7 +103,8 @@ def _unknown_field(body: BodyContext, raw: syntax.Member, kind: Type, unit: tree
         body.report(messages.NO_MEMBERS, raw.place, given=with_article(kind))
     elif unit is None or unit.name not in body.symbols.broken_units:
         fields = [f.name for f in unit.fields] if unit is not None else []
-        known = f"its fields are {listed(fields)}" if fields else f"its methods are {listed(methods)}"
+        what, names = ("fields", fields) if fields else ("methods", methods)
+        known = choice(raw.name, names, f"its {what} are")
         hint = did_you_mean(raw.name, fields) or known
         body.report(messages.UNKNOWN_FIELD, raw.place, hint=hint, type=kind, name=raw.name, known=known)
 

@@ -7,6 +7,7 @@ from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.foreign_syntax import at_walrus, walrus
 from lfield.lang.parser.foreign_words import FOREIGN_MODIFIERS, FOREIGN_STATEMENTS, METHOD_ENDS, METHOD_WORDS
 from lfield.lang.parser.local_variables import initial_value
+from lfield.lang.parser.portal_heads import at_misplaced_portal, misplaced_portal, misplaced_result
 from lfield.lang.parser.python_blocks import report_colon, skip_python_block
 from lfield.lang.parser.statements import block
 from lfield.lang.parser.token_stream import (
@@ -16,7 +17,13 @@ from lfield.lang.parser.token_stream import (
     TokenStream,
     UnclosedBrace,
 )
-from lfield.lang.parser.type_names import misplaced_brackets, parameter_modifier, result_type, type_name
+from lfield.lang.parser.type_names import (
+    AFTER_TYPE,
+    misplaced_brackets,
+    parameter_modifier,
+    result_type,
+    type_name,
+)
 from lfield.lang.scanner import Token, TokenKind
 from lfield.lang.syntax import BAD_TYPE, Field, Method, ParameterDecl, TypeName, Unit
 from lfield.lang.tree import MethodKind, UnitKind, Usage
@@ -24,7 +31,6 @@ from lfield.text.source_text import Span
 from lfield.text.suggestions import closest
 
 _USAGES: dict[str, Usage] = {"resource": "resource", "coordinator": "coordinator"}
-_AFTER_TYPE = ("[", "<", "::", "*", "&", "?")
 _NESTED_UNITS = ("struct", "enum", "interface", "template", "typedef", "import", "from", "using", "namespace")
 _MODIFIERS = ("public", "private", "synchronized")
 
@@ -163,12 +169,15 @@ def _member(s: TokenStream, made: Unit) -> None:
         return _portal(s, made, modifiers)
     if s.at("init"):
         return _init(s, made, modifiers)
+    if at_misplaced_portal(s):
+        result = misplaced_portal(s, "synchronized " if modifiers.synchronized else "")
+        return _named_portal(s, made, modifiers, result, modifiers.synchronized)
     _foreign_member(s)
     if s.at_name() and s.ahead(1).text == "(":
         return _without_result(s, made, modifiers)
     if not (s.at_name() or s.at("boolean", "int", "real", "string", "void")):
         raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
-    if s.at_name() and not (s.ahead(1).text.isidentifier() or s.ahead(1).text in _AFTER_TYPE):
+    if s.at_name() and not (s.ahead(1).text.isidentifier() or s.ahead(1).text in AFTER_TYPE):
         raise s.fail(messages.EXPECTED_MEMBER, found=s.current)
     declared = result_type(s)
     name = s.expect_name("a name")
@@ -233,37 +242,19 @@ def _portal(s: TokenStream, made: Unit, modifiers: _Modifiers) -> None:
         place = ", or write portal synchronized" if keyword == "synchronized" else ": every portal is public"
         _unwanted(s, token, "a portal", place)
     synchronized = s.accept("synchronized")
-    result = _misplaced_result(s)
+    _named_portal(s, made, modifiers, misplaced_result(s), synchronized)
+
+
+def _named_portal(
+    s: TokenStream, made: Unit, modifiers: _Modifiers, result: TypeName | None, synchronized: bool
+) -> None:
+    """A portal; the stream is at its name."""
     name = s.expect_name("the name of the portal")
     method = _method(s, "portal", name, modifiers, result)
     method.synchronized = synchronized
     if s.accept("emit"):
         method.result = type_name(s, "an emit")
     _body(s, made, method)
-
-
-def _misplaced_result(s: TokenStream) -> TypeName | None:
-    """Report the type before the name of a portal, as in `portal real p()`; the type, or None without one."""
-    first = s.current
-    if s.at("async", *METHOD_WORDS) and s.ahead(1).kind is TokenKind.NAME:
-        token = s.advance()
-        s.report(messages.FOREIGN_KEYWORD, token.span, keyword=token.text, instead="leave it out")
-        return None
-    is_type = s.at_name() and (s.ahead(1).kind is TokenKind.NAME or s.ahead(1).text in _AFTER_TYPE)
-    if not is_type and not s.at("emit", "void", *PRIMITIVES):
-        return None
-    if s.accept("emit") and s.at_name() and s.ahead(1).text == "(":
-        written, result = "...", None
-    else:
-        result = result_type(s)
-        written = str(result)
-    name = s.current.text if s.at_name() else "name"
-    hint = f"the type follows the parameters: portal {name}(...) emit {written}"
-    if written == "void":
-        hint, result = f"a portal without emit returns nothing: portal {name}(...)", None
-    span = first.span.to(s.previous.span)
-    s.report(messages.EXPECTED_NAME, span, hint=hint, what="the name of the portal", found=first)
-    return result
 
 
 def _foreign_ending(s: TokenStream, method: Method) -> None:

@@ -18,7 +18,13 @@ from lfield.lang.parser.foreign_syntax import (
     word_operator,
     word_prefix,
 )
-from lfield.lang.parser.foreign_words import FOREIGN_NAMES, FOREIGN_SYMBOLS, JOIN, WORD_OPERATORS
+from lfield.lang.parser.foreign_words import (
+    FOREIGN_NAMES,
+    FOREIGN_SYMBOLS,
+    JOIN,
+    WORD_OPERATORS,
+    WORD_PREFIXES,
+)
 from lfield.lang.parser.python_blocks import bare_condition_hint, skip_bare_condition
 from lfield.lang.parser.token_stream import PRIMITIVES, SyntaxRecovery, TokenStream
 from lfield.lang.parser.type_names import brackets, element_name
@@ -203,7 +209,35 @@ def _unary(s: TokenStream) -> Expr:
         return s.bounded(Unary(operand.span, operand.height + 1, "!", operand)) if is_not else operand
     if s.at_name() and at_cast(s):
         raise cast(s)
+    if arrow := _lambda_arrow(s):
+        raise _lambda(s, arrow)
     return _postfix(s)
+
+
+def _lambda_arrow(s: TokenStream) -> int:
+    """How far ahead the arrow of `() -> 1`, `(x, y) => x` or `x -> 1` is; 0 without one."""
+    if s.at_name():
+        is_pointer = s.ahead(2).kind is TokenKind.NAME  # `p->next`
+        return 1 if s.ahead(1).text == "->" and not is_pointer else 0
+    if not s.at("("):
+        return 0
+    at = 1
+    while s.ahead(at).text in (",", *PRIMITIVES) or s.ahead(at).kind is TokenKind.NAME:
+        at += 1
+    # `(n) => 3` may be a misspelt `>=`.
+    arrows = ("->",) if at == 2 else ("->", "=>")
+    return at + 1 if s.ahead(at).text == ")" and s.ahead(at + 1).text in arrows else 0
+
+
+def _lambda(s: TokenStream, arrow: int) -> SyntaxRecovery:
+    """Report a lambda expression and skip it up to its arrow, or its block; raise what this returns."""
+    for _ in range(arrow):
+        s.advance()
+    sign = s.advance()
+    s.report(messages.FOREIGN_OPERATOR, sign.span, operator=sign.text, instead=WORD_PREFIXES["lambda"])
+    if s.at("{"):
+        s.skip_braces()
+    return SyntaxRecovery()
 
 
 def _postfix(s: TokenStream) -> Expr:

@@ -10,6 +10,8 @@ from lfield.lang.syntax import BAD_TYPE, TypeName
 
 #: How many `[]` a type may have.
 MAX_DIMENSIONS = 8
+#: The signs that may follow a name of a type, in L or in another language.
+AFTER_TYPE = ("[", "<", "::", "*", "&", "?")
 
 
 def at_declaration(s: TokenStream) -> bool:

@@ -6,6 +6,8 @@ import io
 import json
 import math
 
+import pytest
+
 from lfield.clock import SystemClock
 from lfield.host.logbook import MAX_INCOMPLETE, JsonLogbook, Logbook
 from lfield.text import log_messages
@@ -54,6 +56,46 @@ def test_a_log_line_has_the_values_of_its_template() -> None:
         "fields": {"name": "a\x9b2J", "value": 1.25, "other": "None", "bad": "nan", "count": 3},
     }
     assert json_line(1.0, "alpha", line).isascii()
+
+
+LISTENING = log_messages.HOST_LISTENING
+LINKED = log_messages.LINKED
+UNSTORED = log_messages.CRL_NOT_STORED
+REOPENED = log_messages.ENDPOINT_REOPENED
+COMPLETED = log_messages.MISSION_COMPLETED
+
+
+@pytest.mark.parametrize(
+    ("message", "values", "part"),
+    [
+        (LISTENING, {"host": "a", "address": "::1 7000", "journal": "stored"}, "a listening on ::1 7000"),
+        (LISTENING, {"host": "a", "address": "", "journal": "none"}, "computer; state not saved"),
+        (LISTENING, {"host": "a", "address": "", "journal": "simulation"}, "; no journal (simulation)"),
+        (LINKED, {"host": "a", "restarted": True}, "established; it was restarted"),
+        (LINKED, {"host": "a", "restarted": False}, "link to a established"),
+        (UNSTORED, {"number": 2, "reason": "full", "holders": "a, b"}, "that it revokes (a, b); free"),
+        (UNSTORED, {"number": 2, "reason": "full", "holders": ""}, "that it revokes; free"),
+        (COMPLETED, {"seconds": 1.5, "hops": 1, "status": 0}, "1 hop; exit"),
+        (COMPLETED, {"seconds": 1.5, "hops": 2, "status": 0}, "2 hops; exit"),
+        (
+            REOPENED,
+            {"endpoint": "e", "address": "x", "attempts": 1, "seconds": 3.2},
+            "link opened: e: x, after 1 attempt and 3 s",
+        ),
+        (
+            REOPENED,
+            {"endpoint": "e", "address": "x", "attempts": 2, "seconds": 3.2},
+            "link opened: e: x, after 2 attempts and 3 s",
+        ),
+        (REOPENED, {"endpoint": "e", "address": "", "attempts": 2, "seconds": 3.2}, "link opened: e"),
+    ],
+)
+def test_the_fields_are_plain_values_where_the_text_is_a_sentence(
+    message: LogMessage, values: dict[str, object], part: str
+) -> None:
+    line = message.line(**values)
+    assert line.as_data()["fields"] == values
+    assert part in line
 
 
 def test_a_report_of_a_device_names_it() -> None:
