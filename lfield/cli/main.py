@@ -172,10 +172,8 @@ def _report(error: LfieldError, arguments: Sequence[str]) -> int:
             for line in filter(None, [*error.problems, error.cure]):
                 _print_error(line)
     # The message of a BindingError repeats its problems.
-    summary = (
-        f"{len(error.problems)} problem(s) with the devices" if isinstance(error, BindingError) else error
-    )
-    _print_error(f"lfield: {summary}")
+    if not (isinstance(error, BindingError) and error.problems):
+        _print_error(f"lfield: {error}")
     if type(error) is LfieldError:
         _print_error(f"lfield: {error.remedy}")
     if "--json" in arguments:

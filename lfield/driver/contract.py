@@ -27,6 +27,12 @@ STANDARD_INSTRUCTIONS = (RELEASE, AGE)
 #: Key in `Manifest.fakes` for all resource types that are not listed.
 ANY = "any"
 
+#: Words in the names of resource types and agents that mean the same as a key of `Manifest.fakes`.
+NAME_WORDS = {
+    "Copter": ("drone", "uav", "multirotor", "quadrotor"),
+    "Rover": ("truck", "ugv", "husky", "buggy", "tractor"),
+}
+
 #: Waiver of every device: it has no watchdog of its own, or one slower than required.
 WATCHDOG = "device_watchdog"
 
@@ -76,13 +82,13 @@ class Manifest:
         parameters = (p for instruction in self.device.instructions for p in instruction.parameters)
         return any(q.frame for q in self.device.telemetry) or any(p.frame for p in parameters)
 
-    def fake_options(self, resource: str) -> dict[str, OptionValue]:
+    def fake_options(self, resource: str, agent: str = "") -> dict[str, OptionValue]:
         """The default options of a simulated device without a binding, in a resource of this type.
 
         Options without a default are absent.
         """
         defaults = {option.name: option.default for option in self.options if option.default is not None}
-        return {**defaults, **self.fakes.get(ANY, {}), **self.resource_options(resource)}
+        return {**defaults, **self.fakes.get(ANY, {}), **self.named_options(resource, agent)}
 
     def resource_options(self, resource: str) -> Mapping[str, OptionValue]:
         """The options that follow from the type of a resource: of `Rover` or `SurveyRover`, kind rover."""
@@ -91,14 +97,37 @@ class Manifest:
         like = [key for key in self.fakes if key != ANY and key.lower() in resource.lower()]
         return self.fakes[like[0]] if len(like) == 1 else {}
 
-    def fake_label(self, resource: str) -> str:
+    def named_options(self, resource: str, agent: str) -> Mapping[str, OptionValue]:
+        """The options that the names of a resource type or of its agent suggest; the type has priority.
+
+        A suggestion is weaker than `resource_options`: a binding may contradict it.
+        """
+        return self.resource_options(resource) or self._suggested(resource) or self._suggested(agent)
+
+    def _suggested(self, name: str) -> Mapping[str, OptionValue]:
+        lower = name.lower()
+        like = [
+            key
+            for key in self.fakes
+            if key != ANY and any(part in lower for part in (key.lower(), *NAME_WORDS.get(key, ())))
+        ]
+        return self.fakes[like[0]] if len(like) == 1 else {}
+
+    def undecided_options(self, resource: str, agent: str) -> list[Option]:
+        """The options that the resource type should decide, where neither it nor the agent's id does."""
+        if ANY in self.fakes or self.named_options(resource, agent):
+            return []
+        chosen = {key for options in self.fakes.values() for key in options}
+        return [option for option in self.options if option.name in chosen]
+
+    def fake_label(self, resource: str, agent: str = "") -> str:
         """Describes the simulated device of a resource without a binding; '' when there is only one kind."""
         chosen = {key for options in self.fakes.values() for key in options}
-        values = self.fake_options(resource)
+        values = self.fake_options(resource, agent)
         kinds = ", ".join(f"{o.name} {values[o.name]}" for o in self.options if o.name in chosen)
         if not kinds:
             return ""
-        guessed = ANY not in self.fakes and not self.resource_options(resource)
+        guessed = self.undecided_options(resource, agent)
         why = f"the kind of a {resource} is not known, so it is " if guessed else ""
         return f"{why}simulated with {kinds}"
 

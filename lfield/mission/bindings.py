@@ -226,7 +226,7 @@ def chosen_fakes(
     for agent, name, device_type in needed_devices_of(needed):
         driver, bound = driver_of(drivers, device_type), bindings.devices.get(agent, {}).get(name)
         if driver is not None and bound == _fake(bindings, agent, name, device_type, drivers, resources):
-            label = driver.manifests[device_type].fake_label(resources.get(agent, ""))
+            label = driver.manifests[device_type].fake_label(resources.get(agent, ""), agent)
             devices.setdefault(label, []).append(f"{agent}.{name}")
     return [
         f"{', '.join(names)}: {label}; a devices file chooses another"
@@ -252,7 +252,7 @@ def _without_fake(
         if driver is None or name in bindings.devices.get(agent, {}):
             continue
         manifest = driver.manifests[device_type]
-        known = manifest.fake_options(resources.get(agent, ""))
+        known = manifest.fake_options(resources.get(agent, ""), agent)
         missing = [option.name for option in manifest.options if option.name not in known]
         if missing:
             problems.append(
@@ -302,7 +302,7 @@ def _fake(
         driver=driver.name,
         endpoint=f"{SIMULATED}{agent}.{name}",
         safe_state=manifest.default_safe_state,
-        options=manifest.fake_options(resources.get(agent, "")),
+        options=manifest.fake_options(resources.get(agent, ""), agent),
         waivers=[waiver for waiver, _ in manifest.waivers],
         frame=bindings.frames.placement(agent),
     )

@@ -80,7 +80,7 @@ from lfield.mission.bindings import (
 )
 from lfield.mission.devices_reader.device_bindings import DeviceBindingsReader
 from lfield.mission.devices_reader.frame_poses import frames_of, read_hosts, read_origin, read_pose
-from lfield.text.source_text import Diagnostics
+from lfield.text.source_text import Diagnostic, Diagnostics
 from lfield.text.suggestions import did_you_mean
 from lfield.text.terminal_escape import truncate
 from lfield.text.yaml_fields import YamlFields
@@ -138,6 +138,31 @@ def read_bindings(
     if problems:
         raise BindingError(problems, found.errors)
     return on_fakes(bindings, needed, drivers, resources) if simulate else bindings
+
+
+def unstated_options(
+    path: Path, bindings: Bindings, drivers: DriverLookup, resources: Mapping[str, str]
+) -> list[Diagnostic]:
+    """Warnings about options of a valid devices file that the names of the mission should decide, and do not.
+
+    `bindings` are those of the file, `resources` the types of the agents.
+    """
+    found = Diagnostics()
+    node = read(str(path), found)
+    top = [] if node is None else YamlFields(node, found, "a devices file").section("agents").entries()
+    for agent, fields in top:
+        for device, stated in fields.section("devices").entries():
+            if (binding := bindings.devices.get(agent.key, {}).get(device.key)) is None:
+                continue
+            manifest = drivers.by_driver[binding.driver].manifests[binding.type]
+            for option in manifest.undecided_options(resources.get(agent.key, ""), agent.key):
+                if option.name in stated:
+                    continue
+                values = dict.fromkeys(str(fake.get(option.name)) for fake in manifest.fakes.values())
+                message = f"{option.name} not stated: simulated as a {option.default}"
+                hint = f"write {option.name}: {' or '.join(values)}"
+                found.add(Diagnostic("Y116", message, device.key_span, hint, "warning"))
+    return found.in_order()
 
 
 def read_frames(path: Path | None, homes: Mapping[str, str]) -> Frames:

@@ -30,7 +30,7 @@ from lfield.mission import bundle
 from lfield.mission.access.access_file import read_access
 from lfield.mission.access.access_rules import NO_RULES, Access
 from lfield.mission.bindings import Bindings, chosen_fakes, without_doubles
-from lfield.mission.bindings_file import read_bindings
+from lfield.mission.bindings_file import read_bindings, unstated_options
 from lfield.mission.mission import Mission, drivers_for, duplicate_statements, needed_devices
 from lfield.mission.team import Team, parse_maps, team_of
 from lfield.text.input_files import error_reason, read_head, require_file
@@ -328,10 +328,7 @@ def _compiled(
 
 
 def mission_problems(deploy: Path) -> list[ReportableFinding]:
-    """Findings between the files of a deployment that has no errors itself.
-
-    An unbound device is not an error: it may be simulated.
-    """
+    """Findings between the files of a valid deployment. An unbound device is none: it may be simulated."""
     if (program := sibling_file(deploy, ".L")) is None:
         return []
     found: list[ReportableFinding] = []
@@ -340,6 +337,7 @@ def mission_problems(deploy: Path) -> list[ReportableFinding]:
         if (devices := sibling_file(deploy, DEVICES)) is not None:
             complete = load_mission(deploy, simulate=True)
             found += _without_fakes(complete, devices)
+            found += unstated_options(devices, complete.bindings, complete.drivers, complete.team.types)
             found += [PlainFinding(message, "warning") for message in duplicate_statements(complete)]
             bound, loaded = complete.bindings, complete.program
         else:

@@ -121,7 +121,14 @@ def test_a_port_has_an_absolute_path():
 
 
 @pytest.mark.parametrize(
-    ("path", "words"), [("/dev/nothing-there", "No such file"), ("/dev/null", "it is not a serial port")]
+    ("path", "words"),
+    [
+        (
+            "/dev/nothing-there",
+            r"No such file or directory; is the device connected\? `lfield doctor` lists the ports$",
+        ),
+        ("/dev/null", "it is not a serial port$"),
+    ],
 )
 def test_what_cannot_be_opened(path, words):
     async def opened():

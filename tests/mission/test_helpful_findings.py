@@ -136,6 +136,55 @@ def test_a_bound_kind_must_not_contradict_the_resource(
     assert found(mission(tmp_path, devices=devices)) == findings
 
 
+def renamed(tmp_path: Path, resource: str, agent: str) -> Path:
+    """The mission with other names of the resource and its agent."""
+    path = mission(tmp_path)
+    for file in tmp_path.iterdir():
+        text = file.read_text().replace("SurveyRover", resource).replace("rover1", agent)
+        file.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("resource", "agent", "kind"),
+    [
+        ("Truck", "one", "rover"),
+        ("UGV", "one", "rover"),
+        ("Vehicle", "husky", "rover"),
+        ("Vehicle", "rover1", "rover"),
+        ("Vehicle", "drone1", "copter"),
+        ("SurveyCopter", "rover1", "copter"),
+    ],
+)
+@pytest.mark.parametrize("simulate", [True, False])
+def test_known_words_in_names_decide_the_kind(
+    tmp_path: Path, resource: str, agent: str, kind: str, simulate: bool
+) -> None:
+    path = renamed(tmp_path, resource, agent)
+    assert found(path) == []
+    loaded = load_mission(path, simulate=simulate)
+    assert loaded.bindings.devices[agent]["fc"].options["kind"] == kind
+
+
+def test_an_agent_id_never_contradicts_a_stated_kind(tmp_path: Path) -> None:
+    path = renamed(tmp_path, "Vehicle", "rover1")
+    path.with_name("m.devices.yaml").write_text(
+        DEVICES.replace("driver: mavlink", "driver: mavlink, kind: submarine")
+    )
+    assert found(path) == []
+    assert load_mission(path).bindings.devices["rover1"]["fc"].options["kind"] == "submarine"
+
+
+def test_a_kind_that_no_name_decides_is_a_warning(tmp_path: Path) -> None:
+    path = renamed(tmp_path, "Vehicle", "one")
+    (finding,) = mission_problems(path)
+    assert line_of(finding) == ("warning", "Y116", 1)
+    assert finding.as_data()["hint"] == "write kind: copter or rover"
+    stated = DEVICES.replace("rover1", "one").replace("driver: mavlink", "driver: mavlink, kind: copter")
+    path.with_name("m.devices.yaml").write_text(stated)
+    assert found(path) == []
+
+
 def test_a_misspelt_limit_lists_all_limits(tmp_path: Path) -> None:
     devices = DEVICES.replace("driver: mavlink", "driver: mavlink, limits: {hight: 10}")
     finding = mission_problems(mission(tmp_path, devices=devices))[0].as_data()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import grp
 import os
 import termios
@@ -89,7 +90,10 @@ class SerialPort:
             self._attach(make)
         except (OSError, ValueError, termios.error) as error:
             place = f"serial:{self.path}:{self.baud}"
-            raise DeviceError("endpoint", f"cannot open {place}: {self._reason(error)}") from None
+            reason = self._reason(error)
+            if getattr(error, "errno", None) == errno.ENOENT:
+                reason += "; is the device connected? `lfield doctor` lists the ports"
+            raise DeviceError("endpoint", f"cannot open {place}: {reason}") from None
 
     def _attach(self, make: Any) -> None:
         loop = asyncio.get_running_loop()

@@ -139,12 +139,13 @@ class DeviceBindingsReader:
     ) -> dict[str, OptionValue]:
         options: dict[str, OptionValue] = {}
         resource = self._resources.get(agent, "")
-        derived = manifest.resource_options(resource)
+        required = manifest.resource_options(resource)
+        suggested = manifest.named_options(resource, agent)
         for option in manifest.options:
             value = self._option(fields, option, driver)
-            expected = derived.get(option.name, value)
+            expected = required.get(option.name, value)
             if option.name not in fields:
-                value = expected
+                value = suggested.get(option.name, value)
             elif value != expected:
                 hint = f"write '{option.name}: {expected}', or leave the key out, or rename the resource"
                 message = f"'{option.name}: {value}' contradicts the resource type {resource}"

@@ -50,7 +50,7 @@ def test_nothing_there_is_one_sentence(here):
         assert kit.status == 69, kit
         assert kit.out == []
         assert kit.err[0].startswith("kit.device: ")
-        assert kit.err[1:] == ["lfield: 1 problem(s) with the devices"]
+        assert len(kit.err) == 1
 
 
 def test_the_devices_of_a_file_as_json_without_agreement(lfield, bus):

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import signal
+import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+
+from lfield import exit_status
+from lfield.cli.run import up_all
+from lfield.text import log_messages
+from lfield.text.log_messages import json_line
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 
@@ -72,3 +80,41 @@ def test_guards_of_a_killed_host_log_json_lines_with_its_name(lfield):
     assert codes & {"mavlink-link-lost", "endpoint-lost"}, codes
     assert ("device-safe" in codes) != ("device-unconfirmed" in codes)
     assert not any("wing.fc" in line for line in team.err)
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+@pytest.mark.parametrize("is_confirmed", [True, False])
+def test_a_confirmation_of_the_guard_replaces_the_line_of_the_launcher(
+    as_json, is_confirmed, capsys, monkeypatch
+):
+    """The exit status is that of an unsafe device either way: a safe state is not yet rest."""
+    monkeypatch.setattr(up_all, "CONFIRMATION_TIMEOUT", 5.0 if is_confirmed else 0.0)
+    device = SimpleNamespace(name="lead.fc", is_sensor=False)
+    launcher = object.__new__(up_all._HostProcesses)
+    launcher.args, launcher.view, launcher.width = SimpleNamespace(json=as_json), None, 5
+    launcher.mission = SimpleNamespace(devices_of=lambda host: [device])
+    launcher.confirmed, launcher.killed = {"alpha": {}}, {}
+    safe = log_messages.DEVICE_SAFE.line(device="lead.fc", state="land", reason="the host is gone")
+
+    async def killed() -> int:
+        launcher.guard_reported = asyncio.Event()
+        waiting = asyncio.create_task(launcher.signal_status(signal.SIGKILL, "alpha"))
+        await asyncio.sleep(0)
+        stderr = asyncio.StreamReader()
+        stderr.feed_data(json_line(1.0, "alpha", safe).encode() if is_confirmed else b"a vendor library\n")
+        stderr.feed_eof()
+        await launcher.pass_on("alpha", stderr, sys.stderr)
+        return await waiting
+
+    assert asyncio.run(killed()) == exit_status.UNSAFE
+    unconfirmed = "lead.fc safe state not confirmed: host killed (SIGKILL)"
+    assert launcher.killed == {"alpha": f"alpha killed (SIGKILL); {safe if is_confirmed else unconfirmed}"}
+    out, err = capsys.readouterr()
+    if as_json:
+        lines = [json.loads(line) for line in out.splitlines()]
+        codes = ["host-killed", "device-safe" if is_confirmed else "device-unconfirmed"]
+        assert [(line["host"], line["code"]) for line in lines] == [("alpha", code) for code in codes]
+        assert err.splitlines() == ([] if is_confirmed else ["alpha | a vendor library"])
+    else:
+        assert out == ""
+        assert err.splitlines()[-1] == f"alpha | {safe if is_confirmed else unconfirmed}"
