@@ -401,7 +401,7 @@ def test_a_short_ttl_is_polled_faster_than_its_watchdog():
 
 def test_a_watchdog_that_cannot_be_short_enough_needs_a_waiver():
     async def story(servo):
-        with pytest.raises(DeviceError, match=r"watchdog of 0\.02 s"):
+        with pytest.raises(DeviceError, match=r"watchdog too slow: 0\.02 s"):
             await servo.open()
 
     Bench(ttl=0.005).run(story, opened=False)
