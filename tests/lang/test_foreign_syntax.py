@@ -120,3 +120,11 @@ def test_the_l_that_a_hint_suggests_compiles(hint: str) -> None:
 
 if __name__ == "__main__":
     (FOLDER / "findings.txt").write_text("\n".join(map(described, cases())) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    "ending", ["while x", "if x and y", "for x in y", "elif x", "for (auto x :", "f((", "f ("]
+)
+def test_a_program_that_ends_in_a_head_is_read_to_its_end(ending: str) -> None:
+    """Without a line break behind it."""
+    assert check_text(f"coordinator A {{ init(string[] arg) {{ {ending}", "m.L").diagnostics

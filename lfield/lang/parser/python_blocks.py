@@ -7,6 +7,7 @@ import re
 from lfield.lang import messages
 from lfield.lang.parser.foreign_words import FOREIGN_SYMBOLS, FOREIGN_VALUES
 from lfield.lang.parser.token_stream import TokenStream
+from lfield.lang.scanner import TokenKind
 from lfield.text.source_text import Span
 
 #: Words that continue the statement of a Python block at the same indentation.
@@ -23,7 +24,7 @@ _TRY = "write try { ... } catch (Exception e) { ... }"
 def _head_length(s: TokenStream) -> int:
     """How many tokens precede the `:` or `{` that ends the head on this line; -1 if there is none."""
     count, depth, line = 0, 0, s.current.span.line
-    while (token := s.ahead(count)).span.line == line:
+    while (token := s.ahead(count)).span.line == line and token.kind is not TokenKind.END:
         if depth == 0 and token.text in (":", "{"):
             return count
         depth += {"(": 1, "[": 1, ")": -1, "]": -1}.get(token.text, 0)
