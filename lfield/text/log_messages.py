@@ -452,7 +452,7 @@ DEVICE_REOPENED_WRONG = _device_message(
     "device-reopened-wrong", "settings differ after a restart of the guard: {reason}", "warning"
 )
 WATCHDOG_WAIVED = _device_message(
-    "watchdog-waived", "device watchdog: {own}, required: at most {longest:g} s; accepted by a waiver"
+    "watchdog-waived", "device watchdog: {own}, limit {longest:g} s; accepted by a waiver"
 )
 SETTING_MISMATCH = _device_message("setting-mismatch", "setting {setting}: {reason}", "error")
 SERIAL_LATENCY = _device_message(

@@ -124,7 +124,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "examples/03-mixed-team/README.md": {
         "lfield up --deploy examples/03-mixed-team/mission.dL --all --sim --until-done": EXAMPLES,
-        "sky   | carrier.fc device watchdog: 2 s, required: at most 1 s; accepted by a waiver": EXAMPLES,
+        "sky   | carrier.fc device watchdog: 2 s, limit 1 s; accepted by a waiver": EXAMPLES,
     },
     "examples/05-two-carry-one/README.md": {
         "lfield up --deploy examples/05-two-carry-one/mission.dL --all --sim --until-done": EXAMPLES,

@@ -217,7 +217,7 @@ def test_a_wrong_program_is_shown_as_lfield_check_shows_it(walk):
 
 def test_a_stop_brings_devices_to_rest_first(lfield_mission):
     team = lfield_mission(FLIGHT)
-    team.run(until="lead: at (")
+    team.run(until="lead: at north")
     team.stop()
     team.run(until=lambda: not team._fleet.lives)
     assert team.fake("lead.fc").facts["airborne"] is False
@@ -238,7 +238,7 @@ def test_a_person_pauses_a_mission_and_lets_it_go_on(walk):
 
 def test_devices_come_to_rest_in_a_pause(lfield_mission):
     team = lfield_mission(FLIGHT)
-    team.run(until="lead: at (")
+    team.run(until="lead: at north")
     team.pause()
     team.run(20.0)
     # The safe state that its binding chooses is to land.

@@ -144,7 +144,7 @@ def test_an_unplugged_receiver_comes_back(rig):
         rig.faults.apply(["unplug=true"])
         await rig.bench.until(lambda: any("is gone" in note for note in rig.bench.notes))
         rig.faults.apply(["unplug=false"])
-        await rig.bench.until(lambda: any("open again" in note for note in rig.bench.notes))
+        await rig.bench.until(lambda: any("link opened" in note for note in rig.bench.notes))
         before = rig.bench.values["position"]
         await rig.bench.until(lambda: rig.bench.values["position"] != before)
 

@@ -28,7 +28,7 @@ def test_connections_without_a_byte_keep_nobody_out(lfield, alone, keep):
     alpha.wait_for("flies")
     words = [
         sys.executable,
-        str(Path(__file__).with_name("address_race.py")),
+        str(Path(__file__).with_name("connecting.py")),
         maps[1].rpartition(":")[2],
         str(keep),
     ]

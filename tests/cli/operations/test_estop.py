@@ -141,7 +141,7 @@ def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down
     assert lfield.status(silenced) == 0, silenced.said
     looking = lfield.start("estop", env=own)
     looking.wait_for("lead.fc: at rest")
-    looking.wait_for("wing.fc: no message any more")
+    looking.wait_for("wing.fc: no longer reporting")
     looking.signal(signal.SIGINT)
     assert looking.wait() in (3, 130), looking.said
     told = "\n".join(looking.err)
@@ -216,7 +216,7 @@ def test_a_host_that_is_killed_and_started_again_is_still_stopped(lfield, own):
     still = "the emergency stop was pressed: a child on the field"
     assert f"stopped   until 'lfield estop --lift': {still}" in shown.out, shown.said
     host = kept.killed_and_started()
-    host.wait_for(f"EMERGENCY STOP still active: {still}; 'lfield estop --lift' ends it")
+    host.wait_for(f"EMERGENCY STOP still active: {still}; end it with 'lfield estop --lift'")
     host.wait_for(f"lead.fc in safe state 'land': {still}")
     host.wait_for(f"lead died of an uncaught DeviceException: fc: held in its safe state: {still}")
     assert f'"lead.fc": "{still}"' in lfield("ps", "--json", env=own).said

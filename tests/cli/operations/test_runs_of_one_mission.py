@@ -73,7 +73,7 @@ def test_all_that_runs_is_listed_and_stopped_without_more_words(lfield, own, mis
     assert hosts == [[["alpha", "bravo"]], [["alpha", "bravo"]], [["alpha"]]]
     first, second, third = found
     assert found[third]["hosts"]["alpha"]["host"] == "alpha"
-    assert set(found[third]["hosts"]["bravo"]) == {"error"}
+    assert set(found[third]["hosts"]["bravo"]) == {"error", "code"}
     listed = lfield("ps", env={**own, "COLUMNS": "200"})
     rows = [line.split() for line in listed.out]
     assert rows[0] == ["RUN", "HOSTS", "USER", "UP", "SINCE", "MISSION"]

@@ -50,7 +50,7 @@ def test_a_device_that_fell_silent_while_another_could_not_be_opened_is_named(lf
     endpoint = copter(lfield, alone)
     (port,) = lfield.ports.take(1)
     host = lfield.start(*bound_nowhere(lfield, port, endpoint), env=alone)
-    host.wait_for("lead.fc: ArduPilot copter")
+    host.wait_for("lead.fc link opened: ArduPilot copter")
     told = lfield("sim", "fault", "mavlink", "silence=true", env=alone)
     assert lfield.status(told) == 0, told.said
     assert host.wait() == 3, host.said

@@ -111,7 +111,7 @@ ORDER_BUGS = [
         a_stop_is_forgotten_by_a_restart,
         "a restarted host forgets the emergency stop, and programs can release",
         "stop",
-        201,
+        343,
     ),
     _bug(
         a_pause_is_forgotten_by_a_restart,
