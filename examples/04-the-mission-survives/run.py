@@ -4,8 +4,8 @@ side.
     python examples/04-the-mission-survives/run.py
 
 Under `self` a host is started again, as systemd does, and goes on; twice. Under `quorum` one never comes
-back, and another host goes on without it. Simulated devices are processes of their own, as vehicles are: they
-outlive the computer that drives them. Each host has a journal.
+back, and another host continues without it. Each simulated device is a separate process, so it outlives the
+computer that drives it, as a real vehicle does. Each host has a journal.
 """
 
 from __future__ import annotations

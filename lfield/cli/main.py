@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, NoReturn, Protocol
 
 from lfield import __version__, exit_status
+from lfield.cli.action_help import action_help
 from lfield.cli.os_errors import system_refusal
 from lfield.errors import BindingError, LfieldError, ProgramError, UsageError
 from lfield.text.nonblocking_output import discard_output
@@ -237,7 +238,7 @@ def _dispatch(arguments: list[str]) -> int:
     commands = parser.add_subparsers(dest="command", metavar="COMMAND", required=True)
     chosen = next((argument for argument in arguments if not argument.startswith("-")), "")
     for name, purpose in COMMANDS.items():
-        subparser = commands.add_parser(name, help=purpose, description=purpose.capitalize() + ".")
+        subparser = commands.add_parser(name, **action_help(purpose))
         # Only the chosen command is imported, so that small commands start fast.
         if name == chosen:
             _command(name).add_arguments(subparser)

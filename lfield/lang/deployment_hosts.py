@@ -13,7 +13,7 @@ from collections.abc import Collection, Iterable, Sequence
 from lfield.lang import messages
 from lfield.lang.deployment_line import DeploymentEntry, is_address
 from lfield.text.source_text import Diagnostics
-from lfield.text.suggestions import did_you_mean, listed
+from lfield.text.suggestions import MAX_LISTED, did_you_mean, listed
 
 #: Shorter names differ by one letter on purpose.
 _SHORTEST_COMPARED = 4
@@ -63,7 +63,9 @@ def _check_only_lone(
 
 def _some(names: Sequence[str]) -> str:
     """The first names of a list, for a hint."""
-    return listed(names) if len(names) <= 8 else f"{', '.join(names[:8])} and {len(names) - 8} more"
+    if len(names) <= MAX_LISTED:
+        return listed(names)
+    return f"{', '.join(names[:MAX_LISTED])} and {len(names) - MAX_LISTED} more"
 
 
 def _resembles(host: str, other: str) -> bool:

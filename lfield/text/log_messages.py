@@ -22,7 +22,7 @@ class LogLine(str):
     __slots__ = ("code", "level", "template_values")
 
     def __new__(cls, text: str, code: str, level: Level, template_values: Mapping[str, object]) -> LogLine:
-        """Only `LogMessage.line` and `report_line` call this."""
+        """`LogMessage.line` and `report_line` call this, and readers of lines that a host has logged."""
         made = super().__new__(cls, text)
         made.code, made.level = code, level
         made.template_values = template_values

@@ -212,16 +212,7 @@ class _HostProcesses:
 
     def command(self, host: str, listening: int, keys: int) -> list[str]:
         args = self.args
-        command = [
-            sys.executable,
-            "-P",
-            "-m",
-            "lfield",
-            "up",
-            str(self.file),
-            f"--host={host}",
-            "--parent-pipe",
-        ]
+        command = [sys.executable, "-P", "-m", "lfield", "up", str(self.file), f"--host={host}"]
         # As one argument each: a value that begins with a dash would be taken for an option.
         command += ["--parent-pipe", "--listen-fd", str(listening), "--keys-fd", str(keys)]
         command += ["--engine", args.engine] if args.engine else []

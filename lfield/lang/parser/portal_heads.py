@@ -1,4 +1,4 @@
-"""Portals whose result type stands in the place of other languages: before the name or before `portal`."""
+"""Portals with the result type before the name or before `portal`, as other languages write it."""
 
 from __future__ import annotations
 

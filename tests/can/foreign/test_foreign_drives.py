@@ -21,7 +21,7 @@ pytestmark = [pytest.mark.process, pytest.mark.long]
 
 #: Seconds without a heartbeat after which guards and drives stop: more than a busy computer takes one away.
 SILENCE, TTL = 5.0, 5.0
-#: Seconds for a drive to do what it was told.
+#: Seconds for a drive to execute a command.
 BOUND = 60.0
 OPTIONS = {"protocol": "cia402", "node": 9, "counts": 10_000, "homing_method": 37}
 
