@@ -16,6 +16,16 @@ from lfield.wire.observer_messages import (
     RecoverRequest,
     StartRequest,
 )
+from lfield.wire.service_messages import (
+    BundleOffer,
+    BundlePiece,
+    MissionCommand,
+    Proposal,
+    ServiceQuery,
+    StageRequest,
+    VoteQuery,
+    VoteReport,
+)
 from lfield.wire.subscription_messages import EventAck, Subscribe
 
 if TYPE_CHECKING:
@@ -38,6 +48,15 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     ForgetRequest: (Right.OPERATE, None),
     RecoverRequest: (Right.OPERATE, None),
     StartRequest: (Right.OPERATE, None),
+    ServiceQuery: (Right.OBSERVE, None),
+    BundleOffer: (Right.COMMAND, None),
+    BundlePiece: (Right.COMMAND, None),
+    StageRequest: (Right.COMMAND, None),
+    Proposal: (Right.COMMAND, None),
+    # Any host may ask for votes, and may make a ballot fail, which changes nothing.
+    VoteQuery: (Right.OBSERVE, None),
+    VoteReport: (Right.COMMAND, None),
+    MissionCommand: (Right.COMMAND, None),
 }
 #: The rights of a host that sends operator messages, as when its journal is reset: any member may stop.
 HOST_RIGHTS = frozenset({Right.OBSERVE, Right.STOP})

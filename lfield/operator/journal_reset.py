@@ -60,6 +60,14 @@ def plan_reset(host: str, pages: Sequence[Record], others: Mapping[str, HostStat
     return ResetPlan(thrown, away, [*changed, RunMarker(open=False), *bundle], parked)
 
 
+def plan_discard(host: str, pages: Sequence[Record], reason: str) -> ResetPlan:
+    """The reset that ends every coordinator of a journal; for a team of which every host does the same."""
+    copies = [page for page in pages if isinstance(page, CoordinatorRecord) and page.state != "EXITED"]
+    bundle = [BundleRecord(b"") for page in pages if isinstance(page, BundleRecord)]
+    changed = [_ended(page, "lost", reason, host) for page in copies]
+    return ResetPlan(copies, (), [*changed, RunMarker(open=False), *bundle], {})
+
+
 def _known_outcome(page: CoordinatorRecord, others: Mapping[str, HostState]) -> CoordinatorRecord | None:
     """The end of a copy that migrated, if a host knows it."""
     for _, known in records(page.agent, others):

@@ -55,10 +55,11 @@ from lfield.wire.observer_messages import (
 from lfield.wire.order_messages import Epochs, RelayedAnswer, RelayedOrder
 from lfield.wire.quorum_messages import QuorumMessage
 from lfield.wire.reservation_messages import ReservationMessage
+from lfield.wire.service_messages import ServiceMessage
 from lfield.wire.subscription_messages import SubscriptionMessage
 
 #: The version of everything in this package. Hosts of different versions do not communicate.
-PROTOCOL = 13
+PROTOCOL = 14
 
 #: The role of a peer: a member of the team, or an observer (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -281,6 +282,7 @@ Control = (
     | QuorumMessage
     | ReservationMessage
     | SubscriptionMessage
+    | ServiceMessage
 )
 
 #: Every message without a block.

@@ -258,7 +258,7 @@ def _refusal_reported(args: argparse.Namespace) -> Iterator[None]:
         yield
     except LfieldError as error:
         if args.result_fd is not None:
-            RunResult(reason=refusal_reason(error)).write(args.result_fd)
+            RunResult(reason=refusal_reason(error), status=error.exit_status).write(args.result_fd)
         raise
 
 

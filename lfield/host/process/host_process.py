@@ -102,7 +102,7 @@ async def run_host(
     status = await run_until_exit(host, signals, lost_after, _freeze_gc)
     if result_fd is not None:
         hops = known_hops(host.mobility.known_states())
-        RunResult(hops, failure_reason(status, logbook.errors)).write(result_fd)
+        RunResult(hops, failure_reason(status, logbook.errors), status).write(result_fd)
     return status
 
 

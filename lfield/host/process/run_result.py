@@ -1,4 +1,4 @@
-"""The result of a host of `up --all`, hops and the reason of a failure, sent through a pipe to its parent."""
+"""The result of a host: hops, exit status and the reason of a failure, written for the process that started it."""
 
 from __future__ import annotations
 
@@ -26,16 +26,20 @@ MAX_REASON, MAX_RESULT = 1000, 60_000
 
 
 class RunResult(msgspec.Struct, frozen=True):
-    """`hops` are those of each start of a coordinator, as far as this host knows them. `reason` may be ''."""
+    """`hops` are those of each start of a coordinator, as far as this host knows them. `reason` may be ''.
+
+    `status` is the exit status, None where the host was killed before it wrote one.
+    """
 
     hops: dict[str, int] = {}
     reason: str = ""
+    status: int | None = None
 
     def write(self, pipe: int) -> None:
         """Write it, once; nothing where the parent has ended or the pipe is full."""
         data = msgspec.json.encode(self)
         if len(data) > MAX_RESULT:
-            data = msgspec.json.encode(RunResult(reason=self.reason))
+            data = msgspec.json.encode(RunResult(reason=self.reason, status=self.status))
         os.set_blocking(pipe, False)
         with suppress(OSError):
             os.write(pipe, data)

@@ -1,0 +1,1 @@
+"""The permanent service of a robot: stores bundles, votes about their activation, runs the mission's host."""

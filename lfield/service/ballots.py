@@ -1,0 +1,128 @@
+"""The part of one host in ballots about the activation of a bundle. Pure.
+
+The result of a ballot is a function of the votes: activated when every host has voted yes, aborted with one
+no. No desk decides, so a desk that ends in the middle leaves nothing open that the hosts cannot settle among
+themselves: a host that has not voted votes no when it is asked with `closes`, and each host tells the votes
+that it knows. A host that has voted yes is *bound*: it starts no mission until it knows the result.
+
+Every function returns a new value. The caller stores it before it sends anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from lfield.wire.fields import MAX_LABEL, Hash, OrderId, truncate
+from lfield.wire.service_messages import Ballot, BallotOutcome, BallotState, Vote
+
+#: The most ids of ballots without a vote that a host remembers to have refused.
+MAX_CLOSED = 64
+#: The reason of a vote that was asked for with `closes`.
+CLOSED = "the ballot was closed before its proposal arrived"
+
+
+class ActivationState(Struct, frozen=True):
+    """The durable state of a host: its active bundle, the earlier ones (newest last), and its last ballot.
+
+    `closed` are ids of ballots in which it has voted no without being bound by them.
+    """
+
+    active: Hash = b""
+    earlier: tuple[Hash, ...] = ()
+    ballot: BallotState | None = None
+    closed: tuple[OrderId, ...] = ()
+
+    @property
+    def previous(self) -> bytes:
+        """The bundle that was active before; b"" for none."""
+        return self.earlier[-1] if self.earlier else b""
+
+    @property
+    def open_ballot(self) -> BallotState | None:
+        """The ballot that binds this host; None if none does."""
+        return self.ballot if self.ballot is not None and self.ballot.outcome == "open" else None
+
+
+#: The most earlier bundles that are remembered.
+MAX_EARLIER = 8
+
+
+def propose(state: ActivationState, host: str, ballot: Ballot, refusal: str) -> ActivationState:
+    """The state after the vote of `host` on a proposal: no for a `refusal`, yes without one.
+
+    A repeated proposal changes nothing.
+    """
+    if ballot.id in state.closed or (state.ballot is not None and state.ballot.id == ballot.id):
+        return state
+    if state.open_ballot is not None:
+        return _closed(state, ballot.id)
+    vote: Vote = "no" if refusal else "yes"
+    reasons = {host: truncate(refusal, MAX_LABEL)} if refusal else {}
+    return _with_votes(
+        replace(state, ballot=BallotState(ballot.id, ballot, {}, reasons, "open")), {host: vote}
+    )
+
+
+def close(state: ActivationState, id: bytes) -> ActivationState:
+    """The state after a query that closes a ballot: a vote against it, unless the host has voted."""
+    if id in state.closed or (state.ballot is not None and state.ballot.id == id):
+        return state
+    return _closed(state, id)
+
+
+def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote]) -> ActivationState:
+    """The state after the votes of other hosts. The vote of `host` itself is only cast here."""
+    if state.ballot is None or state.ballot.id != id:
+        return state
+    return _with_votes(state, {name: vote for name, vote in votes.items() if name != host})
+
+
+def answer(state: ActivationState, host: str, id: bytes) -> BallotState:
+    """What the host knows of a ballot."""
+    if state.ballot is not None and state.ballot.id == id:
+        return state.ballot
+    if id in state.closed:
+        return BallotState(id, None, {host: "no"}, {host: _closed_reason(state)}, "aborted")
+    return BallotState(id, None, {}, {}, "open")
+
+
+def missing_votes(ballot: BallotState) -> list[str]:
+    """The hosts of a ballot whose votes are not known."""
+    hosts = ballot.ballot.hosts if ballot.ballot is not None else []
+    return [host for host in hosts if host not in ballot.votes]
+
+
+def outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
+    """The result of a ballot among `hosts`."""
+    if "no" in votes.values():
+        return "aborted"
+    return "activated" if all(votes.get(host) == "yes" for host in hosts) else "open"
+
+
+def _with_votes(state: ActivationState, votes: Mapping[str, Vote]) -> ActivationState:
+    """The state after some votes of its last ballot; an activation takes effect."""
+    known = state.ballot
+    if known is None or known.ballot is None or known.outcome != "open":
+        return state
+    every = known.votes | {host: vote for host, vote in votes.items() if host in known.ballot.hosts}
+    result = outcome(known.ballot.hosts, every)
+    state = replace(state, ballot=replace(known, votes=every, outcome=result))
+    digest = known.ballot.digest
+    if result != "activated" or digest == state.active:
+        return state
+    earlier = (*state.earlier, state.active) if state.active else state.earlier
+    return replace(state, active=digest, earlier=earlier[-MAX_EARLIER:])
+
+
+def _closed(state: ActivationState, id: bytes) -> ActivationState:
+    return replace(state, closed=(*state.closed, id)[-MAX_CLOSED:])
+
+
+def _closed_reason(state: ActivationState) -> str:
+    bound = state.open_ballot
+    if bound is None or bound.ballot is None:
+        return CLOSED
+    return f"an activation by {bound.ballot.by} is not decided yet: repeat this one afterwards"

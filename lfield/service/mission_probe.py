@@ -1,0 +1,235 @@
+"""Looks at the mission's host of this computer, through its control socket, and at its journals."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from pathlib import Path
+
+from lfield.clock import Clock
+from lfield.errors import InputFileError, LfieldError
+from lfield.journal.file_journal import FileJournal
+from lfield.journal.journal import FILE_NAME, journal_file
+from lfield.journal.journal_loader import JournalOwner
+from lfield.journal.journal_lock import machine_id
+from lfield.journal.readonly_view import open_read_only
+from lfield.journal.records import CoordinatorRecord, Record
+from lfield.mission.mission import ON_GROUND
+from lfield.net.tcp_transport import TcpTransport
+from lfield.operator.client import SNAPSHOT, pause
+from lfield.operator.journal_reset import plan_discard
+from lfield.operator.observer_link import Request, T, ask_with_retries
+from lfield.operator.runs import runs_here
+from lfield.text.suggestions import listed
+from lfield.wire.observer_messages import DeviceStatus, StartRequest, StartResponse, Status
+from lfield.wire.service_messages import UnfinishedCoordinator
+
+#: The oldest telemetry (s) that says that a vehicle is on the ground, and the largest speed (m/s) of one at
+#: rest: speeds of satellite receivers are not exact.
+MAX_AGE, REST_SPEED = 5.0, 0.5
+#: How often, and how many seconds apart, a host that has just been started is asked to start coordinators.
+START_ATTEMPTS, START_DELAY = 10, 1.0
+#: The reason of coordinators that an operator has discarded.
+DISCARDED = "discarded by 'lfield stop --discard'"
+_STATES: Mapping[str, str] = {
+    "RUN": "suspended",
+    "PREPARED": "in doubt",
+    "IN DOUBT": "in doubt",
+    "FROZEN": "leaving",
+    "MOVED": "moved",
+    "PARKED": "parked",
+}
+
+
+class LocalProbe:
+    """See `service.MissionProbe`. `state` is the directory of the journals.
+
+    `vehicles_of` returns the names of this host's vehicles in the bundle of the running host, and `pid` its
+    process, 0 without one.
+    """
+
+    def __init__(
+        self,
+        host: str,
+        state: Path,
+        pid: Callable[[], int],
+        vehicles_of: Callable[[], list[str]],
+        clock: Clock,
+    ) -> None:
+        self._host, self._state, self._pid, self._vehicles_of = host, state, pid, vehicles_of
+        self._clock = clock
+
+    async def vehicles(self) -> str:
+        """See `MissionProbe`."""
+        try:
+            status = await self._snapshot()
+        except LfieldError as error:
+            return f"the mission's host does not answer: {error}"
+        devices = {device.name: device for device in status.devices}
+        troubles = [_motion(name, devices.get(name)) for name in self._vehicles_of()]
+        troubles += [
+            f"{name} moves" for name, device in devices.items() if device.telemetry.get("moving") is True
+        ]
+        return listed([trouble for trouble in troubles if trouble])
+
+    async def is_paused(self) -> bool:
+        """See `MissionProbe`."""
+        try:
+            return (await self._snapshot()).paused
+        except LfieldError:
+            return False
+
+    async def hold(self) -> str:
+        """See `MissionProbe`."""
+        return await self._pause(lift=False)
+
+    async def release(self) -> None:
+        """See `MissionProbe`."""
+        await self._pause(lift=True)
+
+    async def _pause(self, *, lift: bool) -> str:
+        try:
+            answer = await self._ask(pause(lift=lift))
+        except LfieldError as error:
+            return f"the mission's host cannot be {'resumed' if lift else 'paused'}: {error}"
+        return listed([f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble])
+
+    async def unfinished(self) -> list[UnfinishedCoordinator]:
+        """See `MissionProbe`."""
+        found = await asyncio.to_thread(lambda: list(self._in_journals()))
+        if not self._pid():
+            return found
+        try:
+            status = await self._snapshot()
+        except LfieldError:
+            return found
+        running = {one.agent: one for one in _in_snapshot(status)}
+        return [*running.values(), *(one for one in found if one.agent not in running)]
+
+    async def condition(self) -> str:
+        """Why the running host waits or is paused; '' if it does not."""
+        if not self._pid():
+            return ""
+        try:
+            status = await self._snapshot()
+        except LfieldError as error:
+            return f"the mission's host does not answer: {error}"
+        if status.stopped:
+            return f"emergency stop: {status.stopped}"
+        if status.paused:
+            return "paused"
+        start = status.start
+        if start is None:
+            return ""
+        return start.held or f"{listed(start.agents)} waits for {listed(start.hosts) or 'other hosts'}"
+
+    async def start_without(self, hosts: list[str]) -> str:
+        """See `MissionProbe`."""
+        request = Request(StartRequest(hosts), StartResponse, 8.0, is_retried=True)
+        for _ in range(START_ATTEMPTS):
+            try:
+                answer = await self._ask(request)
+            except LfieldError as error:
+                trouble = str(error)
+            else:
+                trouble = answer.trouble
+                if answer.waiting is not None:
+                    trouble = answer.waiting.held or f"waiting for {listed(answer.waiting.hosts)}"
+                if not trouble:
+                    return ""
+            await asyncio.sleep(START_DELAY)
+        return trouble
+
+    async def discard(self) -> list[str]:
+        """See `MissionProbe`. Raises JournalError."""
+        ended: list[str] = []
+        for mission, path in self._journals():
+            owner = JournalOwner(mission, self._host, machine_id())
+            with closing(FileJournal(path, owner, lambda text: None, self._clock)) as journal:
+                plan = plan_discard(self._host, journal.records(), DISCARDED)
+                await journal.persist(plan.pages)
+            ended += [page.agent for page in plan.discarded]
+        return list(dict.fromkeys(ended))
+
+    # --- the running host -----------------------------------------------------------------------------
+
+    async def _snapshot(self) -> Status:
+        batch = await self._ask(SNAPSHOT)
+        assert batch.snapshot is not None
+        return batch.snapshot
+
+    async def _ask(self, request: Request[T]) -> T:
+        """Raises LfieldError."""
+        address = await asyncio.to_thread(self._control_socket)
+        return await ask_with_retries(TcpTransport(1 << 20), address, request, self._host, None)
+
+    def _control_socket(self) -> str:
+        pid = self._pid()
+        for run in runs_here():
+            if run.manifest.pid == pid and (socket := run.control_socket(self._host)):
+                return socket
+        raise InputFileError("the mission's host", "it is not up yet")
+
+    # --- journals -------------------------------------------------------------------------------------
+
+    def _journals(self) -> Iterator[tuple[str, Path]]:
+        """The names of missions with a journal of this host, and its file."""
+        from urllib.parse import unquote
+
+        for file in sorted(self._state.glob(f"*/{FILE_NAME}")):
+            mission = unquote(file.parent.name.rpartition("@")[0])
+            if file == journal_file(self._state, mission, self._host):
+                yield mission, file
+
+    def _in_journals(self) -> Iterator[UnfinishedCoordinator]:
+        for mission, path in self._journals():
+            try:
+                records = [record for _, record in open_read_only(path).records]
+            except LfieldError as error:
+                yield UnfinishedCoordinator("?", f"unknown: {error}"[:256], "", mission[:256])
+                continue
+            yield from _unfinished(records, mission)
+
+
+def _unfinished(records: list[Record], mission: str) -> Iterator[UnfinishedCoordinator]:
+    """The newest start of each coordinator that has not ended."""
+    newest: dict[str, CoordinatorRecord] = {}
+    for record in records:
+        if isinstance(record, CoordinatorRecord) and (
+            record.agent not in newest or record.generation > newest[record.agent].generation
+        ):
+            newest[record.agent] = record
+    for record in newest.values():
+        if record.state in _STATES:
+            state = "in doubt" if record.doubt else _STATES[record.state]
+            yield UnfinishedCoordinator(record.agent, state, record.target, mission[:256])
+
+
+def _in_snapshot(status: Status) -> Iterator[UnfinishedCoordinator]:
+    newest = {known.agent: known for known in sorted(status.coordinators, key=lambda known: known.generation)}
+    for known in newest.values():
+        if known.state == "RUN":
+            yield UnfinishedCoordinator(known.agent, "running", status.host, "")
+        elif known.state in _STATES:
+            yield UnfinishedCoordinator(known.agent, _STATES[known.state], known.where, "")
+    waiting = status.start.agents if status.start is not None else []
+    for agent in waiting:
+        if agent not in newest:
+            yield UnfinishedCoordinator(agent, "waiting to start", status.host, "")
+    for parked in status.journal.parked if status.journal is not None else []:
+        yield UnfinishedCoordinator(parked.agent, "parked", parked.where, "")
+
+
+def _motion(name: str, device: DeviceStatus | None) -> str:
+    """Why a vehicle is not known to be at rest on the ground; '' if it is."""
+    if device is None or device.silent is None or device.silent > MAX_AGE:
+        return f"{name} does not report whether it is on the ground"
+    match device.telemetry.get(ON_GROUND):
+        case True:
+            speed = device.telemetry.get("groundSpeed")
+            moves = isinstance(speed, int | float) and speed > REST_SPEED
+            return f"{name} moves at {speed:.1f} m/s" if moves else ""
+        case False:
+            return f"{name} is off the ground"
+    return f"{name} has not reported whether it is on the ground"

@@ -1,0 +1,217 @@
+"""Runs the mission's host for the service: starts it, restarts it after a crash, adopts and stops it.
+
+The host is a process of its own session, so it continues when its service ends. The next service adopts it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from typing import NamedTuple, Protocol
+
+from lfield.clock import Clock
+from lfield.event_loop import spawn
+from lfield.service import messages
+from lfield.service.bundle_store import RunRecord
+from lfield.service.restart_policy import RESTART_DELAY, judge
+from lfield.text.log_messages import LogLine
+from lfield.wire.fields import short_digest
+from lfield.wire.service_messages import RunInfo, RunPhase
+
+#: The status of a host that ended without leaving one: killed, or after a crash of its computer.
+KILLED = -9
+
+
+class ProcessId(NamedTuple):
+    """A process: its number, and its start in clock ticks after the boot of the computer."""
+
+    pid: int
+    started: int
+
+
+class HostEnd(NamedTuple):
+    """The end of a host: its exit status, and the reason that it has left; '' for none."""
+
+    status: int
+    reason: str = ""
+
+
+class HostProcesses(Protocol):
+    """Starts and observes processes (`host_processes.HostProcesses`)."""
+
+    @property
+    def boot(self) -> str:
+        """The id of this boot of the computer."""
+
+    def start(self, bundle: bytes) -> ProcessId:
+        """Start the host of a bundle. Raises LfieldError."""
+
+    def is_alive(self, process: ProcessId) -> bool:
+        """Whether the process still runs."""
+
+    async def ended(self, process: ProcessId) -> HostEnd:
+        """The end of a process, when it has ended."""
+
+    def terminate(self, process: ProcessId) -> None:
+        """Ask it to end in order; again has it not wait for its devices."""
+
+
+class MissionRunner:
+    """The mission's host. `record` is durable: `store` is called after each change of it."""
+
+    def __init__(
+        self, record: RunRecord, processes: HostProcesses, clock: Clock, note: Callable[[LogLine], None]
+    ) -> None:
+        self._record, self._processes, self._clock, self.note = record, processes, clock, note
+        self._store: Callable[[], None] = lambda: None
+        self._refusal: Callable[[], str] = lambda: ""
+        self._info = RunInfo()
+        self._process: ProcessId | None = None
+        self._restarts: list[float] = []
+        self._supervision: asyncio.Task[None] | None = None
+        self._is_stopping = False
+
+    def attach(self, store: Callable[[], None], refusal: Callable[[], str]) -> None:
+        """Set what stores the record, and what says why no host may start."""
+        self._store, self._refusal = store, refusal
+
+    @property
+    def record(self) -> RunRecord:
+        """What is stored."""
+        return self._record
+
+    @property
+    def info(self) -> RunInfo:
+        """The state of the host."""
+        return self._info
+
+    @property
+    def is_running(self) -> bool:
+        """Whether the process of the host exists."""
+        return self._process is not None
+
+    async def start(self, bundle: bytes) -> None:
+        """Start the host of a bundle; nothing if it runs. Raises LfieldError."""
+        if self._supervision is not None and not self._supervision.done():
+            return
+        self._restarts.clear()
+        self._launch(bundle)
+        self._supervision = spawn(self._supervise())
+
+    async def adopt(self) -> None:
+        """Supervise the host that an earlier service has started, if it still runs."""
+        record = self._record
+        if not record.bundle:
+            return
+        process = ProcessId(record.pid, record.started)
+        is_same_boot = record.boot == self._processes.boot
+        if is_same_boot and record.pid and self._processes.is_alive(process):
+            self._process = process
+            self._set_phase("running", "", record.bundle)
+            self.note(messages.HOST_ADOPTED.line(bundle=short_digest(record.bundle), pid=record.pid))
+            self._supervision = spawn(self._supervise())
+        elif is_same_boot and record.pid:
+            self._supervision = spawn(self._supervise_ended(process))
+        else:
+            self._interrupt("this computer was restarted")
+
+    async def stop(self, reason: str) -> None:
+        """End the host in order: its devices come to rest first. Returns when it has ended."""
+        self._is_stopping = True
+        try:
+            if self._process is not None:
+                self._set_phase("stopping", reason)
+                self._processes.terminate(self._process)
+            if self._supervision is not None:
+                if self._process is None:
+                    self._supervision.cancel()
+                await asyncio.gather(self._supervision, return_exceptions=True)
+                self._supervision = None
+        finally:
+            self._is_stopping = False
+        self._forget()
+        self._set_phase("stopped", reason)
+
+    def terminate_again(self) -> None:
+        """Have a stopping host not wait for its devices."""
+        if self._process is not None:
+            self._processes.terminate(self._process)
+
+    def detach(self) -> None:
+        """The service ends, the host continues: stop observing it."""
+        if self._supervision is not None:
+            self._supervision.cancel()
+
+    async def _supervise(self) -> None:
+        """Restart the host after crashes, until it ends for good."""
+        while self._process is not None:
+            process = self._process
+            end = await self._processes.ended(process)
+            self._process = None
+            if not await self._restarts_after(end):
+                return
+
+    async def _supervise_ended(self, process: ProcessId) -> None:
+        """The host has ended while no service ran."""
+        if await self._restarts_after(await self._processes.ended(process)):
+            await self._supervise()
+
+    async def _restarts_after(self, end: HostEnd) -> bool:
+        """Start the host again if its end was a crash; returns whether it runs."""
+        now = self._clock.monotonic()
+        bundle = self._record.bundle
+        verdict = judge(end.status, end.reason, self._restarts, now)
+        short = short_digest(bundle)
+        self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
+        if self._is_stopping:
+            return False
+        if not verdict.restarts or (refusal := self._refusal()):
+            self._forget()
+            self._set_phase("ended", verdict.reason if not verdict.restarts else refusal, bundle, end.status)
+            return False
+        self._set_phase("waiting", verdict.reason, bundle, end.status)
+        self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
+        await asyncio.sleep(RESTART_DELAY)
+        self._restarts.append(self._clock.monotonic())
+        if refusal := self._refusal():
+            self._interrupt(refusal)
+            return False
+        self._launch(bundle)
+        return True
+
+    def _launch(self, bundle: bytes) -> None:
+        """Store that the host should run, then start it. Raises LfieldError."""
+        self._set_record(RunRecord(bundle, self._processes.boot))
+        try:
+            self._process = self._processes.start(bundle)
+        except BaseException:
+            self._forget()
+            raise
+        self._set_record(RunRecord(bundle, self._processes.boot, *self._process))
+        self._set_phase("running", "", bundle)
+        self.note(messages.HOST_STARTED.line(bundle=short_digest(bundle), pid=self._process.pid))
+
+    def _interrupt(self, reason: str) -> None:
+        bundle = self._record.bundle
+        self._forget()
+        self._set_phase("interrupted", reason, bundle)
+        self.note(messages.HOST_INTERRUPTED.line(reason=reason))
+
+    def _forget(self) -> None:
+        if self._record != RunRecord():
+            self._set_record(RunRecord())
+
+    def _set_record(self, record: RunRecord) -> None:
+        before, self._record = self._record, record
+        try:
+            self._store()
+        except BaseException:
+            self._record = before
+            raise
+
+    def _set_phase(
+        self, phase: RunPhase, reason: str, bundle: bytes | None = None, status: int | None = None
+    ) -> None:
+        last = self._info.status if status is None else status
+        bundle = self._info.bundle if bundle is None else bundle
+        self._info = RunInfo(bundle, phase, reason, self._clock.time(), last)

@@ -1,0 +1,407 @@
+"""Answers the requests to the service of one host, and carries out the results of ballots.
+
+Its decisions are those of `ballots` and `restart_policy`. Disk, processes, and other services are interfaces,
+so that simulations run it without any.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Awaitable, Callable, Mapping
+from hashlib import sha256
+from typing import Protocol
+
+from msgspec.structs import replace
+
+from lfield import __version__
+from lfield.clock import Clock
+from lfield.errors import LfieldError, OutputFileError, SignatureError, WireError
+from lfield.service import ballots, messages
+from lfield.service.ballots import ActivationState
+from lfield.service.bundle_store import ServiceRecord
+from lfield.service.mission_runner import MissionRunner
+from lfield.service.pieces import Piece, decompress
+from lfield.text.log_messages import LogLine
+from lfield.text.suggestions import listed
+from lfield.wire.fields import short_digest, truncate
+from lfield.wire.service_messages import (
+    MAX_BUNDLES,
+    MAX_UNFINISHED,
+    Ballot,
+    BallotState,
+    BundleInfo,
+    BundleOffer,
+    BundlePiece,
+    CommandResult,
+    MissionCommand,
+    PieceRequest,
+    PieceStored,
+    Proposal,
+    ServiceMessage,
+    ServiceQuery,
+    ServiceStatus,
+    StageRequest,
+    StageResult,
+    UnfinishedCoordinator,
+    Vote,
+    VoteQuery,
+    VoteReport,
+)
+
+#: Seconds between two rounds of questions about an open ballot, and seconds after which they close it.
+RESOLVE_EVERY, CLOSE_AFTER = 3.0, 30.0
+
+
+class Store(Protocol):
+    """The disk of a service (`bundle_store.BundleStore`)."""
+
+    def save(self, record: ServiceRecord) -> None: ...
+    def stored(self) -> list[bytes]: ...
+    def read(self, digest: bytes) -> bytes | None: ...
+    def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None: ...
+    def begin(self, file: bytes) -> None: ...
+    def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
+    def put(self, file: bytes, number: int, data: bytes) -> None: ...
+    def joined(self, file: bytes) -> bytes: ...
+    def drop(self, file: bytes) -> None: ...
+
+
+class MissionProbe(Protocol):
+    """Looks at the mission's host and its journals (`mission_probe.JournalProbe`)."""
+
+    async def vehicles(self) -> str:
+        """Why the vehicles of a running host are not all at rest on the ground; '' if they are."""
+
+    async def unfinished(self) -> list[UnfinishedCoordinator]:
+        """The coordinators that have not ended."""
+
+    async def is_paused(self) -> bool:
+        """Whether the running host is paused."""
+
+    async def hold(self) -> str:
+        """Pause the running host, so that nothing arms; returns why it is not at rest, '' if it is."""
+
+    async def release(self) -> None:
+        """Resume the host that `hold` has paused."""
+
+    async def condition(self) -> str:
+        """Why the running host waits or is paused; '' if it does not."""
+
+    async def start_without(self, hosts: list[str]) -> str:
+        """Have the coordinators of the running host not wait for some hosts; returns why they still do."""
+
+    async def discard(self) -> list[str]:
+        """End the coordinators in the journals of a host that does not run; returns their names."""
+
+
+#: Asks the service of another host. Raises LfieldError.
+AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]
+#: The verified bundle in some bytes. Raises LfieldError.
+Verify = Callable[[bytes], BundleInfo]
+
+
+class Service:
+    """The service of `host`. `verify` checks digest and signature of a bundle."""
+
+    def __init__(
+        self,
+        host: str,
+        record: ServiceRecord,
+        store: Store,
+        runner: MissionRunner,
+        probe: MissionProbe,
+        verify: Verify,
+        clock: Clock,
+    ) -> None:
+        self._host, self._store, self._runner, self._probe = host, store, runner, probe
+        self._verify, self._clock = verify, clock
+        self._activation, self._held = record.activation, record.held
+        #: Held while a vote is made or a command executed: one decision at a time.
+        self._lock = asyncio.Lock()
+        #: When the open ballot was voted for (monotonic), None without one.
+        self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
+        self._infos: dict[bytes, BundleInfo] = {}
+        runner.attach(self._store_run, lambda: self._start_refusal())
+
+    @property
+    def activation(self) -> ActivationState:
+        """Its durable state of activations."""
+        return self._activation
+
+    def note(self, line: LogLine) -> None:
+        """Write a log line."""
+        self._runner.note(line)
+
+    async def answer(self, message: ServiceMessage, operator: str) -> ServiceMessage:
+        """The answer to a request of `operator`, whose rights were checked. Raises WireError."""
+        match message:
+            case ServiceQuery():
+                return await self.status()
+            case BundleOffer():
+                return self._on_offer(message)
+            case BundlePiece():
+                return self._on_piece(message)
+            case StageRequest():
+                return self._on_stage(message)
+            case Proposal():
+                async with self._lock:
+                    return await self._on_proposal(message.ballot)
+            case VoteQuery():
+                if message.closes:
+                    self._store_activation(ballots.close(self._activation, message.id))
+                return ballots.answer(self._activation, self._host, message.id)
+            case VoteReport():
+                await self.on_votes(message.id, message.votes)
+                return ballots.answer(self._activation, self._host, message.id)
+            case MissionCommand():
+                self.note(messages.COMMAND.line(action=message.action, operator=operator))
+                async with self._lock:
+                    return await self._on_command(message, operator)
+        raise WireError(f"{type(message).__name__} is not a request to a service")
+
+    async def status(self) -> ServiceStatus:
+        """The state of the service."""
+        state = self._activation
+        stored = [self._info(digest) for digest in self._store.stored()[:MAX_BUNDLES]]
+        unfinished = await self._probe.unfinished()
+        run = self._runner.info
+        if self._runner.is_running and run.phase == "running":
+            run = replace(run, reason=truncate(await self._probe.condition()))
+        return ServiceStatus(
+            self._host,
+            __version__,
+            state.active,
+            state.previous,
+            [info for info in stored if info is not None],
+            run,
+            state.ballot,
+            unfinished[:MAX_UNFINISHED],
+            truncate(await self._refusal(None)),
+            self._clock.time(),
+        )
+
+    # --- transfer -------------------------------------------------------------------------------------
+
+    def _on_offer(self, offer: BundleOffer) -> PieceRequest:
+        try:
+            self._store.begin(offer.file)
+            pieces = [Piece(*each) for each in offer.pieces]
+            return PieceRequest(offer.file, offer.first, self._store.missing(offer.file, offer.first, pieces))
+        except OutputFileError as error:
+            return PieceRequest(offer.file, offer.first, [], truncate(str(error)))
+
+    def _on_piece(self, piece: BundlePiece) -> PieceStored:
+        data = decompress(piece.data, is_compressed=piece.is_compressed)
+        try:
+            self._store.put(piece.file, piece.number, data)
+        except OutputFileError as error:
+            return PieceStored(piece.file, piece.number, truncate(str(error)))
+        return PieceStored(piece.file, piece.number)
+
+    def _on_stage(self, request: StageRequest) -> StageResult:
+        try:
+            data = self._store.joined(request.file)
+            if sha256(data).digest() != request.file:
+                self._store.drop(request.file)
+                raise WireError("the pieces do not make the offered file: push it again")
+            info = self._verify(data)
+            if info.digest != request.digest:
+                raise SignatureError(
+                    f"the file is bundle {short_digest(info.digest)}, another one was offered"
+                )
+            self._store.add(info.digest, data, [self._activation.active, self._activation.previous])
+            self._store.drop(request.file)
+        except LfieldError as error:
+            self.note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
+            return StageResult(request.digest, truncate(str(error)), error.code)
+        self._infos[info.digest] = info
+        self.note(
+            messages.BUNDLE_STORED.line(bundle=short_digest(info.digest), mission=info.name, by=info.by)
+        )
+        return StageResult(request.digest)
+
+    def _info(self, digest: bytes) -> BundleInfo | None:
+        """The description of a stored bundle, None if it is not valid any more."""
+        if digest not in self._infos and (data := self._store.read(digest)) is not None:
+            try:
+                self._infos[digest] = self._verify(data)
+            except LfieldError:
+                return None
+        return self._infos.get(digest)
+
+    # --- votes ----------------------------------------------------------------------------------------
+
+    async def _on_proposal(self, ballot: Ballot) -> BallotState:
+        known = ballots.answer(self._activation, self._host, ballot.id)
+        if known.ballot is not None or known.outcome != "open":
+            return known
+        refusal = "" if self._host in ballot.hosts else f"{self._host} does not take part in this ballot"
+        if not refusal and self._activation.open_ballot is None:
+            refusal = await self._refusal(ballot.digest)
+            if not refusal and ballot.digest != self._activation.active:
+                refusal = await self._hold()
+        self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
+        found = ballots.answer(self._activation, self._host, ballot.id)
+        reason = found.reasons.get(self._host, "")
+        vote = found.votes[self._host]
+        self.note(
+            messages.VOTED.line(
+                vote=vote,
+                bundle=short_digest(ballot.digest),
+                by=ballot.by,
+                reason=f": {reason}" if reason else "",
+            )
+        )
+        await self._carry_out(found)
+        return found
+
+    async def on_votes(self, id: bytes, votes: Mapping[str, Vote]) -> None:
+        """Votes of other hosts were learnt, from a desk or by asking them."""
+        async with self._lock:
+            before = self._activation.open_ballot
+            self._store_activation(ballots.learn(self._activation, self._host, id, votes))
+            after = self._activation.ballot
+            if before is not None and after is not None and after.outcome != "open":
+                await self._carry_out(after)
+
+    async def _carry_out(self, found: BallotState) -> None:
+        """The consequences of a result: the host of another bundle ends, or a paused one continues."""
+        if found.outcome == "open" or found.ballot is None:
+            return
+        bundle = short_digest(found.ballot.digest)
+        if found.outcome == "activated":
+            hosts = listed(found.ballot.hosts)
+            self.note(messages.ACTIVATED.line(bundle=bundle, hosts=hosts))
+            await self._end_other_bundle()
+            return
+        why = "; ".join(f"{host}: {reason}" for host, reason in found.reasons.items())
+        against = listed([host for host, vote in found.votes.items() if vote == "no"])
+        self.note(messages.ABORTED.line(bundle=bundle, reason=why or f"vote no of {against}"))
+        await self._release()
+
+    async def _end_other_bundle(self) -> None:
+        if self._runner.is_running and self._runner.info.bundle != self._activation.active:
+            await self._runner.stop("another bundle was activated")
+        self._set_held(False)
+
+    async def _hold(self) -> str:
+        """Pause a running host, so that nothing arms before the result; returns why it is not at rest."""
+        if not self._runner.is_running or await self._probe.is_paused():
+            return ""
+        self._set_held(True)
+        if refusal := await self._probe.hold():
+            await self._release()
+        return refusal
+
+    async def _release(self) -> None:
+        """Resume the host if the service has paused it."""
+        if self._held:
+            if self._runner.is_running:
+                await self._probe.release()
+            self._set_held(False)
+
+    async def _refusal(self, digest: bytes | None) -> str:
+        """Why this host would vote no, '' if it would not. `digest` is None for any other bundle."""
+        if digest is not None and digest == self._activation.active:
+            return ""
+        if digest and (self._store.read(digest) is None or self._info(digest) is None):
+            return "the bundle is not stored here, or its signature is not valid any more"
+        if self._runner.is_running and (why := await self._probe.vehicles()):
+            return why
+        if unfinished := await self._probe.unfinished():
+            names = [f"{each.agent} ({each.state})" for each in unfinished[:MAX_UNFINISHED]]
+            return f"coordinators have not ended: {listed(names)}; let them end, or 'lfield stop --discard'"
+        return ""
+
+    async def resolve(self, ask: AskPeer) -> None:
+        """Ask the other hosts of an open ballot, every few seconds, for ever."""
+        while True:
+            await asyncio.sleep(RESOLVE_EVERY)
+            bound = self._activation.open_ballot
+            if bound is None or bound.ballot is None or self._bound_since is None:
+                continue
+            waited = self._clock.monotonic() - self._bound_since
+            missing = [host for host in ballots.missing_votes(bound) if host != self._host]
+            if waited >= CLOSE_AFTER:
+                self.note(
+                    messages.BALLOT_OPEN.line(
+                        bundle=short_digest(bound.ballot.digest), seconds=waited, missing=listed(missing)
+                    )
+                )
+            query = VoteQuery(bound.id, closes=waited >= CLOSE_AFTER)
+            answers = await asyncio.gather(*(ask(host, query) for host in missing), return_exceptions=True)
+            votes: dict[str, Vote] = {}
+            for answer in answers:
+                if isinstance(answer, BallotState):
+                    votes |= answer.votes
+                elif not isinstance(answer, LfieldError):
+                    raise answer
+            await self.on_votes(bound.id, votes)
+
+    # --- commands -------------------------------------------------------------------------------------
+
+    async def _on_command(self, command: MissionCommand, operator: str) -> CommandResult:
+        if command.action == "stop":
+            await self._runner.stop(f"stopped by {operator}")
+            gone = await self._probe.discard() if command.discards else []
+            if gone:
+                self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
+            return CommandResult(self._runner.info, discarded=gone[:MAX_UNFINISHED])
+        refusal = self._start_refusal()
+        active = self._activation.active
+        if not refusal and command.digest not in (b"", active):
+            refusal = (
+                f"bundle {short_digest(command.digest)} is not active here, but "
+                f"{short_digest(active)}: 'lfield push' activates one on all hosts"
+            )
+        if not refusal:
+            await self._runner.start(active)
+            if command.without:
+                refusal = await self._probe.start_without(command.without)
+        return CommandResult(self._runner.info, refusal)
+
+    def _start_refusal(self) -> str:
+        """Why no mission may start here now; '' if one may."""
+        bound = self._activation.open_ballot
+        if bound is not None:
+            missing = listed(ballots.missing_votes(bound))
+            return f"the activation of a bundle is not decided yet: the votes of {missing} are unknown"
+        if not self._activation.active:
+            return "no bundle is active: 'lfield push' sends and activates one"
+        return ""
+
+    # --- state ----------------------------------------------------------------------------------------
+
+    async def reconcile(self) -> None:
+        """After a start of the service: supervise a host that runs, and end one of another bundle."""
+        await self._runner.adopt()
+        if self._activation.open_ballot is None:
+            await self._release()
+            await self._end_other_bundle()
+
+    def _store_activation(self, changed: ActivationState) -> None:
+        """Store a state, then use it. Raises OutputFileError; then nothing has changed."""
+        if changed == self._activation:
+            return
+        self._save(ServiceRecord(changed, self._runner.record, self._held))
+        was_open = self._activation.open_ballot is not None
+        self._activation = changed
+        if changed.open_ballot is None:
+            self._bound_since = None
+        elif not was_open:
+            self._bound_since = self._clock.monotonic()
+
+    def _store_run(self) -> None:
+        self._save(ServiceRecord(self._activation, self._runner.record, self._held))
+
+    def _set_held(self, held: bool) -> None:
+        if held != self._held:
+            self._save(ServiceRecord(self._activation, self._runner.record, held))
+            self._held = held
+
+    def _save(self, record: ServiceRecord) -> None:
+        try:
+            self._store.save(record)
+        except OutputFileError as error:
+            self.note(messages.STATE_ERROR.line(reason=error))
+            raise

@@ -1,0 +1,109 @@
+"""Runs the service of one host as a process, until it is stopped."""
+
+from __future__ import annotations
+
+import asyncio
+import random
+import secrets
+from collections.abc import Awaitable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from lfield.clock import SystemClock
+from lfield.errors import AddressError
+from lfield.event_loop import spawn
+from lfield.host.logbook import JsonLogbook, Logbook
+from lfield.host.process.credentials import HostCredentials, admission_for
+from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
+from lfield.net.tcp_transport import TcpTransport
+from lfield.operator.observer_link import Request, ask_with_retries
+from lfield.service import messages
+from lfield.service.bundle_store import BundleStore
+from lfield.service.bundle_verifier import BundleVerifier, vehicles_of
+from lfield.service.host_processes import LocalProcesses
+from lfield.service.mission_probe import LocalProbe
+from lfield.service.mission_runner import MissionRunner
+from lfield.service.server import ServiceServer
+from lfield.service.service import Service
+from lfield.wire.fields import short_digest
+from lfield.wire.service_messages import BallotState, VoteQuery
+
+#: The largest frame that a service accepts, in bytes, seconds for an answer of another service, and seconds
+#: between two checks of the certificates of linked peers.
+MAX_BLOCK, PEER_TIMEOUT, REAUTHORISE_EVERY = 1 << 16, 8.0, 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class ServiceOptions:
+    """`state` is the directory of the journals and of the service, `listen` the address of the service.
+
+    `peers` are the addresses of the services of other hosts by name. `up` are further options of `lfield up`.
+    """
+
+    host: str
+    state: Path
+    listen: str
+    peers: Mapping[str, str]
+    up: Sequence[str]
+    as_json: bool = False
+
+
+async def run_service(options: ServiceOptions, credentials: HostCredentials) -> int:
+    """Run until a signal; then the mission's host is stopped too. Returns the exit status.
+
+    Raises AddressError, KeysError, DamagedFileError, InputFileError.
+    """
+    clock, host = SystemClock(), options.host
+    logbook = JsonLogbook(host, clock) if options.as_json else Logbook()
+    store = BundleStore(options.state / "service")
+    record = store.load()
+    tls, admission = admission_for(credentials, host, clock, ())
+    transport = TcpTransport(MAX_BLOCK, tls)
+    result = options.state / "service" / "host.result"
+    processes = LocalProcesses(host, store.path, options.up, result)
+    runner = MissionRunner(record.run, processes, clock, logbook.note)
+    probe = LocalProbe(
+        host,
+        options.state,
+        lambda: runner.record.pid,
+        lambda: vehicles_of(store.read(runner.record.bundle) or b"", host),
+        clock,
+    )
+    verifier = BundleVerifier(host, credentials.keys, admission)
+    service = Service(host, record, store, runner, probe, verifier, clock)
+    transport.log_to(service.note)
+    admission.serve(lambda: runner.is_running, lambda who: {}, service.note)
+    server = ServiceServer(host, service, transport, clock, random.Random(secrets.randbits(64)), admission)
+    signals = ShutdownSignals(clock)
+    install_signal_handlers(signals)
+    address = await server.listen(options.listen)
+    active = short_digest(service.activation.active) or "none"
+    service.note(messages.LISTENING.line(host=host, address=address, bundle=active))
+    await service.reconcile()
+    tasks = [
+        spawn(service.resolve(partial(_ask_peer, transport, options.peers))),
+        spawn(_reauthorise(server)),
+    ]
+    await signals.first_requested.wait()
+    for task in tasks:
+        task.cancel()
+    signals.call_on_second(runner.terminate_again)
+    await runner.stop("the service was stopped")
+    server.close()
+    return 0
+
+
+def _ask_peer(
+    transport: TcpTransport, peers: Mapping[str, str], host: str, query: VoteQuery
+) -> Awaitable[BallotState]:
+    """The answer of the service of another host. Raises LfieldError."""
+    if host not in peers:
+        raise AddressError(host, "the inventory of this robot does not have it")
+    return ask_with_retries(transport, peers[host], Request(query, BallotState, PEER_TIMEOUT), host, None)
+
+
+async def _reauthorise(server: ServiceServer) -> None:
+    while True:
+        await asyncio.sleep(REAUTHORISE_EVERY)
+        server.reauthorise()
