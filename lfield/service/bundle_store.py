@@ -22,8 +22,8 @@ from msgspec import Meta, Struct
 from lfield.errors import DamagedFileError, InputFileError, OutputFileError
 from lfield.mission.bundle import SUFFIX
 from lfield.service.ballots import ActivationState
-from lfield.service.pieces import Piece, piece_of, split
 from lfield.text.secure_files import private_folder, read_private, write_private
+from lfield.wire.bundle_pieces import Piece, piece_of, split
 from lfield.wire.fields import Hash
 
 #: The largest state file, in bytes, and free space that a piece must leave.

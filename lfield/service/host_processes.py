@@ -23,8 +23,8 @@ _BOOT = Path("/proc/sys/kernel/random/boot_id")
 class LocalProcesses:
     """See `mission_runner.HostProcesses`.
 
-    `bundle_path` gives the file of a bundle; `options` are those of `lfield up`. The host writes its result to
-    the file `result`, so that the next service knows how it ended.
+    `bundle_path` gives the file of a bundle; `options` are those of `lfield up`. The host writes its result
+    to the file `result`, so that the next service knows how it ended.
     """
 
     def __init__(

@@ -20,9 +20,9 @@ from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import MissionRunner
-from lfield.service.pieces import Piece, decompress
 from lfield.text.log_messages import LogLine
 from lfield.text.suggestions import listed
+from lfield.wire.bundle_pieces import Piece, decompress
 from lfield.wire.fields import short_digest, truncate
 from lfield.wire.service_messages import (
     MAX_BUNDLES,

@@ -1,4 +1,4 @@
-"""The result of a host: hops, exit status and the reason of a failure, written for the process that started it."""
+"""The result of a host: hops, exit status and why it failed, written for the process that started it."""
 
 from __future__ import annotations
 

@@ -1,0 +1,116 @@
+"""Has the services of some hosts vote about the activation of a bundle, and reports the votes to all of them.
+
+The desk decides nothing (`lfield.service.ballots`): if it ends, the hosts settle the ballot among themselves.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+from lfield.errors import AddressError, LfieldError
+from lfield.operator.fleet.service_link import open_service_link
+from lfield.wire.service_messages import (
+    Ballot,
+    BallotOutcome,
+    BallotState,
+    Proposal,
+    ServiceMessage,
+    Vote,
+    VoteQuery,
+    VoteReport,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from lfield.net.transport import Transport
+    from lfield.operator.observer_link import PresentedCrl
+
+#: Seconds for all votes; then the hosts that have not voted are asked to vote no. Seconds between two links.
+VOTE_TIMEOUT, RETRY_DELAY = 25.0, 0.3
+#: Seconds for one vote: a host pauses its mission before it votes.
+ANSWER_TIMEOUT = 15.0
+#: Seconds for which a result is reported to a host that does not answer.
+REPORT_TIMEOUT = 10.0
+
+
+class BallotResult:
+    """What the desk knows of a ballot: votes and reasons by host, and the hosts that know the result."""
+
+    def __init__(self, ballot: Ballot) -> None:
+        self.ballot = ballot
+        self.votes: dict[str, Vote] = {}
+        self.reasons: dict[str, str] = {}
+        self.informed: set[str] = set()
+        #: Why hosts did not answer.
+        self.unreached: dict[str, LfieldError] = {}
+
+    def add(self, host: str, state: BallotState) -> None:
+        """Add the answer of a host."""
+        self.votes |= state.votes
+        self.reasons |= state.reasons
+        self.unreached.pop(host, None)
+        if state.outcome != "open" and state.outcome == self.outcome:
+            self.informed.add(host)
+
+    @property
+    def outcome(self) -> BallotOutcome:
+        """The result of the votes that are known here."""
+        if "no" in self.votes.values():
+            return "aborted"
+        return "activated" if all(self.votes.get(host) == "yes" for host in self.ballot.hosts) else "open"
+
+
+async def activate(
+    transport: Transport,
+    addresses: Mapping[str, str],
+    ballot: Ballot,
+    crl: PresentedCrl | None = None,
+    on_change: Callable[[BallotResult], None] = lambda result: None,
+) -> BallotResult:
+    """The result of a ballot among the services at `addresses`.
+
+    It is open if hosts could not be reached: then those settle it that have voted yes, when they meet.
+    """
+    result = BallotResult(ballot)
+
+    async def ask(host: str, message: ServiceMessage, within: float) -> None:
+        """Send a message, again after broken links, until it is answered."""
+        try:
+            async with asyncio.timeout(within):
+                while True:
+                    try:
+                        async with open_service_link(transport, addresses[host], host, crl) as link:
+                            result.add(host, await link.ask(message, BallotState, ANSWER_TIMEOUT))
+                        on_change(result)
+                        return
+                    except AddressError as error:
+                        result.unreached[host] = error
+                    await asyncio.sleep(RETRY_DELAY)
+        except TimeoutError:
+            result.unreached.setdefault(host, AddressError(addresses[host], f"no vote within {within:g} s"))
+        except LfieldError as error:
+            result.unreached[host] = error
+
+    tasks = [asyncio.ensure_future(ask(host, Proposal(ballot), VOTE_TIMEOUT)) for host in ballot.hosts]
+    await _until_decided(result, tasks)
+    if result.outcome == "open":
+        left = [host for host in ballot.hosts if host not in result.votes]
+        query = VoteQuery(ballot.id, closes=True)
+        await asyncio.gather(*(ask(host, query, ANSWER_TIMEOUT) for host in left))
+    report = VoteReport(ballot.id, result.votes)
+    left = [host for host in ballot.hosts if host not in result.informed]
+    await asyncio.gather(*(ask(host, report, REPORT_TIMEOUT) for host in left))
+    return result
+
+
+async def _until_decided(result: BallotResult, requests: Iterable[asyncio.Future[None]]) -> None:
+    """Wait for the requests for votes until all have ended, or one host has voted no."""
+    tasks = set(requests)
+    while tasks and result.outcome == "open":
+        _, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+    for task in tasks:
+        task.cancel()
+    await asyncio.gather(*tasks, return_exceptions=True)

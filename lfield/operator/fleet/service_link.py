@@ -1,0 +1,123 @@
+"""A link of a desk to the service of one host, for several requests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import TYPE_CHECKING, TypeVar
+
+from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError
+from lfield.net.handshake import Handshake
+from lfield.operator.observer_link import ObserverLink, PresentedCrl
+from lfield.wire.messages import HandshakeRefused, Hello, Message, RevocationUpdate
+from lfield.wire.service_messages import ServiceMessage
+
+if TYPE_CHECKING:
+    from lfield.net.transport import Link, Transport
+
+A = TypeVar("A", bound=ServiceMessage)
+
+#: Seconds for the handshake, and seconds without any message after which a link counts as broken.
+HANDSHAKE_TIMEOUT, SILENCE = 8.0, 8.0
+
+
+class ServiceLink(ObserverLink):
+    """Sends requests and receives their answers, in any order. `open_service_link` makes one."""
+
+    def __init__(self, host: str, crl: PresentedCrl | None) -> None:
+        self.host, self._crl = host, crl
+        self._handshake: Handshake | None = None
+        self._answers: asyncio.Queue[ServiceMessage | LfieldError] = asyncio.Queue()
+        self._greeted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
+        self._link: Link | None = None
+
+    def greet(self, link: Link) -> Handshake:
+        """Start the handshake, once."""
+        if self._handshake is None:
+            self._link = link
+            self._handshake = Handshake(Hello("observer", "observer", 0), link.who, dialled=self.host)
+            link.send(self._handshake.first_message())
+        return self._handshake
+
+    def on_message(self, link: Link, message: Message) -> None:
+        """See `LinkHandler`."""
+        handshake = self.greet(link)
+        if handshake.peer is None:
+            hello = handshake.receive(message)
+            link.accept_role(hello.role)
+            if self._crl is not None and hello.revoked < self._crl.number:
+                link.send(RevocationUpdate(self._crl.data))
+            if not self._greeted.done():
+                self._greeted.set_result(None)
+        elif isinstance(message, HandshakeRefused):
+            raise HandshakeError(f"{self.host} refused: {message.reason}")
+        elif isinstance(message, ServiceMessage):
+            self._answers.put_nowait(message)
+
+    def on_closed(self, link: Link, error: LfieldError | None) -> None:
+        """See `LinkHandler`."""
+        end = error or AddressError(link.peer, "it closed the link without an answer")
+        if not self._greeted.done():
+            self._greeted.set_exception(end)
+        self._answers.put_nowait(end)
+
+    async def wait_greeted(self) -> None:
+        """Return after the handshake. Raises LfieldError."""
+        async with asyncio.timeout(HANDSHAKE_TIMEOUT):
+            await self._greeted
+
+    def give_up(self) -> None:
+        """The result of the handshake is not needed any more."""
+        self._greeted.cancel()
+
+    def send(self, message: ServiceMessage) -> None:
+        """Send a request. Raises AddressError on a closed link."""
+        assert self._link is not None
+        self._link.send(message)
+
+    async def receive(self, kind: type[A], within: float = SILENCE) -> A:
+        """The next answer of that type; others are dropped. Raises LfieldError."""
+        assert self._link is not None
+        try:
+            async with asyncio.timeout(within):
+                while True:
+                    answer = await self._answers.get()
+                    if isinstance(answer, LfieldError):
+                        # For every later call too.
+                        self._answers.put_nowait(answer)
+                        raise answer
+                    if isinstance(answer, kind):
+                        return answer
+        except TimeoutError:
+            raise AddressError(self._link.peer, f"no answer within {within:g} s") from None
+
+    async def ask(self, message: ServiceMessage, kind: type[A], within: float = SILENCE) -> A:
+        """The answer to one request. Raises LfieldError."""
+        self.send(message)
+        return await self.receive(kind, within)
+
+
+@asynccontextmanager
+async def open_service_link(
+    transport: Transport, address: str, host: str, crl: PresentedCrl | None
+) -> AsyncIterator[ServiceLink]:
+    """A link to the service of `host`. Raises AddressError, HandshakeError, KeysError."""
+    handler = ServiceLink(host, crl)
+    link = await transport.connect(address, handler)
+    try:
+        if link.who.kind == "stranger":
+            raise KeysError(
+                f"the service at {address} accepts commands only with keys: 'lfield keys init --person NAME' "
+                "makes them; --keys names their directory"
+            )
+        handler.greet(link)
+        try:
+            await handler.wait_greeted()
+        except TimeoutError:
+            raise AddressError(address, f"no handshake within {HANDSHAKE_TIMEOUT:g} s") from None
+        yield handler
+    finally:
+        # A failed handshake has no other reader.
+        handler.give_up()
+        link.close()
