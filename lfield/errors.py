@@ -157,21 +157,6 @@ class BundleError(LfieldError):
         return BundleError(self.reason, self.advice, file=str(file))
 
 
-class BundleNotAccepted(LfieldError):
-    """A robot does not store a bundle: `host`, and its `reason`; `cause` is a code of this table."""
-
-    exit_status = exit_status.FAILED
-    code, remedy = "bundle-not-accepted", "see the reason of the robot"
-
-    def __init__(self, host: str, reason: str, cause: str = "") -> None:
-        self.host, self.reason, self.cause = host, reason, cause
-        super().__init__(f"{host}: {reason}")
-
-    def as_data(self) -> dict[str, object]:
-        """The error as JSON data, with the host."""
-        return {**super().as_data(), "host": self.host, "cause": self.cause}
-
-
 class KeysError(LfieldError):
     """A key, a certificate or a certificate revocation list cannot be used."""
 

@@ -141,8 +141,8 @@ class BundleStore:
         shutil.rmtree(self._upload(file), ignore_errors=True)
         self._arrived.pop(file, None)
 
-    def begin(self, file: bytes) -> None:
-        """Make place for the pieces of a file: the oldest other uploads are removed."""
+    def make_room(self, file: bytes) -> None:
+        """Make room for the pieces of a file: the oldest other uploads are removed."""
         folder = private_folder(self._upload(file))
         os.utime(folder)
         found = sorted(self._staging.iterdir(), key=lambda each: each.stat().st_mtime, reverse=True)

@@ -8,40 +8,35 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from hashlib import sha256
 from typing import Protocol
 
 from msgspec.structs import replace
 
 from lfield import __version__
 from lfield.clock import Clock
-from lfield.errors import LfieldError, OutputFileError, SignatureError, WireError
+from lfield.errors import LfieldError, OutputFileError, WireError
 from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
+from lfield.service.bundle_receiver import BundleReceiver, ServiceStore, Verify
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import MissionRunner
 from lfield.text.log_messages import LogLine
 from lfield.text.suggestions import listed
-from lfield.wire.bundle_pieces import Piece, decompress
 from lfield.wire.fields import short_digest, truncate
 from lfield.wire.service_messages import (
     MAX_BUNDLES,
     MAX_UNFINISHED,
     Ballot,
     BallotState,
-    BundleInfo,
     BundleOffer,
     BundlePiece,
     CommandResult,
     MissionCommand,
-    PieceRequest,
-    PieceStored,
     Proposal,
     ServiceMessage,
     ServiceQuery,
     ServiceStatus,
     StageRequest,
-    StageResult,
     UnfinishedCoordinator,
     Vote,
     VoteQuery,
@@ -50,20 +45,6 @@ from lfield.wire.service_messages import (
 
 #: Seconds between two rounds of questions about an open ballot, and seconds after which they close it.
 RESOLVE_EVERY, CLOSE_AFTER = 3.0, 30.0
-
-
-class Store(Protocol):
-    """The disk of a service (`bundle_store.BundleStore`)."""
-
-    def save(self, record: ServiceRecord) -> None: ...
-    def stored(self) -> list[bytes]: ...
-    def read(self, digest: bytes) -> bytes | None: ...
-    def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None: ...
-    def begin(self, file: bytes) -> None: ...
-    def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
-    def put(self, file: bytes, number: int, data: bytes) -> None: ...
-    def joined(self, file: bytes) -> bytes: ...
-    def drop(self, file: bytes) -> None: ...
 
 
 class MissionProbe(Protocol):
@@ -96,8 +77,6 @@ class MissionProbe(Protocol):
 
 #: Asks the service of another host. Raises LfieldError.
 AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]
-#: The verified bundle in some bytes. Raises LfieldError.
-Verify = Callable[[bytes], BundleInfo]
 
 
 class Service:
@@ -107,20 +86,19 @@ class Service:
         self,
         host: str,
         record: ServiceRecord,
-        store: Store,
+        store: ServiceStore,
         runner: MissionRunner,
         probe: MissionProbe,
         verify: Verify,
         clock: Clock,
     ) -> None:
         self._host, self._store, self._runner, self._probe = host, store, runner, probe
-        self._verify, self._clock = verify, clock
+        self._receiver, self._clock = BundleReceiver(store, verify, runner.note), clock
         self._activation, self._held = record.activation, record.held
         #: Held while a vote is made or a command executed: one decision at a time.
         self._lock = asyncio.Lock()
         #: When the open ballot was voted for (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
-        self._infos: dict[bytes, BundleInfo] = {}
         runner.attach(self._store_run, lambda: self._start_refusal())
 
     @property
@@ -138,11 +116,11 @@ class Service:
             case ServiceQuery():
                 return await self.status()
             case BundleOffer():
-                return self._on_offer(message)
+                return self._receiver.on_offer(message)
             case BundlePiece():
-                return self._on_piece(message)
+                return self._receiver.on_piece(message)
             case StageRequest():
-                return self._on_stage(message)
+                return self._receiver.on_stage(message, [self._activation.active, self._activation.previous])
             case Proposal():
                 async with self._lock:
                     return await self._on_proposal(message.ballot)
@@ -162,7 +140,7 @@ class Service:
     async def status(self) -> ServiceStatus:
         """The state of the service."""
         state = self._activation
-        stored = [self._info(digest) for digest in self._store.stored()[:MAX_BUNDLES]]
+        stored = [self._receiver.info(digest) for digest in self._store.stored()[:MAX_BUNDLES]]
         unfinished = await self._probe.unfinished()
         run = self._runner.info
         if self._runner.is_running and run.phase == "running":
@@ -179,55 +157,6 @@ class Service:
             truncate(await self._refusal(None)),
             self._clock.time(),
         )
-
-    # --- transfer -------------------------------------------------------------------------------------
-
-    def _on_offer(self, offer: BundleOffer) -> PieceRequest:
-        try:
-            self._store.begin(offer.file)
-            pieces = [Piece(*each) for each in offer.pieces]
-            return PieceRequest(offer.file, offer.first, self._store.missing(offer.file, offer.first, pieces))
-        except OutputFileError as error:
-            return PieceRequest(offer.file, offer.first, [], truncate(str(error)))
-
-    def _on_piece(self, piece: BundlePiece) -> PieceStored:
-        data = decompress(piece.data, is_compressed=piece.is_compressed)
-        try:
-            self._store.put(piece.file, piece.number, data)
-        except OutputFileError as error:
-            return PieceStored(piece.file, piece.number, truncate(str(error)))
-        return PieceStored(piece.file, piece.number)
-
-    def _on_stage(self, request: StageRequest) -> StageResult:
-        try:
-            data = self._store.joined(request.file)
-            if sha256(data).digest() != request.file:
-                self._store.drop(request.file)
-                raise WireError("the pieces do not make the offered file: push it again")
-            info = self._verify(data)
-            if info.digest != request.digest:
-                raise SignatureError(
-                    f"the file is bundle {short_digest(info.digest)}, another one was offered"
-                )
-            self._store.add(info.digest, data, [self._activation.active, self._activation.previous])
-            self._store.drop(request.file)
-        except LfieldError as error:
-            self.note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
-            return StageResult(request.digest, truncate(str(error)), error.code)
-        self._infos[info.digest] = info
-        self.note(
-            messages.BUNDLE_STORED.line(bundle=short_digest(info.digest), mission=info.name, by=info.by)
-        )
-        return StageResult(request.digest)
-
-    def _info(self, digest: bytes) -> BundleInfo | None:
-        """The description of a stored bundle, None if it is not valid any more."""
-        if digest not in self._infos and (data := self._store.read(digest)) is not None:
-            try:
-                self._infos[digest] = self._verify(data)
-            except LfieldError:
-                return None
-        return self._infos.get(digest)
 
     # --- votes ----------------------------------------------------------------------------------------
 
@@ -304,7 +233,7 @@ class Service:
         """Why this host would vote no, '' if it would not. `digest` is None for any other bundle."""
         if digest is not None and digest == self._activation.active:
             return ""
-        if digest and (self._store.read(digest) is None or self._info(digest) is None):
+        if digest and (self._store.read(digest) is None or self._receiver.info(digest) is None):
             return "the bundle is not stored here, or its signature is not valid any more"
         if self._runner.is_running and (why := await self._probe.vehicles()):
             return why
@@ -380,7 +309,7 @@ class Service:
             await self._end_other_bundle()
 
     def _store_activation(self, changed: ActivationState) -> None:
-        """Store a state, then use it. Raises OutputFileError; then nothing has changed."""
+        """ServiceStore a state, then use it. Raises OutputFileError; then nothing has changed."""
         if changed == self._activation:
             return
         self._save(ServiceRecord(changed, self._runner.record, self._held))

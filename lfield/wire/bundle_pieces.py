@@ -16,7 +16,7 @@ from lfield.wire.service_messages import MAX_PIECE, PIECE_DIGEST_SIZE
 
 #: Shortest piece, and the mask whose bits must be 0 at a cut: pieces have about 1 KiB on average.
 MIN_PIECE, _MASK = 256, 0x3FF << 20
-_WORD = (1 << 32) - 1
+_MASK32 = (1 << 32) - 1
 _GEAR = [int.from_bytes(sha256(bytes([n])).digest()[:4]) for n in range(256)]
 
 
@@ -41,7 +41,7 @@ def _cut(data: bytes, start: int) -> int:
     last = min(start + MAX_PIECE, len(data))
     hash = 0
     for at in range(min(start + MIN_PIECE, last), last):
-        hash = (hash << 1) + _GEAR[data[at]] & _WORD
+        hash = (hash << 1) + _GEAR[data[at]] & _MASK32
         if not hash & _MASK:
             return at + 1
     return last

@@ -16,7 +16,7 @@ from lfield.errors import WireError
 from lfield.operator.dashboard.event_stream.stream_cursor import StreamCursor
 from lfield.operator.dashboard.timeline.event_timeline import EventTimeline
 from lfield.operator.team_model.host_model import host_states
-from lfield.operator.team_model.inventory import Inventory
+from lfield.operator.team_model.team_contents import TeamContents
 from lfield.operator.team_model.team_state import HostState
 from lfield.operator.team_model.team_view import TeamView
 from lfield.wire import codec
@@ -82,7 +82,7 @@ class _Watching:
 
     def __init__(self) -> None:
         self._cursors = {f"host{n}": StreamCursor(telemetry=5.0) for n in range(2)}
-        self._picture = TeamView(Inventory("team", tuple(self._cursors)))
+        self._picture = TeamView(TeamContents("team", tuple(self._cursors)))
         self._timeline = EventTimeline()
         self._table, self._log = event_view.EventCsv(), event_view.LogLineView()
 

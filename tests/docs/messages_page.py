@@ -17,6 +17,7 @@ from lfield.capability.registry_reader import messages as registry_messages
 from lfield.errors import LfieldError, SystemRefusal
 from lfield.lang import messages as program_messages
 from lfield.operator.diagnostics import DIAGNOSES
+from lfield.service.messages import SERVICE_MESSAGES
 from lfield.text.log_messages import DEVICE_MESSAGES, LOG_MESSAGES, LogMessage
 from lfield.text.message_tables import FindingKind
 from lfield.text.source_text import FINDING_CODES
@@ -46,6 +47,8 @@ def page() -> str:
             _table(("code", "exit status", "meaning", "what to do"), _errors()),
             "## Log lines\n",
             _table(("code", "level", "line", "meaning"), _log_lines(LOG_MESSAGES.values())),
+            "## Log lines of the service of a robot\n",
+            _table(("code", "level", "line", "meaning"), _log_lines(SERVICE_MESSAGES.values())),
             "## Log lines of devices\n",
             "Each line begins with the name of the device: `lead.fc crashed: ...`. A driver without codes\n"
             "of its own logs under `device-report`, with a colon after the name.\n",

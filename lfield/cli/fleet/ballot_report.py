@@ -30,7 +30,7 @@ class PushReport:
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
 
-    def begin(self, text: str) -> None:
+    def start(self, text: str) -> None:
         """Print what is pushed, and start the progress bars in a terminal."""
         self._print(text)
         if not self._as_json and sys.stderr.isatty():
@@ -55,15 +55,18 @@ class PushReport:
         """All transfers have ended."""
         if self._bars is not None:
             self._bars.stop()
-        self._data["sent"] = {host: {"bytes": each.sent, "links": each.links} for host, each in sent.items()}
+        self._data["sent"] = {
+            host: {"bytes": each.sent, "links": each.links, "refusal": each.refusal, "code": each.code}
+            for host, each in sent.items()
+        }
         self._data["size"] = size
         for host, each in sent.items():
-            what = (
-                f"{byte_count_text(each.sent)} of {byte_count_text(size)} sent"
-                if each.sent
-                else "already there"
-            )
-            self._print(f"{host}: stored, {what}")
+            if each.refusal:
+                self._print(f"{host}: refused: {each.refusal}", error=True)
+            elif each.sent:
+                self._print(f"{host}: stored, {byte_count_text(each.sent)} of {byte_count_text(size)} sent")
+            else:
+                self._print(f"{host}: stored, already there")
 
     def on_result(self, result: BallotResult) -> int:
         """Print the result of the vote; returns the exit status."""

@@ -52,7 +52,7 @@ def add_without(parser: argparse.ArgumentParser, what: str) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class Desk:
+class FleetDesk:
     """The inventory of a desk, and the keys of its user."""
 
     inventory: Inventory
@@ -115,7 +115,7 @@ class Desk:
         return dict(zip(addresses, answers, strict=True))
 
 
-def open_desk(args: argparse.Namespace) -> Desk:
+def open_desk(args: argparse.Namespace) -> FleetDesk:
     """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
     from lfield.authority import keystore
     from lfield.inventory.inventory_file import find_inventory
@@ -134,7 +134,7 @@ def open_desk(args: argparse.Namespace) -> Desk:
             "their directory"
         )
     keys = keystore.read_keys(folder, "person")
-    return Desk(inventory, keys, presented_crl(keys))
+    return FleetDesk(inventory, keys, presented_crl(keys))
 
 
 def report_unreached(errors: Mapping[str, LfieldError], consequence: str) -> None:

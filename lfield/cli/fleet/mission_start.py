@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import Desk, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import FleetDesk, open_desk, report_unreached, split_answers
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import short_digest
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from lfield.errors import LfieldError
     from lfield.wire.service_messages import ServiceStatus
 
-#: Seconds in which the hosts should be up and their coordinators started, and between two looks at them.
-SETTLE_TIMEOUT, LOOK_EVERY = 20.0, 0.5
+#: Seconds in which the hosts should be up and their coordinators started, and between two queries.
+SETTLE_TIMEOUT, POLL_INTERVAL = 20.0, 0.5
 #: Seconds for a host to be started; with --without its coordinators too.
 START_TIMEOUT = 30.0
 
@@ -50,7 +50,7 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
     return _start(desk, list(statuses), next(iter(digests), b""), args)
 
 
-def _start(desk: Desk, hosts: list[str], digest: bytes, args: argparse.Namespace) -> int:
+def _start(desk: FleetDesk, hosts: list[str], digest: bytes, args: argparse.Namespace) -> int:
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
     order = MissionCommand("start", digest, without=args.without)
@@ -66,7 +66,7 @@ def _start(desk: Desk, hosts: list[str], digest: bytes, args: argparse.Namespace
         ended = [host for host, status in statuses.items() if status.run.phase not in ("running", "starting")]
         if not (waits or failed) or ended or time.monotonic() > end:
             break
-        time.sleep(LOOK_EVERY)
+        time.sleep(POLL_INTERVAL)
     if not waits and not failed:
         return _report(args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", done=True)
     return _report(args, waits, failed, "the mission does not run on all hosts yet: 'lfield status' shows it")

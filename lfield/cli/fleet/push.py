@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import Desk, add_desk, add_without, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import FleetDesk, add_desk, add_without, open_desk, report_unreached, split_answers
 from lfield.cli.mission_argument import add_bindings, add_program
 from lfield.errors import BundleError, LfieldError, UsageError
 from lfield.text.number_arguments import real_above_0
 from lfield.text.suggestions import listed
-from lfield.text.terminal_escape import escape_line
 from lfield.text.value_text import byte_count_text
 from lfield.wire.fields import short_digest
 
@@ -70,22 +68,22 @@ def run(args: argparse.Namespace) -> int:
     desk.addresses(team)
     what = Upload.of(data)
     report = PushReport(what.digest, as_json=args.json)
-    report.begin(f"{mission.name}: bundle {short_digest(what.digest)}, {byte_count_text(what.size)}")
+    report.start(f"{mission.name}: bundle {short_digest(what.digest)}, {byte_count_text(what.size)}")
     return _push(desk, what, [host for host in team if host not in args.without], args, report)
 
 
-def _push(desk: Desk, what: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport) -> int:
+def _push(
+    desk: FleetDesk, what: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport
+) -> int:
     """Send the bundle, then vote."""
     sent, failed = split_answers(
         asyncio.run(_upload_all(desk, what, hosts, args.patience, report.on_progress))
     )
     report.on_sent(sent, what.size)
-    refused = {host: error for host, error in failed.items() if error.exit_status == exit_status.FAILED}
-    if failed:
-        report_unreached({host: error for host, error in failed.items() if host not in refused}, "")
-        for error in refused.values():
-            print(escape_line(f"lfield: {error}"), file=sys.stderr)
-        hint = "".join(f" --without {host}" for host in failed)
+    refused = [host for host, progress in sent.items() if progress.refusal]
+    if failed or refused:
+        report_unreached(failed, "")
+        hint = "".join(f" --without {host}" for host in (*failed, *refused))
         report.finish("staged", failed, f"nothing was activated; repeat it, or activate without them:{hint}")
         return exit_status.FAILED if refused else exit_status.UNAVAILABLE
     if args.stage:
@@ -94,7 +92,7 @@ def _push(desk: Desk, what: Upload, hosts: list[str], args: argparse.Namespace, 
     return vote(desk, what.digest, hosts, args.without, report)
 
 
-def vote(desk: Desk, digest: bytes, hosts: list[str], without: list[str], report: PushReport) -> int:
+def vote(desk: FleetDesk, digest: bytes, hosts: list[str], without: list[str], report: PushReport) -> int:
     """Have hosts vote about the activation of a bundle that all have stored; returns the exit status."""
     from lfield.operator.fleet.activation import activate, new_ballot
 
@@ -115,7 +113,7 @@ def vote(desk: Desk, digest: bytes, hosts: list[str], without: list[str], report
 
 
 async def _upload_all(
-    desk: Desk,
+    desk: FleetDesk,
     what: Upload,
     hosts: list[str],
     patience: float,
@@ -142,7 +140,7 @@ async def _upload_all(
     return dict(zip(hosts, await asyncio.gather(*map(one, hosts)), strict=True))
 
 
-def _bundle_bytes(args: argparse.Namespace, desk: Desk) -> bytes:
+def _bundle_bytes(args: argparse.Namespace, desk: FleetDesk) -> bytes:
     """The signed bundle of the arguments: read, or built and signed. Raises BuildFailed."""
     from lfield.mission import bundle
     from lfield.mission.build_cache import BuildRequest, cached_bundle
@@ -164,7 +162,7 @@ def _bundle_bytes(args: argparse.Namespace, desk: Desk) -> bytes:
     return data if found.signature else _signed(data, desk)
 
 
-def _signed(data: bytes, desk: Desk) -> bytes:
+def _signed(data: bytes, desk: FleetDesk) -> bytes:
     """The bundle with a signature by the user of this desk. Raises KeysError."""
     import time
 

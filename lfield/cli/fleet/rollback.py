@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
         return exit_status.UNAVAILABLE
     digest = _common_previous(statuses)
     report = PushReport(digest, as_json=args.json)
-    report.begin(f"bundle {short_digest(digest)}")
+    report.start(f"bundle {short_digest(digest)}")
     return vote(desk, digest, hosts, args.without, report)
 
 

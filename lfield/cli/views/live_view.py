@@ -20,7 +20,7 @@ from lfield.mission.mission import Mission
 from lfield.operator.client import observer_transport
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
 from lfield.operator.dashboard.team_watch import TeamWatch
-from lfield.operator.team_model.inventory import build_inventory
+from lfield.operator.team_model.team_contents import team_contents
 from lfield.text.terminal_escape import unescaped_stream
 
 INTERVAL = 0.5
@@ -38,7 +38,7 @@ class LiveView:
             auto_refresh=False,
             transient=True,
         )
-        self._state = TeamWatch(build_inventory(mission.name, mission.team, mission), SystemClock())
+        self._state = TeamWatch(team_contents(mission.name, mission.team, mission), SystemClock())
         self._tasks: list[asyncio.Task[None]] = []
         self._echo = _TerminalEcho(sys.stderr)
 

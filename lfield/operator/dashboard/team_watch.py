@@ -28,7 +28,7 @@ from lfield.operator.dashboard.order_service import OperatorContext, OrderServic
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
 from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.targets import TargetTeam
-from lfield.operator.team_model.inventory import Inventory, build_inventory
+from lfield.operator.team_model.team_contents import TeamContents, team_contents
 from lfield.operator.team_model.team_state import Curve, TeamState
 from lfield.operator.team_model.team_view import TeamView
 from lfield.operator.team_query import QueryContext, read_context
@@ -47,7 +47,7 @@ class TeamWatch:
 
     actions: OperatorActions
 
-    def __init__(self, inventory: Inventory, clock: Clock) -> None:
+    def __init__(self, inventory: TeamContents, clock: Clock) -> None:
         self.view = TeamView(inventory)
         self._clock = clock
 
@@ -127,7 +127,7 @@ async def watch_team(
     transport, brings = observer_transport(own, desk.known if desk is not None else None), presented_crl(own)
     reach = HostLocator(targets, find)
     mission = await asyncio.to_thread(read_mission, path)
-    shown = TeamWatch(build_inventory(path.stem, team, mission), clock)
+    shown = TeamWatch(team_contents(path.stem, team, mission), clock)
     access = mission.access if mission is not None else NO_RULES
 
     def asked() -> QueryContext:

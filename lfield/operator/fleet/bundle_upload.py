@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from hashlib import sha256
 from typing import TYPE_CHECKING
 
-from lfield.errors import AddressError, BundleNotAccepted
+from lfield.errors import AddressError
 from lfield.mission import bundle
 from lfield.operator.fleet.service_link import ServiceLink, open_service_link
 from lfield.wire.bundle_pieces import compress, piece_of, split
@@ -57,12 +57,17 @@ class Upload:
 
 @dataclass(slots=True)
 class UploadProgress:
-    """Progress of an upload to one host. `sent` are the bytes of pieces that were sent, as they were sent."""
+    """Progress of an upload to one host, in pieces. `sent` counts the bytes of pieces as they were sent.
+
+    `refusal` is why the host does not store the bundle, '' if it does, `code` the code of its error.
+    """
 
     stored: int = 0
     total: int = 0
     sent: int = 0
     links: int = 0
+    refusal: str = ""
+    code: str = ""
 
 
 async def upload(
@@ -78,7 +83,7 @@ async def upload(
     """Transfer a bundle to the service of `host`, and have it verified and stored there.
 
     Links are made again until no piece was confirmed for `patience` seconds. Raises AddressError,
-    HandshakeError, KeysError, and BundleNotAccepted with the reason of the host.
+    HandshakeError, KeysError.
     """
     progress = UploadProgress(total=len(what.pieces))
     now = asyncio.get_running_loop().time
@@ -88,17 +93,17 @@ async def upload(
             async with open_service_link(transport, address, host, crl) as link:
                 progress.links += 1
                 await _send_missing(link, what, progress, on_progress)
-                result = await link.ask(StageRequest(what.digest, what.file), StageResult, STAGE_TIMEOUT)
+                if not progress.refusal:
+                    request = StageRequest(what.digest, what.file)
+                    result = await link.ask(request, StageResult, STAGE_TIMEOUT)
+                    progress.refusal, progress.code = result.trouble, result.code
+                return progress
         except AddressError as error:
             if progress.stored > stored:
                 last, stored = now(), progress.stored
             if now() - last > patience:
                 raise error
             await asyncio.sleep(RETRY_DELAY)
-            continue
-        if result.trouble:
-            raise BundleNotAccepted(host, result.trouble, result.code)
-        return progress
 
 
 async def _send_missing(
@@ -107,18 +112,20 @@ async def _send_missing(
     progress: UploadProgress,
     on_progress: Callable[[UploadProgress], None],
 ) -> None:
-    """Offer all pieces, and send those that are missing. Raises LfieldError."""
+    """Offer all pieces, and send those that are missing, until the host refuses one. Raises LfieldError."""
     progress.stored = 0
     for first in range(0, len(what.pieces), MAX_OFFER):
         some = what.pieces[first : first + MAX_OFFER]
         entries = [(piece.digest, piece.size) for piece in map(piece_of, some)]
         offer = BundleOffer(what.digest, what.file, what.size, len(what.pieces), first, entries)
         request = await link.ask(offer, PieceRequest)
-        _require(link, request.trouble)
+        progress.refusal = progress.refusal or request.trouble
         progress.stored += len(some) - len(request.missing)
         on_progress(progress)
         under_way = 0
         for number in request.missing:
+            if progress.refusal:
+                return
             packed, data = compress(what.pieces[number])
             link.send(BundlePiece(what.file, number, packed, data))
             progress.sent += len(data)
@@ -134,11 +141,6 @@ async def _confirmed(
     link: ServiceLink, progress: UploadProgress, on_progress: Callable[[UploadProgress], None]
 ) -> None:
     answer = await link.receive(PieceStored)
-    _require(link, answer.trouble)
-    progress.stored += 1
+    progress.refusal = progress.refusal or answer.trouble
+    progress.stored += not answer.trouble
     on_progress(progress)
-
-
-def _require(link: ServiceLink, trouble: str) -> None:
-    if trouble:
-        raise BundleNotAccepted(link.host, trouble)

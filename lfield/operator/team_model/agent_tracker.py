@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.team_state import AgentState, HopState
 from lfield.wire import events
 from lfield.wire.coordinator_messages import CoordinatorState
@@ -65,7 +65,7 @@ class _Hop:
 class _Agent:
     """One agent; times are on the monotonic clock of this computer."""
 
-    entry: InventoryEntry
+    entry: TeamEntry
     host: str
     generation: int = 0
     sequence: int = 0
@@ -138,7 +138,7 @@ class _Agent:
 class AgentTracker:
     """All agents of a team."""
 
-    def __init__(self, inventory: Inventory) -> None:
+    def __init__(self, inventory: TeamContents) -> None:
         self._inventory = inventory
         self._linked: set[str] = set()
         self._known = {name: _Agent(enrolled, enrolled.host) for name, enrolled in inventory.agents.items()}
@@ -252,17 +252,17 @@ class AgentTracker:
     def _agent(self, name: str, host: str) -> _Agent:
         agent = self._known.get(name)
         if agent is None:
-            agent = _Agent(InventoryEntry(name, "", host), host)
+            agent = _Agent(TeamEntry(name, "", host), host)
             if len(self._known) < MAX_AGENTS:
                 self._known[name] = agent
         return agent
 
     # --- queries --------------------------------------------------------------------------------------
 
-    def entry(self, name: str) -> InventoryEntry:
+    def entry(self, name: str) -> TeamEntry:
         """The agent's entry in the files, or one made from reports."""
         agent = self._known.get(name)
-        return agent.entry if agent is not None else InventoryEntry(name, "", "")
+        return agent.entry if agent is not None else TeamEntry(name, "", "")
 
     def hops_a_minute(self, now: float) -> Mapping[str, float]:
         """Arrivals of each coordinator within the last minute."""

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from lfield.driver.frame import Origin
 from lfield.guard.standstill import UNCONFIRMED
-from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.team_state import (
     DeviceState,
     GeoPosition,
@@ -140,17 +140,17 @@ def _state(name: str, device: _Device, host: str, now: float, fresh: bool) -> De
 # --- vehicles -----------------------------------------------------------------------------------------------
 
 
-def earth_of(state: Sequence[DeviceState], inventory: Inventory) -> GeoPosition | None:
+def earth_of(state: Sequence[DeviceState], inventory: TeamContents) -> GeoPosition | None:
     """The position on the Earth according to the devices of an agent."""
     places = (earth(device.readings.get(inventory.instruments(device.name).earth)) for device in state)
     return next((place for place in places if place is not None), None)
 
 
 def vehicle_of(
-    entry: InventoryEntry,
+    entry: TeamEntry,
     state: tuple[DeviceState, ...],
     refusal: str,
-    inventory: Inventory,
+    inventory: TeamContents,
     origin: Origin | None,
 ) -> VehicleState:
     """An agent as a vehicle: each quantity from the first of its devices that has it.

@@ -17,8 +17,8 @@ from lfield.operator.team_model.command_log import CommandLog
 from lfield.operator.team_model.curve_history import CurveHistory
 from lfield.operator.team_model.device_tracker import earth_of, vehicle_of
 from lfield.operator.team_model.host_model import HostModel
-from lfield.operator.team_model.inventory import Inventory
 from lfield.operator.team_model.log_buffer import LogBuffer, LogEvent, LogRecord
+from lfield.operator.team_model.team_contents import TeamContents
 from lfield.operator.team_model.team_state import (
     Curve,
     DeviceState,
@@ -43,7 +43,7 @@ NO_HOST = HostModel("")
 class TeamView:
     """The picture of one team."""
 
-    def __init__(self, inventory: Inventory) -> None:
+    def __init__(self, inventory: TeamContents) -> None:
         self.inventory = inventory
         self.revision = 0
         self._hosts = {host: self._new_host(host) for host in inventory.hosts}

@@ -13,7 +13,7 @@ from lfield.clock import SystemClock
 from lfield.operator.client import observer_transport
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
 from lfield.operator.dashboard.team_watch import RATE, TeamWatch
-from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.vehicle_readings import Instruments
 from lfield.operator.web.page_server import ServedPage, serve
 from lfield.operator.web.page_site import local_site
@@ -28,9 +28,9 @@ class NobodyActs:
 async def main(folder: str, count: int) -> None:
     """Serve until killed."""
     hosts = tuple(f"h{number}" for number in range(count))
-    agents = {f"v{n}": InventoryEntry(f"v{n}", "Copter", f"h{n}", "resource") for n in range(count)}
-    agents["pilot"] = InventoryEntry("pilot", "Pilot", "h0", "coordinator")
-    roll = Inventory("bench", hosts, agents, {f"v{n}.fc": Instruments(moves=True) for n in range(count)})
+    agents = {f"v{n}": TeamEntry(f"v{n}", "Copter", f"h{n}", "resource") for n in range(count)}
+    agents["pilot"] = TeamEntry("pilot", "Pilot", "h0", "coordinator")
+    roll = TeamContents("bench", hosts, agents, {f"v{n}.fc": Instruments(moves=True) for n in range(count)})
     clock = SystemClock()
     shown = TeamWatch(roll, clock)
 

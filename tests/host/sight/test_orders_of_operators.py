@@ -11,7 +11,7 @@ from lfield.operator.dashboard.event_stream.host_locator import HostLocator
 from lfield.operator.dashboard.order_service import OperatorContext, OrderService
 from lfield.operator.dashboard.team_watch import TeamWatch
 from lfield.operator.targets import TargetTeam
-from lfield.operator.team_model.inventory import build_inventory
+from lfield.operator.team_model.team_contents import team_contents
 from lfield.operator.team_query import read_context
 from lfield.simulate.jumping_loop import LoopClock
 
@@ -50,7 +50,7 @@ async def operated(fleet, mission, asked=None, dialled=None):
         return await connect(address, handler)
 
     transport.connect = counted
-    shown = TeamWatch(build_inventory("team", mission.team, mission), LoopClock())
+    shown = TeamWatch(team_contents("team", mission.team, mission), LoopClock())
 
     def ask():
         if asked is None:

@@ -11,7 +11,7 @@ from lfield.operator.dashboard.event_feed import log_backlog
 from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
 from lfield.operator.dashboard.team_watch import TeamWatch
 from lfield.operator.dashboard.timeline.event_timeline import EventTimeline
-from lfield.operator.team_model.inventory import build_inventory
+from lfield.operator.team_model.team_contents import team_contents
 from lfield.simulate.jumping_loop import LoopClock
 from lfield.wire.subscription_messages import EventBatch
 
@@ -54,7 +54,7 @@ async def followed(fleet, mission, since=None):
     async def reach(host: str) -> str:
         return mission.team.addresses_by_host[host]
 
-    shown = Both(build_inventory("team", mission.team, mission), LoopClock())
+    shown = Both(team_contents("team", mission.team, mission), LoopClock())
     transport = fleet.network.transport("desk")
     follower = EventFollower(
         transport, mission.team.hosts, reach, shown, LoopClock(), FollowOptions(since=since, telemetry=5.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from lfield.mission.bindings import Frames
-from lfield.operator.team_model.inventory import Inventory, InventoryEntry
+from lfield.operator.team_model.team_contents import TeamContents, TeamEntry
 from lfield.operator.team_model.vehicle_readings import Instruments
 from lfield.wire.events import AgentActivity, DeviceTelemetry, Event, StateEvent
 from lfield.wire.fields import Telemetry
@@ -20,15 +20,15 @@ COPTER = Instruments(moves=True)
 INCARNATION = 7
 
 
-def inventory(frames: Frames | None = None) -> Inventory:
+def inventory(frames: Frames | None = None) -> TeamContents:
     """alpha and beta with a copter each, and a coordinator that begins on alpha."""
     agents = {
-        "one": InventoryEntry("one", "Copter", "alpha", "resource"),
-        "two": InventoryEntry("two", "Copter", "beta", "resource"),
-        "boss": InventoryEntry("boss", "Boss", "alpha", "coordinator"),
+        "one": TeamEntry("one", "Copter", "alpha", "resource"),
+        "two": TeamEntry("two", "Copter", "beta", "resource"),
+        "boss": TeamEntry("boss", "Boss", "alpha", "coordinator"),
     }
     devices = {"one.fc": COPTER, "two.fc": COPTER}
-    return Inventory("team", ("alpha", "beta"), agents, devices, frames or Frames())
+    return TeamContents("team", ("alpha", "beta"), agents, devices, frames or Frames())
 
 
 class ScriptedHost:

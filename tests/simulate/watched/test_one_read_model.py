@@ -10,7 +10,7 @@ import pytest
 from event_watcher import EventWatcher, fleet_of, watch
 
 from lfield.operator.team_model.host_model import host_states
-from lfield.operator.team_model.inventory import Inventory
+from lfield.operator.team_model.team_contents import TeamContents
 from lfield.operator.team_model.team_state import HostState
 from lfield.operator.team_model.team_view import TeamView
 from lfield.simulate.host_fleet import Fleet
@@ -20,7 +20,7 @@ from lfield.wire.subscription_messages import EventBatch, Subscribe
 
 def followed(batches: Sequence[EventBatch]) -> HostState:
     """alpha after all batches of a subscription."""
-    view = TeamView(Inventory("team", ("alpha", "beta")))
+    view = TeamView(TeamContents("team", ("alpha", "beta")))
     for batch in batches:
         view.feed("alpha", batch, batch.up, batch.now)
     return view.snapshot(batches[-1].up).hosts["alpha"]

@@ -1,4 +1,4 @@
-"""Inventory of a team from its files: agents, hosts, devices and their quantities, and positions. Sans-IO."""
+"""What a team consists of by its files: agents, hosts, devices with quantities, positions. Sans-IO."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ AgentKind = Literal["coordinator", "resource"]
 
 
 @dataclass(frozen=True, slots=True)
-class InventoryEntry:
+class TeamEntry:
     """An agent of the deployment: its type in L, and the host on which it starts. `kind` is '' if only the
     program defines it."""
 
@@ -29,12 +29,12 @@ class InventoryEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Inventory:
+class TeamContents:
     """A team: its `hosts` in order, its agents, and its devices (AGENT.FIELD) with their quantities."""
 
     team: str
     hosts: tuple[str, ...]
-    agents: Mapping[str, InventoryEntry] = field(default_factory=dict)
+    agents: Mapping[str, TeamEntry] = field(default_factory=dict)
     devices: Mapping[str, Instruments] = field(default_factory=dict)
     frames: Frames = field(default_factory=Frames)
 
@@ -63,19 +63,19 @@ class Inventory:
         return None if pose is None else LocalPosition(pose.north, pose.east, pose.down)
 
 
-def build_inventory(name: str, team: Team, mission: Mission | None = None) -> Inventory:
-    """The inventory of a team; its mission adds devices, frames, and kinds of agents."""
+def team_contents(name: str, team: Team, mission: Mission | None = None) -> TeamContents:
+    """The contents of a team; its mission adds devices, frames, and kinds of agents."""
     agents = {}
     for member in team.members:
         kind: AgentKind = "coordinator" if member.kind == "coordinator" else "resource"
-        agents[member.id] = InventoryEntry(
+        agents[member.id] = TeamEntry(
             member.id, member.type, team.hosts[member.host], kind if mission is not None else ""
         )
     if mission is None:
-        return Inventory(name, team.hosts, agents)
+        return TeamContents(name, team.hosts, agents)
     known = _instruments(mission.drivers)
     devices = {device.name: known[device.type] for device in mission.bindings.all if device.type in known}
-    return Inventory(name, team.hosts, agents, devices, mission.bindings.frames)
+    return TeamContents(name, team.hosts, agents, devices, mission.bindings.frames)
 
 
 def _instruments(drivers: DriverLookup) -> Mapping[str, Instruments]:

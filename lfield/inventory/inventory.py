@@ -1,0 +1,68 @@
+"""The hosts of a team with their addresses, as an inventory file states them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal, get_args
+
+from lfield.net.transport import join_address, split_address
+
+#: Default port of the service of a robot.
+SERVICE_PORT = 8182
+#: Processor architectures of robots, as `uname -m` prints them.
+Architecture = Literal["aarch64", "x86_64", "armv7l"]
+ARCHITECTURES: tuple[str, ...] = get_args(Architecture)
+
+
+@dataclass(frozen=True, slots=True)
+class InventoryHost:
+    """A host. `addresses` are "host:port" of the mission's host, in order of preference.
+
+    `user`, `ssh_port` and `ssh_host` are for ssh: '' and 0 leave the choice to it, and to the addresses.
+    `arch` and `python` ("3.11") are '' where they are not stated. `groups` are additional groups of the
+    service's user, `devices` is the devices file of this robot alone, None without one.
+    """
+
+    name: str
+    addresses: tuple[str, ...]
+    user: str = ""
+    ssh_port: int = 0
+    ssh_host: str = ""
+    arch: str = ""
+    python: str = ""
+    service_port: int = SERVICE_PORT
+    groups: tuple[str, ...] = ()
+    devices: Path | None = None
+
+    @property
+    def address(self) -> str:
+        """All addresses as one text (`net.transport.split_addresses`)."""
+        return ",".join(self.addresses)
+
+    @property
+    def service_addresses(self) -> tuple[str, ...]:
+        """The addresses of the service, in order of preference."""
+        hosts = dict.fromkeys(split_address(address)[0] for address in self.addresses)
+        return tuple(join_address(host, self.service_port) for host in hosts)
+
+    @property
+    def service_address(self) -> str:
+        """The addresses of the service as one text."""
+        return ",".join(self.service_addresses)
+
+    @property
+    def ssh_hosts(self) -> tuple[str, ...]:
+        """The names or addresses that ssh tries, in order."""
+        if self.ssh_host:
+            return (self.ssh_host,)
+        return tuple(dict.fromkeys(split_address(address)[0] for address in self.addresses))
+
+
+@dataclass(frozen=True, slots=True)
+class Inventory:
+    """The hosts of a file `path` by name, in its order."""
+
+    path: Path
+    hosts: Mapping[str, InventoryHost] = field(default_factory=dict)

@@ -1,0 +1,95 @@
+"""Receives bundles in pieces, verifies and stores them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+from hashlib import sha256
+from typing import Protocol
+
+from lfield.errors import LfieldError, OutputFileError, SignatureError, WireError
+from lfield.service import messages
+from lfield.service.bundle_store import ServiceRecord
+from lfield.text.log_messages import LogLine
+from lfield.wire.bundle_pieces import Piece, decompress
+from lfield.wire.fields import short_digest, truncate
+from lfield.wire.service_messages import (
+    BundleInfo,
+    BundleOffer,
+    BundlePiece,
+    PieceRequest,
+    PieceStored,
+    StageRequest,
+    StageResult,
+)
+
+#: The verified bundle in some bytes. Raises LfieldError.
+Verify = Callable[[bytes], BundleInfo]
+
+
+class ServiceStore(Protocol):
+    """The disk of a service (`bundle_store.BundleStore`)."""
+
+    def save(self, record: ServiceRecord) -> None: ...
+    def stored(self) -> list[bytes]: ...
+    def read(self, digest: bytes) -> bytes | None: ...
+    def add(self, digest: bytes, data: bytes, kept: Collection[bytes]) -> None: ...
+    def make_room(self, file: bytes) -> None: ...
+    def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
+    def put(self, file: bytes, number: int, data: bytes) -> None: ...
+    def joined(self, file: bytes) -> bytes: ...
+    def drop(self, file: bytes) -> None: ...
+
+
+class BundleReceiver:
+    """The bundles of one host. `verify` checks digest and signature of a bundle."""
+
+    def __init__(self, store: ServiceStore, verify: Verify, note: Callable[[LogLine], None]) -> None:
+        self._store, self._verify, self._note = store, verify, note
+        self._infos: dict[bytes, BundleInfo] = {}
+
+    def on_offer(self, offer: BundleOffer) -> PieceRequest:
+        try:
+            self._store.make_room(offer.file)
+            pieces = [Piece(*each) for each in offer.pieces]
+            return PieceRequest(offer.file, offer.first, self._store.missing(offer.file, offer.first, pieces))
+        except OutputFileError as error:
+            return PieceRequest(offer.file, offer.first, [], truncate(str(error)))
+
+    def on_piece(self, piece: BundlePiece) -> PieceStored:
+        data = decompress(piece.data, is_compressed=piece.is_compressed)
+        try:
+            self._store.put(piece.file, piece.number, data)
+        except OutputFileError as error:
+            return PieceStored(piece.file, piece.number, truncate(str(error)))
+        return PieceStored(piece.file, piece.number)
+
+    def on_stage(self, request: StageRequest, kept: Collection[bytes]) -> StageResult:
+        try:
+            data = self._store.joined(request.file)
+            if sha256(data).digest() != request.file:
+                self._store.drop(request.file)
+                raise WireError("the pieces do not make the offered file: push it again")
+            info = self._verify(data)
+            if info.digest != request.digest:
+                raise SignatureError(
+                    f"the file is bundle {short_digest(info.digest)}, another one was offered"
+                )
+            self._store.add(info.digest, data, kept)
+            self._store.drop(request.file)
+        except LfieldError as error:
+            self._note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
+            return StageResult(request.digest, truncate(str(error)), error.code)
+        self._infos[info.digest] = info
+        self._note(
+            messages.BUNDLE_STORED.line(bundle=short_digest(info.digest), mission=info.name, by=info.by)
+        )
+        return StageResult(request.digest)
+
+    def info(self, digest: bytes) -> BundleInfo | None:
+        """The description of a stored bundle, None if it is not valid any more."""
+        if digest not in self._infos and (data := self._store.read(digest)) is not None:
+            try:
+                self._infos[digest] = self._verify(data)
+            except LfieldError:
+                return None
+        return self._infos.get(digest)
