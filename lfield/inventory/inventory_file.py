@@ -152,10 +152,12 @@ class _Reader:
         if port == service_port:
             hint = "the mission's host and the service listen at different ports"
             fields.report("Y113", f"{address} is also the address of the service of {name}", span, hint)
-        for taken in (join_address(host.lower(), port), join_address(host.lower(), service_port)):
-            other = self._owners.setdefault(taken, name)
+        for endpoint in (join_address(host.lower(), port), join_address(host.lower(), service_port)):
+            other = self._owners.setdefault(endpoint, name)
             if other != name:
-                fields.report("Y113", f"{taken} is an address of {other} too", span, "every host has its own")
+                fields.report(
+                    "Y113", f"{endpoint} is an address of {other} too", span, "every host has its own"
+                )
                 return
 
 

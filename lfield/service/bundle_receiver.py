@@ -1,4 +1,4 @@
-"""Receives bundles in pieces, verifies and stores them."""
+"""Receives bundles in pieces, verifies them as a host does before it runs them, and stores them."""
 
 from __future__ import annotations
 
@@ -6,12 +6,16 @@ from collections.abc import Callable, Collection
 from hashlib import sha256
 from typing import Protocol
 
-from lfield.errors import LfieldError, OutputFileError, SignatureError, WireError
+from lfield.authority.admission_policy import CertificateAdmission
+from lfield.authority.key_material import Keys
+from lfield.errors import BundleError, LfieldError, OutputFileError, SignatureError, WireError
+from lfield.mission import bundle
+from lfield.mission.access.signed_bundle import accept_bundle
 from lfield.service import messages
 from lfield.service.bundle_store import ServiceRecord
 from lfield.text.log_messages import LogLine
 from lfield.wire.bundle_pieces import Piece, decompress
-from lfield.wire.fields import short_digest, truncate
+from lfield.wire.fields import MAX_LABEL, short_digest, truncate
 from lfield.wire.service_messages import (
     BundleInfo,
     BundleOffer,
@@ -33,7 +37,7 @@ class ServiceStore(Protocol):
     def stored(self) -> list[bytes]: ...
     def read(self, digest: bytes) -> bytes | None: ...
     def add(self, digest: bytes, data: bytes, kept: Collection[bytes]) -> None: ...
-    def make_room(self, file: bytes) -> None: ...
+    def prepare_upload(self, file: bytes) -> None: ...
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
     def put(self, file: bytes, number: int, data: bytes) -> None: ...
     def joined(self, file: bytes) -> bytes: ...
@@ -49,7 +53,7 @@ class BundleReceiver:
 
     def on_offer(self, offer: BundleOffer) -> PieceRequest:
         try:
-            self._store.make_room(offer.file)
+            self._store.prepare_upload(offer.file)
             pieces = [Piece(*each) for each in offer.pieces]
             return PieceRequest(offer.file, offer.first, self._store.missing(offer.file, offer.first, pieces))
         except OutputFileError as error:
@@ -93,3 +97,30 @@ class BundleReceiver:
             except LfieldError:
                 return None
         return self._infos.get(digest)
+
+
+class BundleVerifier:
+    """Checks format, digests, program and signature, and that `host` belongs to the mission."""
+
+    def __init__(self, host: str, keys: Keys, admission: CertificateAdmission) -> None:
+        self._host, self._keys, self._admission = host, keys, admission
+
+    def __call__(self, data: bytes) -> BundleInfo:
+        """The bundle in some bytes. Raises BundleError, SignatureError."""
+        mission = bundle.decode(data)
+        if self._host not in mission.team.hosts:
+            raise BundleError(f"its mission has no host {self._host}", "push it with --without this host")
+        release = accept_bundle(
+            mission.release,
+            self._keys.authority,
+            self._admission.own.authority,
+            at=self._admission.time.now(),
+            revoked=self._admission.revoked,
+        ).bundle
+        self._admission.time.on_signature(release.at, f"the signature of bundle {release.short}")
+        return BundleInfo(release.digest, truncate(mission.name, MAX_LABEL), release.by, release.at)
+
+
+def vehicles_of(data: bytes, host: str) -> list[str]:
+    """The vehicles of a host in a verified bundle. Raises BundleError."""
+    return bundle.decode(data).vehicles_of(host)

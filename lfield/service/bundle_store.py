@@ -141,7 +141,7 @@ class BundleStore:
         shutil.rmtree(self._upload(file), ignore_errors=True)
         self._arrived.pop(file, None)
 
-    def make_room(self, file: bytes) -> None:
+    def prepare_upload(self, file: bytes) -> None:
         """Make room for the pieces of a file: the oldest other uploads are removed."""
         folder = private_folder(self._upload(file))
         os.utime(folder)

@@ -21,8 +21,10 @@ from lfield.operator.client import SNAPSHOT, pause
 from lfield.operator.journal_reset import plan_discard
 from lfield.operator.observer_link import Request, T, ask_with_retries
 from lfield.operator.runs import runs_here
+from lfield.operator.team_model.host_model import host_states
+from lfield.operator.team_model.team_state import DeviceState, HostState
 from lfield.text.suggestions import listed
-from lfield.wire.observer_messages import DeviceStatus, StartRequest, StartResponse, Status
+from lfield.wire.observer_messages import StartRequest, StartResponse
 from lfield.wire.service_messages import UnfinishedCoordinator
 
 #: The oldest telemetry (s) that says that a vehicle is on the ground, and the largest speed (m/s) of one at
@@ -66,11 +68,9 @@ class LocalProbe:
             status = await self._snapshot()
         except LfieldError as error:
             return f"the mission's host does not answer: {error}"
-        devices = {device.name: device for device in status.devices}
+        devices = status.devices
         troubles = [_motion(name, devices.get(name)) for name in self._vehicles_of()]
-        troubles += [
-            f"{name} moves" for name, device in devices.items() if device.telemetry.get("moving") is True
-        ]
+        troubles += [f"{name} moves" for name, one in devices.items() if one.telemetry.get("moving") is True]
         return "; ".join(trouble for trouble in troubles if trouble)
 
     async def is_paused(self) -> bool:
@@ -119,13 +119,10 @@ class LocalProbe:
             return f"emergency stop: {status.stopped}"
         if status.paused:
             return "paused"
-        start = status.start
+        start = status.report.start
         if start is None:
             return ""
-        return (
-            start.held
-            or f"{listed(start.agents)} waits for {listed(start.hosts) if start.hosts else 'other hosts'}"
-        )
+        return start.held or f"{listed(start.agents)} waits for {listed(start.hosts or ['other hosts'])}"
 
     async def start_without(self, hosts: list[str]) -> str:
         """See `MissionProbe`."""
@@ -157,10 +154,10 @@ class LocalProbe:
 
     # --- the running host -----------------------------------------------------------------------------
 
-    async def _snapshot(self) -> Status:
+    async def _snapshot(self) -> HostState:
+        """Raises LfieldError."""
         batch = await self._ask(SNAPSHOT)
-        assert batch.snapshot is not None
-        return batch.snapshot
+        return host_states({self._host: batch})[self._host]
 
     async def _ask(self, request: Request[T]) -> T:
         """Raises LfieldError."""
@@ -209,22 +206,23 @@ def _unfinished(records: list[Record], mission: str) -> Iterator[UnfinishedCoord
             yield UnfinishedCoordinator(record.agent, state, record.target, mission[:256])
 
 
-def _in_snapshot(status: Status) -> Iterator[UnfinishedCoordinator]:
-    newest = {known.agent: known for known in sorted(status.coordinators, key=lambda known: known.generation)}
+def _in_snapshot(host: HostState) -> Iterator[UnfinishedCoordinator]:
+    report = host.report
+    newest = {known.agent: known for known in sorted(report.coordinators, key=lambda one: one.generation)}
     for known in newest.values():
         if known.state == "RUN":
-            yield UnfinishedCoordinator(known.agent, "running", status.host, "")
+            yield UnfinishedCoordinator(known.agent, "running", host.host, "")
         elif known.state in _STATES:
             yield UnfinishedCoordinator(known.agent, _STATES[known.state], known.where, "")
-    waiting = status.start.agents if status.start is not None else []
+    waiting = report.start.agents if report.start is not None else []
     for agent in waiting:
         if agent not in newest:
-            yield UnfinishedCoordinator(agent, "waiting to start", status.host, "")
-    for parked in status.journal.parked if status.journal is not None else []:
+            yield UnfinishedCoordinator(agent, "waiting to start", host.host, "")
+    for parked in report.journal.parked if report.journal is not None else []:
         yield UnfinishedCoordinator(parked.agent, "parked", parked.where, "")
 
 
-def _motion(name: str, device: DeviceStatus | None) -> str:
+def _motion(name: str, device: DeviceState | None) -> str:
     """Why a vehicle is not known to be at rest on the ground; '' if it is."""
     if device is None or device.silent is None or device.silent > MAX_AGE:
         return f"{name} does not report whether it is on the ground"

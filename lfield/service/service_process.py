@@ -19,8 +19,8 @@ from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal
 from lfield.net.tcp_transport import TcpTransport
 from lfield.operator.observer_link import Request, ask_with_retries
 from lfield.service import messages
+from lfield.service.bundle_receiver import BundleVerifier, vehicles_of
 from lfield.service.bundle_store import BundleStore
-from lfield.service.bundle_verifier import BundleVerifier, vehicles_of
 from lfield.service.host_processes import LocalProcesses
 from lfield.service.mission_probe import LocalProbe
 from lfield.service.mission_runner import MissionRunner

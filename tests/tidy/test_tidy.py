@@ -31,6 +31,8 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/service/messages.py": "the log lines of the service",
+    "lfield/service/restart_policy.py": "whether a host is restarted, a rule without I/O",
     "drivers/lfield_can/log_messages.py": "the log lines of a driver",
     "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",
     "drivers/lfield_mavlink/link/link_events.py": "what a link reports to its driver",
