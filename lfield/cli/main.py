@@ -38,8 +38,13 @@ COMMANDS = {
     "logs": "print the log of a mission's programs and hosts",
     "query": "list the agents that provide a capability, and explain why others do not",
     "capabilities": "show and check the registry of capabilities",
+    "push": "send a bundle to all robots of its mission and activate it on all or none",
+    "rollback": "activate the previous bundle on all robots or none",
+    "status": "show bundle, version and mission of each robot, and why it refuses or waits",
+    "stop": "stop the mission on all robots in order",
+    "service": "run the permanent service of a robot: receives bundles, starts and stops missions",
     "estop": "emergency stop: put every device of a running mission in its safe state",
-    "start": "start the coordinators that are waiting for a missing host",
+    "start": "start the mission on all robots, or coordinators that wait for a missing host",
     "pause": "pause a mission and put its devices in their safe states",
     "resume": "resume a paused mission",
     "forget": "end a coordinator that is in doubt, lost or suspended, so that no copy of it continues",
@@ -67,6 +72,7 @@ _PACKAGES = {
         "forget",
         "recover",
     ),
+    "fleet": ("push", "rollback", "status", "stop", "service"),
     "device": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of each subcommand.

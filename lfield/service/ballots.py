@@ -78,9 +78,12 @@ def close(state: ActivationState, id: bytes) -> ActivationState:
 
 
 def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote]) -> ActivationState:
-    """The state after the votes of other hosts. The vote of `host` itself is only cast here."""
+    """The state after the votes of other hosts. The vote of `host` itself is only cast by `propose`.
+
+    A vote against a ballot whose proposal has not arrived closes it.
+    """
     if state.ballot is None or state.ballot.id != id:
-        return state
+        return close(state, id) if "no" in votes.values() else state
     return _with_votes(state, {name: vote for name, vote in votes.items() if name != host})
 
 

@@ -71,7 +71,7 @@ class LocalProbe:
         troubles += [
             f"{name} moves" for name, device in devices.items() if device.telemetry.get("moving") is True
         ]
-        return listed([trouble for trouble in troubles if trouble])
+        return "; ".join(trouble for trouble in troubles if trouble)
 
     async def is_paused(self) -> bool:
         """See `MissionProbe`."""
@@ -93,7 +93,7 @@ class LocalProbe:
             answer = await self._ask(pause(lift=lift))
         except LfieldError as error:
             return f"the mission's host cannot be {'resumed' if lift else 'paused'}: {error}"
-        return listed([f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble])
+        return "; ".join(f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble)
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
         """See `MissionProbe`."""
@@ -122,7 +122,10 @@ class LocalProbe:
         start = status.start
         if start is None:
             return ""
-        return start.held or f"{listed(start.agents)} waits for {listed(start.hosts) or 'other hosts'}"
+        return (
+            start.held
+            or f"{listed(start.agents)} waits for {listed(start.hosts) if start.hosts else 'other hosts'}"
+        )
 
     async def start_without(self, hosts: list[str]) -> str:
         """See `MissionProbe`."""

@@ -26,7 +26,9 @@ def judge(status: int, reason: str, earlier: Sequence[float], now: float) -> Ver
     `earlier` are the times of the restarts so far, in seconds as `now`.
     """
     why = reason or (
-        f"killed by signal {-status}" if status < 0 else exit_status.MEANINGS.get(status, f"status {status}")
+        f"killed by signal {-status}"
+        if status < 0
+        else exit_status.MEANINGS.get(status, f"status {status}").partition(";")[0]
     )
     if status >= 0 and status not in RESTARTED:
         return Verdict(False, why)

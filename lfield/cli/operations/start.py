@@ -1,9 +1,13 @@
-"""`lfield start`: start waiting coordinators without the hosts that are missing."""
+"""`lfield start`: starts the mission on all robots, or coordinators that wait without the missing hosts.
+
+Without a mission and a run, and with an inventory, it is for the services of the robots.
+"""
 
 from __future__ import annotations
 
 import argparse
 import sys
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
@@ -20,6 +24,8 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
+    parser.add_argument("--inventory", type=Path)
+    parser.add_argument("--json", action="store_true", help="print one JSON object, for robots with services")
     parser.add_argument(
         "--without",
         metavar="HOST",
@@ -34,6 +40,11 @@ def run(args: argparse.Namespace) -> int:
 
     69 when a host did not answer that is not left out: coordinators may still wait there.
     """
+    if args.mission is None and args.deploy is None and not args.run:
+        from lfield.cli.fleet.mission_start import start_on_robots
+
+        if (status := start_on_robots(args)) is not None:
+            return status
     from lfield.operator.client import ask_teams, print_unanswered, unanswered_by_name
     from lfield.operator.observer_link import Request
     from lfield.operator.targets import display_names

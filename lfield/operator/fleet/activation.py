@@ -6,7 +6,8 @@ The desk decides nothing (`lfield.service.ballots`): if it ends, the hosts settl
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Iterable, Mapping
+import secrets
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError, LfieldError
@@ -23,11 +24,11 @@ from lfield.wire.service_messages import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from lfield.net.transport import Transport
     from lfield.operator.observer_link import PresentedCrl
 
+#: Bytes of the id of a ballot.
+ID_SIZE = 16
 #: Seconds for all votes; then the hosts that have not voted are asked to vote no. Seconds between two links.
 VOTE_TIMEOUT, RETRY_DELAY = 25.0, 0.3
 #: Seconds for one vote: a host pauses its mission before it votes.
@@ -61,6 +62,17 @@ class BallotResult:
         if "no" in self.votes.values():
             return "aborted"
         return "activated" if all(self.votes.get(host) == "yes" for host in self.ballot.hosts) else "open"
+
+
+def new_ballot(
+    digest: bytes,
+    hosts: Sequence[str],
+    without: Sequence[str],
+    by: str,
+    draw: Callable[[int], bytes] = secrets.token_bytes,
+) -> Ballot:
+    """A ballot of `hosts`; `draw` gives random bytes for its id."""
+    return Ballot(draw(ID_SIZE), digest, list(hosts), by, list(without))
 
 
 async def activate(

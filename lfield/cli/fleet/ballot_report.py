@@ -1,0 +1,104 @@
+"""Prints the progress and the result of a push or rollback: lines, a progress bar in a terminal, or JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.text.suggestions import listed
+from lfield.text.terminal_escape import escape_line
+from lfield.text.value_text import byte_count_text
+from lfield.wire.fields import short_digest
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+    from lfield.errors import LfieldError
+    from lfield.operator.fleet.activation import BallotResult
+    from lfield.operator.fleet.bundle_upload import UploadProgress
+
+
+class PushReport:
+    """The report about one bundle. With `as_json` one object is printed at the end, and no lines."""
+
+    def __init__(self, digest: bytes, *, as_json: bool) -> None:
+        self._digest, self._as_json = digest, as_json
+        self._data: dict[str, object] = {"bundle": digest.hex()}
+        self._bars: Progress | None = None
+        self._tasks: dict[str, TaskID] = {}
+
+    def begin(self, text: str) -> None:
+        """Print what is pushed, and start the progress bars in a terminal."""
+        self._print(text)
+        if not self._as_json and sys.stderr.isatty():
+            from rich.progress import BarColumn, Progress, TextColumn
+
+            columns = (
+                TextColumn("{task.description}"),
+                BarColumn(),
+                TextColumn("{task.completed}/{task.total}"),
+            )
+            self._bars = Progress(*columns, transient=True)
+            self._bars.start()
+
+    def on_progress(self, host: str, progress: UploadProgress) -> None:
+        """More pieces are stored on a host."""
+        if self._bars is not None:
+            if host not in self._tasks:
+                self._tasks[host] = self._bars.add_task(host, total=progress.total)
+            self._bars.update(self._tasks[host], completed=progress.stored)
+
+    def on_sent(self, sent: Mapping[str, UploadProgress], size: int) -> None:
+        """All transfers have ended."""
+        if self._bars is not None:
+            self._bars.stop()
+        self._data["sent"] = {host: {"bytes": each.sent, "links": each.links} for host, each in sent.items()}
+        self._data["size"] = size
+        for host, each in sent.items():
+            what = (
+                f"{byte_count_text(each.sent)} of {byte_count_text(size)} sent"
+                if each.sent
+                else "already there"
+            )
+            self._print(f"{host}: stored, {what}")
+
+    def on_result(self, result: BallotResult) -> int:
+        """Print the result of the vote; returns the exit status."""
+        hosts = result.ballot.hosts
+        self._data |= {"votes": result.votes, "reasons": result.reasons}
+        bundle = short_digest(self._digest)
+        match result.outcome:
+            case "activated":
+                left = [host for host in hosts if host not in result.informed]
+                late = f"; {listed(left)} will learn it from the others" if left else ""
+                self.finish("activated", {}, f"bundle {bundle} active on {listed(hosts)}{late}")
+                return exit_status.DONE
+            case "aborted":
+                for host, reason in result.reasons.items():
+                    self._print(f"{host}: votes no: {reason}", error=True)
+                self.finish(
+                    "aborted", result.unreached, "nothing was activated: one vote against it is enough"
+                )
+                return exit_status.FAILED
+        missing = [host for host in hosts if host not in result.votes]
+        self.finish(
+            "open",
+            result.unreached,
+            f"not decided: the votes of {listed(missing)} are unknown. The other hosts start nothing until "
+            "they have met; 'lfield status' shows the result",
+        )
+        return exit_status.UNKNOWN_OUTCOME
+
+    def finish(self, outcome: str, failed: Mapping[str, LfieldError], text: str) -> None:
+        """Print the last line, or the JSON object."""
+        self._print(text, error=outcome in ("aborted", "open") or bool(failed))
+        if self._as_json:
+            errors = {host: error.as_data() for host, error in failed.items()}
+            print(json.dumps({**self._data, "outcome": outcome, "errors": errors, "text": text}))
+
+    def _print(self, text: str, *, error: bool = False) -> None:
+        if not self._as_json:
+            print(escape_line(text), file=sys.stderr if error else sys.stdout, flush=True)

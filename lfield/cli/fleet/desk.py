@@ -1,0 +1,150 @@
+"""The parts that the commands of a desk share: inventory, keys of the user, requests to all services."""
+
+from __future__ import annotations
+
+import argparse
+import asyncio
+import os
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from lfield.errors import KeysError, LfieldError, UsageError
+from lfield.text.suggestions import did_you_mean, listed
+from lfield.text.terminal_escape import escape_line
+
+if TYPE_CHECKING:
+    from lfield.authority.key_material import Keys
+    from lfield.inventory.inventory import Inventory
+    from lfield.net.tcp_transport import TcpTransport
+    from lfield.operator.observer_link import PresentedCrl
+    from lfield.wire.service_messages import ServiceMessage, ServiceStatus
+
+A = TypeVar("A", bound="ServiceMessage")
+S = TypeVar("S")
+
+#: Seconds for an answer of a service.
+TIMEOUT = 8.0
+
+
+def add_desk(parser: argparse.ArgumentParser) -> None:
+    """Declare the inventory, the keys, and --json."""
+    parser.add_argument(
+        "--inventory",
+        metavar="FILE",
+        type=Path,
+        help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
+    )
+    parser.add_argument(
+        "--keys",
+        metavar="DIR",
+        type=Path,
+        help="directory with your keys (default: $LFIELD_KEYS, or ~/.config/lfield/keys/me)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def add_without(parser: argparse.ArgumentParser, what: str) -> None:
+    """Declare the hosts that a command leaves out."""
+    parser.add_argument("--without", metavar="HOST", action="append", default=[], help=f"{what} (repeatable)")
+
+
+@dataclass(frozen=True, slots=True)
+class Desk:
+    """The inventory of a desk, and the keys of its user."""
+
+    inventory: Inventory
+    keys: Keys
+    crl: PresentedCrl | None
+
+    @property
+    def hosts(self) -> list[str]:
+        """All hosts, in the order of the inventory."""
+        return list(self.inventory.hosts)
+
+    def addresses(self, hosts: Sequence[str]) -> dict[str, str]:
+        """The addresses of the services of some hosts. Raises UsageError for an unknown host."""
+        for host in hosts:
+            if host not in self.inventory.hosts:
+                hint = did_you_mean(host, self.hosts) or f"it has {listed(self.hosts)}"
+                raise UsageError(f"the inventory {self.inventory.path} has no host '{host}': {hint}")
+        return {host: self.inventory.hosts[host].service_address for host in hosts}
+
+    @property
+    def user(self) -> str:
+        """The person whose keys these are."""
+        from lfield.authority.certificate_reader import verify_keys
+
+        return str(verify_keys(self.keys))
+
+    def transport(self) -> TcpTransport:
+        """A transport with the keys, in the running loop."""
+        from lfield.operator.client import observer_transport
+
+        return observer_transport(self.keys, connect_timeout=TIMEOUT)
+
+    def statuses(self, hosts: Sequence[str]) -> dict[str, ServiceStatus | LfieldError]:
+        """The state of the services of some hosts."""
+        from lfield.wire.service_messages import ServiceQuery, ServiceStatus
+
+        return self.ask(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
+
+    def ask(
+        self, hosts: Sequence[str], message: ServiceMessage, answer: type[A], timeout: float
+    ) -> dict[str, A | LfieldError]:
+        """The answers of the services of some hosts, or why there is none."""
+        return asyncio.run(self._ask(self.addresses(hosts), message, answer, timeout))
+
+    async def _ask(
+        self, addresses: Mapping[str, str], message: ServiceMessage, answer: type[A], timeout: float
+    ) -> dict[str, A | LfieldError]:
+        from lfield.operator.observer_link import Request, ask_with_retries
+
+        transport = self.transport()
+        request = Request(message, answer, timeout, is_retried=True)
+
+        async def one(host: str, address: str) -> A | LfieldError:
+            try:
+                return await ask_with_retries(transport, address, request, host, self.crl)
+            except LfieldError as error:
+                return error
+
+        answers = await asyncio.gather(*(one(host, address) for host, address in addresses.items()))
+        return dict(zip(addresses, answers, strict=True))
+
+
+def open_desk(args: argparse.Namespace) -> Desk:
+    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
+    from lfield.authority import keystore
+    from lfield.inventory.inventory_file import find_inventory
+    from lfield.operator.client import presented_crl
+
+    inventory = find_inventory(args.inventory, os.environ)
+    if inventory is None:
+        raise UsageError(
+            "no inventory: write the hosts and their addresses into ~/.config/lfield/inventory.yaml, or name "
+            "the file with --inventory (lfield/docs/operations.md has an example)"
+        )
+    folder = keystore.find_keys("person", keystore.OWN, args.keys, os.environ)
+    if folder is None:
+        raise KeysError(
+            "there are no keys of yours here: 'lfield keys init --person NAME' makes them, and --keys names "
+            "their directory"
+        )
+    keys = keystore.read_keys(folder, "person")
+    return Desk(inventory, keys, presented_crl(keys))
+
+
+def report_unreached(errors: Mapping[str, LfieldError], consequence: str) -> None:
+    """A line on stderr for each host that did not answer."""
+    for host, error in errors.items():
+        print(escape_line(f"{host}: NOT REACHED{consequence}: {error}"), file=sys.stderr)
+
+
+def split_answers(answers: Mapping[str, S | LfieldError]) -> tuple[dict[str, S], dict[str, LfieldError]]:
+    """The answers, and the errors of the hosts that did not answer."""
+    reached = {host: answer for host, answer in answers.items() if not isinstance(answer, LfieldError)}
+    failed = {host: answer for host, answer in answers.items() if isinstance(answer, LfieldError)}
+    return reached, failed

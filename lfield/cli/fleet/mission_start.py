@@ -1,0 +1,101 @@
+"""`lfield start` for robots with services: starts the mission's host on each of them."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.fleet.desk import Desk, open_desk, report_unreached, split_answers
+from lfield.text.suggestions import listed
+from lfield.text.terminal_escape import escape_line
+from lfield.wire.fields import short_digest
+
+if TYPE_CHECKING:
+    from lfield.errors import LfieldError
+    from lfield.wire.service_messages import ServiceStatus
+
+#: Seconds in which the hosts should be up and their coordinators started, and between two looks at them.
+SETTLE_TIMEOUT, LOOK_EVERY = 20.0, 0.5
+#: Seconds for a host to be started; with --without its coordinators too.
+START_TIMEOUT = 30.0
+
+
+def start_on_robots(args: argparse.Namespace) -> int | None:
+    """Start the mission on the robots of the inventory; None without an inventory.
+
+    0 when it runs everywhere; 1 when a host refuses or ends; 69 when one was not reached: then nothing was
+    started, unless it is left out.
+    """
+    from lfield.inventory.inventory_file import find_inventory
+
+    if find_inventory(args.inventory, os.environ) is None:
+        return None
+    desk = open_desk(args)
+    desk.addresses(args.without)
+    statuses, failed = split_answers(desk.statuses([host for host in desk.hosts if host not in args.without]))
+    if failed:
+        report_unreached(failed, "")
+        hint = "".join(f" --without {host}" for host in failed)
+        return _report(args, {}, failed, f"nothing was started; to start without them:{hint}")
+    digests = {status.active for status in statuses.values()}
+    if len(digests) > 1:
+        each = [f"{host}: {short_digest(status.active) or 'none'}" for host, status in statuses.items()]
+        return _report(args, {}, {}, f"nothing was started: the active bundles differ ({listed(each)})")
+    return _start(desk, list(statuses), next(iter(digests), b""), args)
+
+
+def _start(desk: Desk, hosts: list[str], digest: bytes, args: argparse.Namespace) -> int:
+    from lfield.wire.service_messages import CommandResult, MissionCommand
+
+    order = MissionCommand("start", digest, without=args.without)
+    results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
+    report_unreached(failed, ", not started")
+    refusals = {host: result.trouble for host, result in results.items() if result.trouble}
+    if refusals or failed:
+        return _report(args, refusals, failed, "the mission was not started on all hosts")
+    end = time.monotonic() + SETTLE_TIMEOUT
+    while True:
+        statuses, failed = split_answers(desk.statuses(hosts))
+        waits = {host: _waiting(status) for host, status in statuses.items() if _waiting(status)}
+        ended = [host for host, status in statuses.items() if status.run.phase not in ("running", "starting")]
+        if not (waits or failed) or ended or time.monotonic() > end:
+            break
+        time.sleep(LOOK_EVERY)
+    if not waits and not failed:
+        return _report(args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", done=True)
+    return _report(args, waits, failed, "the mission does not run on all hosts yet: 'lfield status' shows it")
+
+
+def _waiting(status: ServiceStatus) -> str:
+    """Why a host does not run the mission; '' if it does, or has ended in order."""
+    run = status.run
+    if run.phase == "ended" and run.status == exit_status.DONE:
+        return ""
+    return run.reason or ("" if run.phase == "running" else run.phase)
+
+
+def _report(
+    args: argparse.Namespace,
+    waits: Mapping[str, str],
+    failed: Mapping[str, LfieldError],
+    text: str,
+    *,
+    done: bool = False,
+) -> int:
+    """Print the result; returns the exit status."""
+    if args.json:
+        errors = {host: error.as_data() for host, error in failed.items()}
+        print(json.dumps({"started": done, "waits": dict(waits), "errors": errors, "text": text}))
+    else:
+        for host, reason in waits.items():
+            print(escape_line(f"{host}: {reason}"), file=sys.stderr)
+        print(escape_line(text), file=sys.stdout if done else sys.stderr)
+    if failed:
+        return exit_status.UNAVAILABLE
+    return exit_status.DONE if done else exit_status.FAILED

@@ -1,0 +1,51 @@
+"""`lfield status`: bundle, signer, version and mission of each robot, and why it refuses or waits."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.fleet.desk import add_desk, open_desk, report_unreached, split_answers
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from lfield.wire.service_messages import ServiceStatus
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    parser.add_argument("hosts", metavar="HOST", nargs="*", help="hosts (default: all of the inventory)")
+    add_desk(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0 when all services answer, 69 otherwise."""
+    desk = open_desk(args)
+    reached, failed = split_answers(desk.statuses(args.hosts or desk.hosts))
+    if args.json:
+        print(json.dumps({**_as_data(reached), **{host: error.as_data() for host, error in failed.items()}}))
+    else:
+        _show(reached)
+        report_unreached(failed, "")
+    return exit_status.UNAVAILABLE if failed else exit_status.DONE
+
+
+def _as_data(statuses: Mapping[str, ServiceStatus]) -> dict[str, object]:
+    from lfield.cli.fleet.status_view import status_data
+
+    return {host: status_data(status) for host, status in statuses.items()}
+
+
+def _show(statuses: Mapping[str, ServiceStatus]) -> None:
+    from lfield.cli.fleet.status_view import status_lines, status_table
+    from lfield.cli.views.trees import plain_console
+
+    if not statuses:
+        return
+    console = plain_console()
+    console.print(status_table(statuses))
+    for line in status_lines(statuses):
+        console.print(line)

@@ -1,0 +1,113 @@
+"""The state of services, as a table, as sentences and as JSON."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING
+
+from lfield.authority.peer_verification import format_time
+from lfield.cli.views.team_state_view import new_table
+from lfield.text.suggestions import listed
+from lfield.text.terminal_escape import escape_line
+from lfield.wire.fields import short_digest
+from lfield.wire.service_messages import BallotState, BundleInfo, ServiceStatus
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+#: A clock of a robot that differs by more seconds from that of the desk is reported.
+MAX_CLOCK_OFFSET = 60.0
+
+
+def status_table(statuses: Mapping[str, ServiceStatus]) -> Table:
+    """One row for each host."""
+    table = new_table("host", "bundle", "mission", "signed by", "lfield", "runs")
+    for host, status in statuses.items():
+        info = bundle_info(status, status.active)
+        run = status.run
+        runs = run.phase if run.status is None or run.phase == "running" else f"{run.phase} ({run.status})"
+        row = (
+            host,
+            short_digest(status.active) or "none",
+            info.name if info else "",
+            info.by if info else "",
+        )
+        table.add_row(*map(escape_line, (*row, status.version, runs)))
+    return table
+
+
+def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
+    """Sentences about what is not as usual: why a host waits, an open ballot, unfinished coordinators."""
+    digests = {status.active for status in statuses.values()}
+    if len(digests) > 1:
+        yield (
+            "the active bundles differ, and hosts with different bundles do not link: 'lfield push' "
+            "activates one on all hosts"
+        )
+    for host, status in statuses.items():
+        run = status.run
+        if run.reason:
+            yield escape_line(f"{host}: {run.phase}: {run.reason}")
+        if status.ballot is not None and status.ballot.outcome == "open":
+            yield escape_line(f"{host}: {open_ballot_text(status.ballot)}")
+        for one in status.unfinished:
+            where = f" ({one.where})" if one.where and one.where != host else ""
+            yield escape_line(f"{host}: coordinator {one.agent} {one.state}{where}")
+        offset = status.time - time.time()
+        if abs(offset) > MAX_CLOCK_OFFSET:
+            yield escape_line(f"{host}: its clock shows {format_time(status.time)}; set it")
+
+
+def bundle_info(status: ServiceStatus, digest: bytes) -> BundleInfo | None:
+    """The description of a bundle that the host has stored."""
+    return next((info for info in status.bundles if info.digest == digest), None)
+
+
+def open_ballot_text(state: BallotState) -> str:
+    """The sentence about an open ballot."""
+    ballot = state.ballot
+    assert ballot is not None
+    missing = listed([host for host in ballot.hosts if host not in state.votes])
+    return (
+        f"activation of {short_digest(ballot.digest)} by {ballot.by} not decided: the votes of {missing} are "
+        "unknown; no mission starts until these hosts meet"
+    )
+
+
+def status_data(status: ServiceStatus) -> dict[str, object]:
+    """The state as JSON data; digests in hex."""
+    info, run = bundle_info(status, status.active), status.run
+    ballot = status.ballot
+    return {
+        "version": status.version,
+        "bundle": status.active.hex(),
+        "previous": status.previous.hex(),
+        "mission": info.name if info else "",
+        "signed_by": info.by if info else "",
+        "signed_at": info.at if info else None,
+        "stored": [each.digest.hex() for each in status.bundles],
+        "run": {
+            "phase": run.phase,
+            "bundle": run.bundle.hex(),
+            "reason": run.reason,
+            "since": run.since,
+            "exit_status": run.status,
+        },
+        "ballot": None
+        if ballot is None
+        else {
+            "id": ballot.id.hex(),
+            "bundle": ballot.ballot.digest.hex() if ballot.ballot else "",
+            "by": ballot.ballot.by if ballot.ballot else "",
+            "votes": ballot.votes,
+            "reasons": ballot.reasons,
+            "outcome": ballot.outcome,
+        },
+        "unfinished": [
+            {"agent": one.agent, "state": one.state, "where": one.where, "mission": one.mission}
+            for one in status.unfinished
+        ],
+        "refusal": status.refusal,
+        "time": status.time,
+    }
