@@ -18,9 +18,9 @@ from msgspec.structs import replace
 from lfield.wire.fields import MAX_LABEL, Hash, OrderId, truncate
 from lfield.wire.service_messages import Ballot, BallotOutcome, BallotState, Vote
 
-#: The most ballots that a host remembers to have refused without a proposal, and the most earlier ballots whose
-#: votes it remembers. An undecided host that asks after so many later ballots gets a vote against: its bundle
-#: is an older one in any case.
+#: The most ballots that a host remembers to have refused without a proposal, and the most earlier ballots
+#: whose votes it remembers. An undecided host that asks after so many later ballots gets a vote against: its
+#: bundle is an older one in any case.
 MAX_CLOSED, MAX_PAST = 128, 128
 #: The reason of a vote that was asked for with `closes`.
 CLOSED = "the ballot was closed before its proposal arrived"
@@ -29,8 +29,8 @@ CLOSED = "the ballot was closed before its proposal arrived"
 class ActivationState(Struct, frozen=True):
     """The durable state of a host: its active bundle, the earlier ones (newest last), and its last ballot.
 
-    `past` are the decided ballots before that, without their proposals: another host may still be bound by one
-    and ask for the votes. `closed` are ids of ballots in which this host has voted no without being bound.
+    `past` are the decided ballots before that, without their proposals: another host may still be bound by
+    one and ask for the votes. `closed` are ids of ballots in which this host has voted no without being bound.
     """
 
     active: Hash = b""

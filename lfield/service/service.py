@@ -8,40 +8,36 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
-from hashlib import sha256
+from contextlib import suppress
 from typing import Protocol
 
 from msgspec.structs import replace
 
 from lfield import __version__
 from lfield.clock import Clock
-from lfield.errors import LfieldError, OutputFileError, SignatureError, WireError
+from lfield.errors import LfieldError, OutputFileError, WireError
 from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
+from lfield.service.bundle_receiver import BundleFiles, BundleReceiver, Verify
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import MissionRunner
 from lfield.text.log_messages import LogLine
 from lfield.text.suggestions import listed
-from lfield.wire.bundle_pieces import Piece, decompress
 from lfield.wire.fields import short_digest, truncate
 from lfield.wire.service_messages import (
     MAX_BUNDLES,
     MAX_UNFINISHED,
     Ballot,
     BallotState,
-    BundleInfo,
     BundleOffer,
     BundlePiece,
     CommandResult,
     MissionCommand,
-    PieceRequest,
-    PieceStored,
     Proposal,
     ServiceMessage,
     ServiceQuery,
     ServiceStatus,
     StageRequest,
-    StageResult,
     UnfinishedCoordinator,
     Vote,
     VoteQuery,
@@ -52,18 +48,11 @@ from lfield.wire.service_messages import (
 RESOLVE_EVERY, CLOSE_AFTER = 3.0, 30.0
 
 
-class Store(Protocol):
+class ServiceFiles(BundleFiles, Protocol):
     """The disk of a service (`bundle_store.BundleStore`)."""
 
-    def save(self, record: ServiceRecord) -> None: ...
-    def stored(self) -> list[bytes]: ...
-    def read(self, digest: bytes) -> bytes | None: ...
-    def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None: ...
-    def begin(self, file: bytes) -> None: ...
-    def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
-    def put(self, file: bytes, number: int, data: bytes) -> None: ...
-    def joined(self, file: bytes) -> bytes: ...
-    def drop(self, file: bytes) -> None: ...
+    def save(self, record: ServiceRecord) -> None:
+        """Replace the state. Raises OutputFileError."""
 
 
 class MissionProbe(Protocol):
@@ -81,8 +70,8 @@ class MissionProbe(Protocol):
     async def hold(self) -> str:
         """Pause the running host, so that nothing arms; returns why it is not at rest, '' if it is."""
 
-    async def release(self) -> None:
-        """Resume the host that `hold` has paused."""
+    async def release(self) -> str:
+        """Resume the host that `hold` has paused; returns why it is still paused, '' if it is not."""
 
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
@@ -96,8 +85,6 @@ class MissionProbe(Protocol):
 
 #: Asks the service of another host. Raises LfieldError.
 AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]
-#: The verified bundle in some bytes. Raises LfieldError.
-Verify = Callable[[bytes], BundleInfo]
 
 
 class Service:
@@ -107,21 +94,23 @@ class Service:
         self,
         host: str,
         record: ServiceRecord,
-        store: Store,
+        store: ServiceFiles,
         runner: MissionRunner,
         probe: MissionProbe,
         verify: Verify,
         clock: Clock,
     ) -> None:
         self._host, self._store, self._runner, self._probe = host, store, runner, probe
-        self._verify, self._clock = verify, clock
+        self._clock = clock
         self._activation, self._held = record.activation, record.held
         #: Held while a vote is made or a command executed: one decision at a time.
         self._lock = asyncio.Lock()
         #: When the open ballot was voted for (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
-        self._infos: dict[bytes, BundleInfo] = {}
-        runner.attach(self._store_run, lambda: self._start_refusal())
+        self._bundles = BundleReceiver(
+            store, verify, lambda: [self._activation.active, self._activation.previous], self.note
+        )
+        runner.attach(self._store_run, self._start_refusal)
 
     @property
     def activation(self) -> ActivationState:
@@ -138,11 +127,11 @@ class Service:
             case ServiceQuery():
                 return await self.status()
             case BundleOffer():
-                return self._on_offer(message)
+                return self._bundles.on_offer(message)
             case BundlePiece():
-                return self._on_piece(message)
+                return self._bundles.on_piece(message)
             case StageRequest():
-                return self._on_stage(message)
+                return self._bundles.on_stage(message)
             case Proposal():
                 async with self._lock:
                     return await self._on_proposal(message.ballot)
@@ -162,7 +151,6 @@ class Service:
     async def status(self) -> ServiceStatus:
         """The state of the service."""
         state = self._activation
-        stored = [self._info(digest) for digest in self._store.stored()[:MAX_BUNDLES]]
         unfinished = await self._probe.unfinished()
         run = self._runner.info
         if self._runner.is_running and run.phase == "running":
@@ -172,7 +160,7 @@ class Service:
             __version__,
             state.active,
             state.previous,
-            [info for info in stored if info is not None],
+            self._bundles.infos(MAX_BUNDLES),
             run,
             state.ballot,
             unfinished[:MAX_UNFINISHED],
@@ -180,73 +168,30 @@ class Service:
             self._clock.time(),
         )
 
-    # --- transfer -------------------------------------------------------------------------------------
-
-    def _on_offer(self, offer: BundleOffer) -> PieceRequest:
-        try:
-            self._store.begin(offer.file)
-            pieces = [Piece(*each) for each in offer.pieces]
-            return PieceRequest(offer.file, offer.first, self._store.missing(offer.file, offer.first, pieces))
-        except OutputFileError as error:
-            return PieceRequest(offer.file, offer.first, [], truncate(str(error)))
-
-    def _on_piece(self, piece: BundlePiece) -> PieceStored:
-        data = decompress(piece.data, is_compressed=piece.is_compressed)
-        try:
-            self._store.put(piece.file, piece.number, data)
-        except OutputFileError as error:
-            return PieceStored(piece.file, piece.number, truncate(str(error)))
-        return PieceStored(piece.file, piece.number)
-
-    def _on_stage(self, request: StageRequest) -> StageResult:
-        try:
-            data = self._store.joined(request.file)
-            if sha256(data).digest() != request.file:
-                self._store.drop(request.file)
-                raise WireError("the pieces do not make the offered file: push it again")
-            info = self._verify(data)
-            if info.digest != request.digest:
-                raise SignatureError(
-                    f"the file is bundle {short_digest(info.digest)}, another one was offered"
-                )
-            self._store.add(info.digest, data, [self._activation.active, self._activation.previous])
-            self._store.drop(request.file)
-        except LfieldError as error:
-            self.note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
-            return StageResult(request.digest, truncate(str(error)), error.code)
-        self._infos[info.digest] = info
-        self.note(
-            messages.BUNDLE_STORED.line(bundle=short_digest(info.digest), mission=info.name, by=info.by)
-        )
-        return StageResult(request.digest)
-
-    def _info(self, digest: bytes) -> BundleInfo | None:
-        """The description of a stored bundle, None if it is not valid any more."""
-        if digest not in self._infos and (data := self._store.read(digest)) is not None:
-            try:
-                self._infos[digest] = self._verify(data)
-            except LfieldError:
-                return None
-        return self._infos.get(digest)
-
     # --- votes ----------------------------------------------------------------------------------------
 
     async def _on_proposal(self, ballot: Ballot) -> BallotState:
         known = ballots.answer(self._activation, self._host, ballot.id)
         if known.ballot is not None or known.outcome != "open":
             return known
-        refusal = "" if self._host in ballot.hosts else f"{self._host} does not take part in this ballot"
-        if not refusal and self._activation.open_ballot is None:
+        if self._host not in ballot.hosts:
+            raise WireError(f"{self._host} does not take part in this ballot")
+        refusal = ""
+        if self._activation.open_ballot is None:
             refusal = await self._refusal(ballot.digest)
             if not refusal and ballot.digest != self._activation.active:
-                refusal = await self._hold()
-        self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
+                # Again when nothing can arm any more: a vehicle may have started in between.
+                refusal = await self._hold() or await self._refusal(ballot.digest)
+        try:
+            self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
+        finally:
+            if self._activation.open_ballot is None:
+                await self._release()
         found = ballots.answer(self._activation, self._host, ballot.id)
         reason = found.reasons.get(self._host, "")
-        vote = found.votes[self._host]
         self.note(
             messages.VOTED.line(
-                vote=vote,
+                vote=found.votes[self._host],
                 bundle=short_digest(ballot.digest),
                 by=ballot.by,
                 reason=f": {reason}" if reason else "",
@@ -280,9 +225,10 @@ class Service:
         await self._release()
 
     async def _end_other_bundle(self) -> None:
-        if self._runner.is_running and self._runner.info.bundle != self._activation.active:
+        if self._runner.record.bundle not in (b"", self._activation.active):
+            # A pause is in the journal: the host of the next bundle would start paused.
+            await self._release()
             await self._runner.stop("another bundle was activated")
-        self._set_held(False)
 
     async def _hold(self) -> str:
         """Pause a running host, so that nothing arms before the result; returns why it is not at rest."""
@@ -294,49 +240,68 @@ class Service:
         return refusal
 
     async def _release(self) -> None:
-        """Resume the host if the service has paused it."""
-        if self._held:
-            if self._runner.is_running:
-                await self._probe.release()
+        """Resume the host if the service has paused it; one that does not run now, when it runs again."""
+        if self._held and self._runner.is_running and not await self._probe.release():
             self._set_held(False)
 
     async def _refusal(self, digest: bytes | None) -> str:
         """Why this host would vote no, '' if it would not. `digest` is None for any other bundle."""
         if digest is not None and digest == self._activation.active:
             return ""
-        if digest and (self._store.read(digest) is None or self._info(digest) is None):
+        if digest and not self._bundles.is_valid(digest):
             return "the bundle is not stored here, or its signature is not valid any more"
-        if self._runner.is_running and (why := await self._probe.vehicles()):
+        if why := await self._motion():
             return why
         if unfinished := await self._probe.unfinished():
             names = [f"{each.agent} ({each.state})" for each in unfinished[:MAX_UNFINISHED]]
             return f"coordinators have not ended: {listed(names)}; let them end, or 'lfield stop --discard'"
         return ""
 
+    async def _motion(self) -> str:
+        """Why the vehicles of the mission's host may not be at rest on the ground; '' if they are."""
+        if self._runner.is_running:
+            return await self._probe.vehicles()
+        if self._runner.info.phase == "waiting":
+            return f"the mission's host restarts: {self._runner.info.reason}"
+        if unsafe := self._runner.record.unsafe:
+            return f"the mission's host has ended ({unsafe}): check its vehicles, then 'lfield stop'"
+        return ""
+
     async def resolve(self, ask: AskPeer) -> None:
-        """Ask the other hosts of an open ballot, every few seconds, for ever."""
+        """Every few seconds: ask the other hosts of an open ballot, or complete what a result requires.
+
+        Does not return. On a full disk the next round tries again.
+        """
         while True:
             await asyncio.sleep(RESOLVE_EVERY)
-            bound = self._activation.open_ballot
-            if bound is None or bound.ballot is None or self._bound_since is None:
-                continue
-            waited = self._clock.monotonic() - self._bound_since
-            missing = [host for host in ballots.missing_votes(bound) if host != self._host]
-            if waited >= CLOSE_AFTER:
-                self.note(
-                    messages.BALLOT_OPEN.line(
-                        bundle=short_digest(bound.ballot.digest), seconds=waited, missing=listed(missing)
-                    )
+            with suppress(OutputFileError):
+                bound = self._activation.open_ballot
+                if bound is None:
+                    await self.settle()
+                else:
+                    await self._ask_for_votes(bound, ask)
+
+    async def _ask_for_votes(self, bound: BallotState, ask: AskPeer) -> None:
+        since = self._bound_since
+        waited = 0.0 if since is None else self._clock.monotonic() - since
+        missing = [host for host in ballots.missing_votes(bound) if host != self._host]
+        if closes := waited >= CLOSE_AFTER:
+            self.note(
+                messages.BALLOT_OPEN.line(
+                    bundle=short_digest(bound.ballot.digest) if bound.ballot is not None else "",
+                    seconds=waited,
+                    missing=listed(missing),
                 )
-            query = VoteQuery(bound.id, closes=waited >= CLOSE_AFTER)
-            answers = await asyncio.gather(*(ask(host, query) for host in missing), return_exceptions=True)
-            votes: dict[str, Vote] = {}
-            for answer in answers:
-                if isinstance(answer, BallotState):
-                    votes |= answer.votes
-                elif not isinstance(answer, LfieldError):
-                    raise answer
-            await self.on_votes(bound.id, votes)
+            )
+        query = VoteQuery(bound.id, closes=closes)
+        answers = await asyncio.gather(*(ask(host, query) for host in missing), return_exceptions=True)
+        votes: dict[str, Vote] = {}
+        for answer in answers:
+            if isinstance(answer, BallotState):
+                votes |= answer.votes
+            elif not isinstance(answer, LfieldError):
+                raise answer
+        await self.on_votes(bound.id, votes)
 
     # --- commands -------------------------------------------------------------------------------------
 
@@ -347,8 +312,8 @@ class Service:
             if gone:
                 self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
             return CommandResult(self._runner.info, discarded=gone[:MAX_UNFINISHED])
-        refusal = self._start_refusal()
         active = self._activation.active
+        refusal = self._start_refusal(active)
         if not refusal and command.digest not in (b"", active):
             refusal = (
                 f"bundle {short_digest(command.digest)} is not active here, but "
@@ -360,24 +325,30 @@ class Service:
                 refusal = await self._probe.start_without(command.without)
         return CommandResult(self._runner.info, refusal)
 
-    def _start_refusal(self) -> str:
-        """Why no mission may start here now; '' if one may."""
+    def _start_refusal(self, bundle: bytes) -> str:
+        """Why the host of a bundle may not start here now; '' if it may."""
         bound = self._activation.open_ballot
         if bound is not None:
             missing = listed(ballots.missing_votes(bound))
             return f"the activation of a bundle is not decided yet: the votes of {missing} are unknown"
         if not self._activation.active:
             return "no bundle is active: 'lfield push' sends and activates one"
+        if bundle != self._activation.active:
+            return f"bundle {short_digest(bundle)} is not active any more"
         return ""
 
     # --- state ----------------------------------------------------------------------------------------
 
-    async def reconcile(self) -> None:
-        """After a start of the service: supervise a host that runs, and end one of another bundle."""
-        await self._runner.adopt()
-        if self._activation.open_ballot is None:
-            await self._release()
-            await self._end_other_bundle()
+    def adopt(self) -> None:
+        """After a start of the service: supervise a host that runs. Before the first request."""
+        self._runner.adopt()
+
+    async def settle(self) -> None:
+        """Complete what the last result requires, for instance after a restart of the service."""
+        async with self._lock:
+            if self._activation.open_ballot is None:
+                await self._end_other_bundle()
+                await self._release()
 
     def _store_activation(self, changed: ActivationState) -> None:
         """Store a state, then use it. Raises OutputFileError; then nothing has changed."""
