@@ -18,8 +18,10 @@ from msgspec.structs import replace
 from lfield.wire.fields import MAX_LABEL, Hash, OrderId, truncate
 from lfield.wire.service_messages import Ballot, BallotOutcome, BallotState, Vote
 
-#: The most ids of ballots without a vote that a host remembers to have refused.
-MAX_CLOSED = 64
+#: The most ballots that a host remembers to have refused without a proposal, and the most earlier ballots
+#: whose votes it remembers. An undecided host that asks after so many later ballots gets a vote against: its
+#: bundle is an older one in any case.
+MAX_CLOSED, MAX_PAST = 128, 128
 #: The reason of a vote that was asked for with `closes`.
 CLOSED = "the ballot was closed before its proposal arrived"
 
@@ -27,12 +29,14 @@ CLOSED = "the ballot was closed before its proposal arrived"
 class ActivationState(Struct, frozen=True):
     """The durable state of a host: its active bundle, the earlier ones (newest last), and its last ballot.
 
-    `closed` are ids of ballots in which it has voted no without being bound by them.
+    `past` are the decided ballots before that, without their proposals: another host may still be bound by
+    one and ask for the votes. `closed` are ids of ballots in which this host has voted no without being bound.
     """
 
     active: Hash = b""
     earlier: tuple[Hash, ...] = ()
     ballot: BallotState | None = None
+    past: tuple[BallotState, ...] = ()
     closed: tuple[OrderId, ...] = ()
 
     @property
@@ -53,24 +57,24 @@ MAX_EARLIER = 8
 def propose(state: ActivationState, host: str, ballot: Ballot, refusal: str) -> ActivationState:
     """The state after the vote of `host` on a proposal: no for a `refusal`, yes without one.
 
-    A repeated proposal changes nothing.
+    A repeated proposal changes nothing, nor does one in which `host` does not take part.
     """
-    if ballot.id in state.closed or (state.ballot is not None and state.ballot.id == ballot.id):
+    if host not in ballot.hosts or _has_voted(state, ballot.id):
         return state
     if state.open_ballot is not None:
         return _closed(state, ballot.id)
     vote: Vote = "no" if refusal else "yes"
     reasons = {host: truncate(refusal, MAX_LABEL)} if refusal else {}
-    return _with_votes(
-        replace(state, ballot=BallotState(ballot.id, ballot, {}, reasons, "open")), {host: vote}
-    )
+    past = state.past
+    if (last := state.ballot) is not None:
+        past = (*past, replace(last, ballot=None, reasons={}))[-MAX_PAST:]
+    voted = BallotState(ballot.id, ballot, {}, reasons, "open")
+    return _with_votes(replace(state, ballot=voted, past=past), {host: vote})
 
 
 def close(state: ActivationState, id: bytes) -> ActivationState:
     """The state after a query that closes a ballot: a vote against it, unless the host has voted."""
-    if id in state.closed or (state.ballot is not None and state.ballot.id == id):
-        return state
-    return _closed(state, id)
+    return state if _has_voted(state, id) else _closed(state, id)
 
 
 def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote]) -> ActivationState:
@@ -85,8 +89,8 @@ def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote
 
 def answer(state: ActivationState, host: str, id: bytes) -> BallotState:
     """What the host knows of a ballot."""
-    if state.ballot is not None and state.ballot.id == id:
-        return state.ballot
+    if (known := _known(state, id)) is not None:
+        return known
     if id in state.closed:
         return BallotState(id, None, {host: "no"}, {host: _closed_reason(state)}, "aborted")
     return BallotState(id, None, {}, {}, "open")
@@ -118,6 +122,15 @@ def _with_votes(state: ActivationState, votes: Mapping[str, Vote]) -> Activation
         return state
     earlier = (*state.earlier, state.active) if state.active else state.earlier
     return replace(state, active=digest, earlier=earlier[-MAX_EARLIER:])
+
+
+def _known(state: ActivationState, id: bytes) -> BallotState | None:
+    """A ballot on whose proposal this host has voted."""
+    return next((each for each in (state.ballot, *state.past) if each is not None and each.id == id), None)
+
+
+def _has_voted(state: ActivationState, id: bytes) -> bool:
+    return id in state.closed or _known(state, id) is not None
 
 
 def _closed(state: ActivationState, id: bytes) -> ActivationState:

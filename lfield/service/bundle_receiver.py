@@ -1,8 +1,8 @@
-"""Receives bundles in pieces, verifies them as a host does before it runs them, and stores them."""
+"""Receives bundles in pieces, verifies them, and describes the stored ones."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 from hashlib import sha256
 from typing import Protocol
 
@@ -12,7 +12,6 @@ from lfield.errors import BundleError, LfieldError, OutputFileError, SignatureEr
 from lfield.mission import bundle
 from lfield.mission.access.signed_bundle import accept_bundle
 from lfield.service import messages
-from lfield.service.bundle_store import ServiceRecord
 from lfield.text.log_messages import LogLine
 from lfield.wire.bundle_pieces import Piece, decompress
 from lfield.wire.fields import MAX_LABEL, short_digest, truncate
@@ -26,60 +25,69 @@ from lfield.wire.service_messages import (
     StageResult,
 )
 
-#: The verified bundle in some bytes. Raises LfieldError.
-Verify = Callable[[bytes], BundleInfo]
 
+class BundleFiles(Protocol):
+    """The bundles on the disk of a service (`bundle_store.BundleStore`). Writing raises OutputFileError."""
 
-class ServiceStore(Protocol):
-    """The disk of a service (`bundle_store.BundleStore`)."""
-
-    def save(self, record: ServiceRecord) -> None: ...
     def stored(self) -> list[bytes]: ...
     def read(self, digest: bytes) -> bytes | None: ...
-    def add(self, digest: bytes, data: bytes, kept: Collection[bytes]) -> None: ...
-    def prepare_upload(self, file: bytes) -> None: ...
+    def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None: ...
+    def start_upload(self, file: bytes) -> None: ...
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
     def put(self, file: bytes, number: int, data: bytes) -> None: ...
     def joined(self, file: bytes) -> bytes: ...
     def drop(self, file: bytes) -> None: ...
 
 
-class BundleReceiver:
-    """The bundles of one host. `verify` checks digest and signature of a bundle."""
+#: The verified bundle in some bytes. Raises LfieldError.
+Verify = Callable[[bytes], BundleInfo]
 
-    def __init__(self, store: ServiceStore, verify: Verify, note: Callable[[LogLine], None]) -> None:
-        self._store, self._verify, self._note = store, verify, note
+
+class BundleReceiver:
+    """`verify` checks digest and signature of a bundle; `kept` are the bundles that are never removed."""
+
+    def __init__(
+        self,
+        files: BundleFiles,
+        verify: Verify,
+        kept: Callable[[], list[bytes]],
+        note: Callable[[LogLine], None],
+    ) -> None:
+        self._files, self._verify, self._kept, self._note = files, verify, kept, note
         self._infos: dict[bytes, BundleInfo] = {}
 
     def on_offer(self, offer: BundleOffer) -> PieceRequest:
+        """The pieces of an offer that are missing."""
         try:
-            self._store.prepare_upload(offer.file)
+            self._files.start_upload(offer.file)
             pieces = [Piece(*each) for each in offer.pieces]
-            return PieceRequest(offer.file, offer.first, self._store.missing(offer.file, offer.first, pieces))
+            return PieceRequest(offer.file, offer.first, self._files.missing(offer.file, offer.first, pieces))
         except OutputFileError as error:
             return PieceRequest(offer.file, offer.first, [], truncate(str(error)))
 
     def on_piece(self, piece: BundlePiece) -> PieceStored:
+        """Store a piece. Raises WireError for a damaged one."""
         data = decompress(piece.data, is_compressed=piece.is_compressed)
         try:
-            self._store.put(piece.file, piece.number, data)
+            self._files.put(piece.file, piece.number, data)
         except OutputFileError as error:
             return PieceStored(piece.file, piece.number, truncate(str(error)))
         return PieceStored(piece.file, piece.number)
 
-    def on_stage(self, request: StageRequest, kept: Collection[bytes]) -> StageResult:
+    def on_stage(self, request: StageRequest) -> StageResult:
+        """Store the bundle that all pieces make, if it is valid."""
         try:
-            data = self._store.joined(request.file)
+            data = self._files.joined(request.file)
             if sha256(data).digest() != request.file:
-                self._store.drop(request.file)
+                self._files.drop(request.file)
                 raise WireError("the pieces do not make the offered file: push it again")
             info = self._verify(data)
             if info.digest != request.digest:
                 raise SignatureError(
                     f"the file is bundle {short_digest(info.digest)}, another one was offered"
                 )
-            self._store.add(info.digest, data, kept)
-            self._store.drop(request.file)
+            self._files.add(info.digest, data, self._kept())
+            self._files.drop(request.file)
         except LfieldError as error:
             self._note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
             return StageResult(request.digest, truncate(str(error)), error.code)
@@ -89,9 +97,21 @@ class BundleReceiver:
         )
         return StageResult(request.digest)
 
-    def info(self, digest: bytes) -> BundleInfo | None:
-        """The description of a stored bundle, None if it is not valid any more."""
-        if digest not in self._infos and (data := self._store.read(digest)) is not None:
+    def is_valid(self, digest: bytes) -> bool:
+        """Whether a bundle is stored and valid now: keys may have been revoked since it was received."""
+        data = self._files.read(digest)
+        try:
+            return data is not None and self._verify(data).digest == digest
+        except LfieldError:
+            return False
+
+    def infos(self, most: int) -> list[BundleInfo]:
+        """The newest stored bundles that are valid."""
+        found = [self._info(digest) for digest in self._files.stored()[:most]]
+        return [info for info in found if info is not None]
+
+    def _info(self, digest: bytes) -> BundleInfo | None:
+        if digest not in self._infos and (data := self._files.read(digest)) is not None:
             try:
                 self._infos[digest] = self._verify(data)
             except LfieldError:

@@ -10,6 +10,7 @@ A file is on disk before a method returns. Raises OutputFileError where it canno
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from collections.abc import Collection, Iterator
 from contextlib import suppress
@@ -24,7 +25,7 @@ from lfield.mission.bundle import SUFFIX
 from lfield.service.ballots import ActivationState
 from lfield.text.secure_files import private_folder, read_private, write_private
 from lfield.wire.bundle_pieces import Piece, piece_of, split
-from lfield.wire.fields import Hash
+from lfield.wire.fields import Hash, Text
 
 #: The largest state file, in bytes, and free space that a piece must leave.
 MAX_STATE, RESERVE = 4 << 20, 16 << 20
@@ -36,13 +37,14 @@ class RunRecord(Struct, frozen=True):
     """The mission's host that should run: its bundle, and the boot of the computer in which it was started.
 
     `bundle` is b"" when nothing should run. `pid` and `started` (clock ticks after the boot) identify the
-    process, 0 before it was started.
+    process, 0 before it was started. `unsafe` is why the vehicles of the last host may not be at rest.
     """
 
     bundle: Hash = b""
     boot: str = ""
     pid: Annotated[int, Meta(ge=0)] = 0
     started: Annotated[int, Meta(ge=0)] = 0
+    unsafe: Text = ""
 
 
 class ServiceRecord(Struct, frozen=True):
@@ -53,6 +55,8 @@ class ServiceRecord(Struct, frozen=True):
     held: bool = False
 
 
+#: The name of the file of a bundle. Others may put files there.
+_DIGEST = re.compile("[0-9a-f]{64}")
 _encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(ServiceRecord)
 
 
@@ -96,9 +100,7 @@ class BundleStore:
     def stored(self) -> list[bytes]:
         """The digests of the stored bundles, the newest first."""
         found = sorted(self._bundles.glob(f"*{SUFFIX}"), key=lambda file: file.stat().st_mtime, reverse=True)
-        with suppress(ValueError):
-            return [bytes.fromhex(file.stem) for file in found]
-        return []
+        return [bytes.fromhex(file.stem) for file in found if _DIGEST.fullmatch(file.stem)]
 
     def read(self, digest: bytes) -> bytes | None:
         """The bytes of a stored bundle, None without one."""
@@ -141,7 +143,7 @@ class BundleStore:
         shutil.rmtree(self._upload(file), ignore_errors=True)
         self._arrived.pop(file, None)
 
-    def prepare_upload(self, file: bytes) -> None:
+    def start_upload(self, file: bytes) -> None:
         """Make room for the pieces of a file: the oldest other uploads are removed."""
         folder = private_folder(self._upload(file))
         os.utime(folder)

@@ -57,6 +57,17 @@ class LocalProcesses:
         self._children[child.pid] = child
         return ProcessId(child.pid, _started(child.pid) or 0)
 
+    def find(self, bundle: bytes) -> ProcessId | None:
+        """The process of the host of a bundle that an earlier service has started; None without one."""
+        expected = {b"up", os.fsencode(self._bundle_path(bundle)), f"--host={self._host}".encode()}
+        for folder in Path("/proc").iterdir():
+            with suppress(OSError):
+                if folder.name.isdigit() and expected <= {*(folder / "cmdline").read_bytes().split(b"\0")}:
+                    pid = int(folder.name)
+                    if (started := _started(pid)) is not None:
+                        return ProcessId(pid, started)
+        return None
+
     def is_alive(self, process: ProcessId) -> bool:
         """Whether the process still runs."""
         return _started(process.pid) == process.started

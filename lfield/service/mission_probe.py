@@ -82,18 +82,19 @@ class LocalProbe:
 
     async def hold(self) -> str:
         """See `MissionProbe`."""
-        return await self._pause(lift=False)
-
-    async def release(self) -> None:
-        """See `MissionProbe`."""
-        await self._pause(lift=True)
-
-    async def _pause(self, *, lift: bool) -> str:
         try:
-            answer = await self._ask(pause(lift=lift))
+            answer = await self._ask(pause(lift=False))
         except LfieldError as error:
-            return f"the mission's host cannot be {'resumed' if lift else 'paused'}: {error}"
+            return f"the mission's host cannot be paused: {error}"
         return "; ".join(f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble)
+
+    async def release(self) -> str:
+        """See `MissionProbe`."""
+        try:
+            await self._ask(pause(lift=True))
+        except LfieldError as error:
+            return f"the mission's host cannot be resumed: {error}"
+        return ""
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
         """See `MissionProbe`."""

@@ -7,15 +7,18 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from typing import NamedTuple, Protocol
 
+from lfield import exit_status
 from lfield.clock import Clock
+from lfield.errors import LfieldError, OutputFileError
 from lfield.event_loop import spawn
 from lfield.service import messages
 from lfield.service.bundle_store import RunRecord
 from lfield.service.restart_policy import RESTART_DELAY, judge
 from lfield.text.log_messages import LogLine
-from lfield.wire.fields import short_digest
+from lfield.wire.fields import short_digest, truncate
 from lfield.wire.service_messages import RunInfo, RunPhase
 
 #: The status of a host that ended without leaving one: killed, or after a crash of its computer.
@@ -46,6 +49,9 @@ class HostProcesses(Protocol):
     def start(self, bundle: bytes) -> ProcessId:
         """Start the host of a bundle. Raises LfieldError."""
 
+    def find(self, bundle: bytes) -> ProcessId | None:
+        """The process of the host of a bundle that an earlier service has started; None without one."""
+
     def is_alive(self, process: ProcessId) -> bool:
         """Whether the process still runs."""
 
@@ -64,15 +70,15 @@ class MissionRunner:
     ) -> None:
         self._record, self._processes, self._clock, self.note = record, processes, clock, note
         self._store: Callable[[], None] = lambda: None
-        self._refusal: Callable[[], str] = lambda: ""
+        self._refusal: Callable[[bytes], str] = lambda bundle: ""
         self._info = RunInfo()
         self._process: ProcessId | None = None
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
 
-    def attach(self, store: Callable[[], None], refusal: Callable[[], str]) -> None:
-        """Set what stores the record, and what says why no host may start."""
+    def attach(self, store: Callable[[], None], refusal: Callable[[bytes], str]) -> None:
+        """Set what stores the record, and what says why the host of a bundle may not start."""
         self._store, self._refusal = store, refusal
 
     @property
@@ -98,22 +104,31 @@ class MissionRunner:
         self._launch(bundle)
         self._supervision = spawn(self._supervise())
 
-    async def adopt(self) -> None:
+    def adopt(self) -> None:
         """Supervise the host that an earlier service has started, if it still runs."""
         record = self._record
+        if record.unsafe:
+            self._set_phase("ended", record.unsafe)
         if not record.bundle:
             return
-        process = ProcessId(record.pid, record.started)
-        is_same_boot = record.boot == self._processes.boot
-        if is_same_boot and record.pid and self._processes.is_alive(process):
-            self._process = process
-            self._set_phase("running", "", record.bundle)
-            self.note(messages.HOST_ADOPTED.line(bundle=short_digest(record.bundle), pid=record.pid))
-            self._supervision = spawn(self._supervise())
-        elif is_same_boot and record.pid:
-            self._supervision = spawn(self._supervise_ended(process))
-        else:
+        if record.boot != self._processes.boot:
             self._interrupt("this computer was restarted")
+            return
+        process: ProcessId | None = ProcessId(record.pid, record.started)
+        if not record.pid:
+            # The service has ended between the start of the process and the record of its number.
+            process = self._processes.find(record.bundle)
+        if process is None:
+            self._interrupt("the service has ended while it started the host")
+        elif self._processes.is_alive(process):
+            self._process = process
+            self._record_process(process)
+            self._set_phase("running", "", record.bundle)
+            self.note(messages.HOST_ADOPTED.line(bundle=short_digest(record.bundle), pid=process.pid))
+            self._supervision = spawn(self._supervise())
+        else:
+            self._set_phase("waiting", "it has ended while no service ran", record.bundle)
+            self._supervision = spawn(self._supervise_ended(process))
 
     async def stop(self, reason: str) -> None:
         """End the host in order: its devices come to rest first. Returns when it has ended."""
@@ -165,18 +180,21 @@ class MissionRunner:
         self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
         if self._is_stopping:
             return False
-        if not verdict.restarts or (refusal := self._refusal()):
-            self._forget()
-            self._set_phase("ended", verdict.reason if not verdict.restarts else refusal, bundle, end.status)
+        if not verdict.restarts or (refusal := self._refusal(bundle)):
+            self._end(verdict.reason if not verdict.restarts else refusal, bundle, end.status)
             return False
         self._set_phase("waiting", verdict.reason, bundle, end.status)
         self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
         await asyncio.sleep(RESTART_DELAY)
         self._restarts.append(self._clock.monotonic())
-        if refusal := self._refusal():
+        if refusal := self._refusal(bundle):
             self._interrupt(refusal)
             return False
-        self._launch(bundle)
+        try:
+            self._launch(bundle)
+        except LfieldError as error:
+            self._interrupt(str(error))
+            return False
         return True
 
     def _launch(self, bundle: bytes) -> None:
@@ -187,9 +205,20 @@ class MissionRunner:
         except BaseException:
             self._forget()
             raise
-        self._set_record(RunRecord(bundle, self._processes.boot, *self._process))
+        self._record_process(self._process)
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_STARTED.line(bundle=short_digest(bundle), pid=self._process.pid))
+
+    def _record_process(self, process: ProcessId) -> None:
+        """Store the number of the process; without it the next service finds the process by its bundle."""
+        with suppress(OutputFileError):
+            self._set_record(RunRecord(self._record.bundle, self._record.boot, *process))
+
+    def _end(self, reason: str, bundle: bytes, status: int) -> None:
+        """The host has ended for good. After a kill its vehicles may still move: that is stored."""
+        is_unsafe = status < 0 or status == exit_status.UNSAFE
+        self._forget(truncate(reason) if is_unsafe else "")
+        self._set_phase("ended", reason, bundle, status)
 
     def _interrupt(self, reason: str) -> None:
         bundle = self._record.bundle
@@ -197,9 +226,13 @@ class MissionRunner:
         self._set_phase("interrupted", reason, bundle)
         self.note(messages.HOST_INTERRUPTED.line(reason=reason))
 
-    def _forget(self) -> None:
-        if self._record != RunRecord():
-            self._set_record(RunRecord())
+    def _forget(self, unsafe: str = "") -> None:
+        """Nothing should run. On a full disk an old record stays: its process is then found to have ended."""
+        record = RunRecord(unsafe=unsafe)
+        with suppress(OutputFileError):
+            if self._record != record:
+                self._set_record(record)
+        self._record = record
 
     def _set_record(self, record: RunRecord) -> None:
         before, self._record = self._record, record

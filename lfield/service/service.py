@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Awaitable, Callable, Mapping
+from contextlib import suppress
 from typing import Protocol
 
 from msgspec.structs import replace
@@ -17,7 +18,7 @@ from lfield.clock import Clock
 from lfield.errors import LfieldError, OutputFileError, WireError
 from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
-from lfield.service.bundle_receiver import BundleReceiver, ServiceStore, Verify
+from lfield.service.bundle_receiver import BundleFiles, BundleReceiver, Verify
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import MissionRunner
 from lfield.text.log_messages import LogLine
@@ -47,6 +48,13 @@ from lfield.wire.service_messages import (
 RESOLVE_EVERY, CLOSE_AFTER = 3.0, 30.0
 
 
+class ServiceFiles(BundleFiles, Protocol):
+    """The disk of a service (`bundle_store.BundleStore`)."""
+
+    def save(self, record: ServiceRecord) -> None:
+        """Replace the state. Raises OutputFileError."""
+
+
 class MissionProbe(Protocol):
     """Looks at the mission's host and its journals (`mission_probe.JournalProbe`)."""
 
@@ -62,8 +70,8 @@ class MissionProbe(Protocol):
     async def hold(self) -> str:
         """Pause the running host, so that nothing arms; returns why it is not at rest, '' if it is."""
 
-    async def release(self) -> None:
-        """Resume the host that `hold` has paused."""
+    async def release(self) -> str:
+        """Resume the host that `hold` has paused; returns why it is still paused, '' if it is not."""
 
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
@@ -86,20 +94,23 @@ class Service:
         self,
         host: str,
         record: ServiceRecord,
-        store: ServiceStore,
+        store: ServiceFiles,
         runner: MissionRunner,
         probe: MissionProbe,
         verify: Verify,
         clock: Clock,
     ) -> None:
         self._host, self._store, self._runner, self._probe = host, store, runner, probe
-        self._receiver, self._clock = BundleReceiver(store, verify, runner.note), clock
+        self._clock = clock
         self._activation, self._held = record.activation, record.held
         #: Held while a vote is made or a command executed: one decision at a time.
         self._lock = asyncio.Lock()
         #: When the open ballot was voted for (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
-        runner.attach(self._store_run, lambda: self._start_refusal())
+        self._bundles = BundleReceiver(
+            store, verify, lambda: [self._activation.active, self._activation.previous], self.note
+        )
+        runner.attach(self._store_run, self._start_refusal)
 
     @property
     def activation(self) -> ActivationState:
@@ -116,11 +127,11 @@ class Service:
             case ServiceQuery():
                 return await self.status()
             case BundleOffer():
-                return self._receiver.on_offer(message)
+                return self._bundles.on_offer(message)
             case BundlePiece():
-                return self._receiver.on_piece(message)
+                return self._bundles.on_piece(message)
             case StageRequest():
-                return self._receiver.on_stage(message, [self._activation.active, self._activation.previous])
+                return self._bundles.on_stage(message)
             case Proposal():
                 async with self._lock:
                     return await self._on_proposal(message.ballot)
@@ -140,7 +151,6 @@ class Service:
     async def status(self) -> ServiceStatus:
         """The state of the service."""
         state = self._activation
-        stored = [self._receiver.info(digest) for digest in self._store.stored()[:MAX_BUNDLES]]
         unfinished = await self._probe.unfinished()
         run = self._runner.info
         if self._runner.is_running and run.phase == "running":
@@ -150,7 +160,7 @@ class Service:
             __version__,
             state.active,
             state.previous,
-            [info for info in stored if info is not None],
+            self._bundles.infos(MAX_BUNDLES),
             run,
             state.ballot,
             unfinished[:MAX_UNFINISHED],
@@ -164,18 +174,24 @@ class Service:
         known = ballots.answer(self._activation, self._host, ballot.id)
         if known.ballot is not None or known.outcome != "open":
             return known
-        refusal = "" if self._host in ballot.hosts else f"{self._host} does not take part in this ballot"
-        if not refusal and self._activation.open_ballot is None:
+        if self._host not in ballot.hosts:
+            raise WireError(f"{self._host} does not take part in this ballot")
+        refusal = ""
+        if self._activation.open_ballot is None:
             refusal = await self._refusal(ballot.digest)
             if not refusal and ballot.digest != self._activation.active:
-                refusal = await self._hold()
-        self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
+                # Again when nothing can arm any more: a vehicle may have started in between.
+                refusal = await self._hold() or await self._refusal(ballot.digest)
+        try:
+            self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
+        finally:
+            if self._activation.open_ballot is None:
+                await self._release()
         found = ballots.answer(self._activation, self._host, ballot.id)
         reason = found.reasons.get(self._host, "")
-        vote = found.votes[self._host]
         self.note(
             messages.VOTED.line(
-                vote=vote,
+                vote=found.votes[self._host],
                 bundle=short_digest(ballot.digest),
                 by=ballot.by,
                 reason=f": {reason}" if reason else "",
@@ -209,9 +225,10 @@ class Service:
         await self._release()
 
     async def _end_other_bundle(self) -> None:
-        if self._runner.is_running and self._runner.info.bundle != self._activation.active:
+        if self._runner.record.bundle not in (b"", self._activation.active):
+            # A pause is in the journal: the host of the next bundle would start paused.
+            await self._release()
             await self._runner.stop("another bundle was activated")
-        self._set_held(False)
 
     async def _hold(self) -> str:
         """Pause a running host, so that nothing arms before the result; returns why it is not at rest."""
@@ -223,49 +240,68 @@ class Service:
         return refusal
 
     async def _release(self) -> None:
-        """Resume the host if the service has paused it."""
-        if self._held:
-            if self._runner.is_running:
-                await self._probe.release()
+        """Resume the host if the service has paused it; one that does not run now, when it runs again."""
+        if self._held and self._runner.is_running and not await self._probe.release():
             self._set_held(False)
 
     async def _refusal(self, digest: bytes | None) -> str:
         """Why this host would vote no, '' if it would not. `digest` is None for any other bundle."""
         if digest is not None and digest == self._activation.active:
             return ""
-        if digest and (self._store.read(digest) is None or self._receiver.info(digest) is None):
+        if digest and not self._bundles.is_valid(digest):
             return "the bundle is not stored here, or its signature is not valid any more"
-        if self._runner.is_running and (why := await self._probe.vehicles()):
+        if why := await self._motion():
             return why
         if unfinished := await self._probe.unfinished():
             names = [f"{each.agent} ({each.state})" for each in unfinished[:MAX_UNFINISHED]]
             return f"coordinators have not ended: {listed(names)}; let them end, or 'lfield stop --discard'"
         return ""
 
+    async def _motion(self) -> str:
+        """Why the vehicles of the mission's host may not be at rest on the ground; '' if they are."""
+        if self._runner.is_running:
+            return await self._probe.vehicles()
+        if self._runner.info.phase == "waiting":
+            return f"the mission's host restarts: {self._runner.info.reason}"
+        if unsafe := self._runner.record.unsafe:
+            return f"the mission's host has ended ({unsafe}): check its vehicles, then 'lfield stop'"
+        return ""
+
     async def resolve(self, ask: AskPeer) -> None:
-        """Ask the other hosts of an open ballot, every few seconds, for ever."""
+        """Every few seconds: ask the other hosts of an open ballot, or complete what a result requires.
+
+        Does not return. On a full disk the next round tries again.
+        """
         while True:
             await asyncio.sleep(RESOLVE_EVERY)
-            bound = self._activation.open_ballot
-            if bound is None or bound.ballot is None or self._bound_since is None:
-                continue
-            waited = self._clock.monotonic() - self._bound_since
-            missing = [host for host in ballots.missing_votes(bound) if host != self._host]
-            if waited >= CLOSE_AFTER:
-                self.note(
-                    messages.BALLOT_OPEN.line(
-                        bundle=short_digest(bound.ballot.digest), seconds=waited, missing=listed(missing)
-                    )
+            with suppress(OutputFileError):
+                bound = self._activation.open_ballot
+                if bound is None:
+                    await self.settle()
+                else:
+                    await self._ask_for_votes(bound, ask)
+
+    async def _ask_for_votes(self, bound: BallotState, ask: AskPeer) -> None:
+        since = self._bound_since
+        waited = 0.0 if since is None else self._clock.monotonic() - since
+        missing = [host for host in ballots.missing_votes(bound) if host != self._host]
+        if closes := waited >= CLOSE_AFTER:
+            self.note(
+                messages.BALLOT_OPEN.line(
+                    bundle=short_digest(bound.ballot.digest) if bound.ballot is not None else "",
+                    seconds=waited,
+                    missing=listed(missing),
                 )
-            query = VoteQuery(bound.id, closes=waited >= CLOSE_AFTER)
-            answers = await asyncio.gather(*(ask(host, query) for host in missing), return_exceptions=True)
-            votes: dict[str, Vote] = {}
-            for answer in answers:
-                if isinstance(answer, BallotState):
-                    votes |= answer.votes
-                elif not isinstance(answer, LfieldError):
-                    raise answer
-            await self.on_votes(bound.id, votes)
+            )
+        query = VoteQuery(bound.id, closes=closes)
+        answers = await asyncio.gather(*(ask(host, query) for host in missing), return_exceptions=True)
+        votes: dict[str, Vote] = {}
+        for answer in answers:
+            if isinstance(answer, BallotState):
+                votes |= answer.votes
+            elif not isinstance(answer, LfieldError):
+                raise answer
+        await self.on_votes(bound.id, votes)
 
     # --- commands -------------------------------------------------------------------------------------
 
@@ -276,8 +312,8 @@ class Service:
             if gone:
                 self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
             return CommandResult(self._runner.info, discarded=gone[:MAX_UNFINISHED])
-        refusal = self._start_refusal()
         active = self._activation.active
+        refusal = self._start_refusal(active)
         if not refusal and command.digest not in (b"", active):
             refusal = (
                 f"bundle {short_digest(command.digest)} is not active here, but "
@@ -289,27 +325,33 @@ class Service:
                 refusal = await self._probe.start_without(command.without)
         return CommandResult(self._runner.info, refusal)
 
-    def _start_refusal(self) -> str:
-        """Why no mission may start here now; '' if one may."""
+    def _start_refusal(self, bundle: bytes) -> str:
+        """Why the host of a bundle may not start here now; '' if it may."""
         bound = self._activation.open_ballot
         if bound is not None:
             missing = listed(ballots.missing_votes(bound))
             return f"the activation of a bundle is not decided yet: the votes of {missing} are unknown"
         if not self._activation.active:
             return "no bundle is active: 'lfield push' sends and activates one"
+        if bundle != self._activation.active:
+            return f"bundle {short_digest(bundle)} is not active any more"
         return ""
 
     # --- state ----------------------------------------------------------------------------------------
 
-    async def reconcile(self) -> None:
-        """After a start of the service: supervise a host that runs, and end one of another bundle."""
-        await self._runner.adopt()
-        if self._activation.open_ballot is None:
-            await self._release()
-            await self._end_other_bundle()
+    def adopt(self) -> None:
+        """After a start of the service: supervise a host that runs. Before the first request."""
+        self._runner.adopt()
+
+    async def settle(self) -> None:
+        """Complete what the last result requires, for instance after a restart of the service."""
+        async with self._lock:
+            if self._activation.open_ballot is None:
+                await self._end_other_bundle()
+                await self._release()
 
     def _store_activation(self, changed: ActivationState) -> None:
-        """ServiceStore a state, then use it. Raises OutputFileError; then nothing has changed."""
+        """Store a state, then use it. Raises OutputFileError; then nothing has changed."""
         if changed == self._activation:
             return
         self._save(ServiceRecord(changed, self._runner.record, self._held))

@@ -77,10 +77,12 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     server = ServiceServer(host, service, transport, clock, random.Random(secrets.randbits(64)), admission)
     signals = ShutdownSignals(clock)
     install_signal_handlers(signals)
+    # Before a request can arrive: a vote depends on the host that runs.
+    service.adopt()
     address = await server.listen(options.listen)
     active = short_digest(service.activation.active) or "none"
     service.note(messages.LISTENING.line(host=host, address=address, bundle=active))
-    await service.reconcile()
+    await service.settle()
     tasks = [
         spawn(service.resolve(partial(_ask_peer, transport, options.peers))),
         spawn(_reauthorise(server)),
