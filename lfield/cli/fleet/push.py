@@ -76,9 +76,12 @@ def _push(
     desk: FleetDesk, what: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport
 ) -> int:
     """Send the bundle, then vote."""
-    sent, failed = split_answers(
-        asyncio.run(_upload_all(desk, what, hosts, args.patience, report.on_progress))
-    )
+    # A host that is off is not waited for, but named.
+    _, silent = split_answers(desk.statuses(hosts))
+    reached = [host for host in hosts if host not in silent]
+    sending = _upload_all(desk, what, reached, args.patience, report.on_progress)
+    sent, failed = split_answers(asyncio.run(sending))
+    failed |= silent
     report.on_sent(sent, what.size)
     refused = [host for host, progress in sent.items() if progress.refusal]
     if failed or refused:

@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield import __version__
 from lfield.errors import KeysError, UsageError
 from lfield.text.suggestions import did_you_mean, listed
 
@@ -48,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield.host.process.credentials import HostCredentials
     from lfield.inventory.inventory_file import find_inventory
     from lfield.service.service_process import ServiceOptions, run_service
+    from lfield.service.version_state import versioned_state
     from lfield.text.user_dirs import state_dir
 
     inventory = find_inventory(args.inventory, os.environ)
@@ -60,11 +62,11 @@ def run(args: argparse.Namespace) -> int:
             f"{args.host} has no keys: 'lfield provision {args.host}' makes and copies them, or name their "
             "directory with --keys"
         )
-    state = args.state or state_dir()
+    state = versioned_state(args.state or state_dir(), __version__)
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
     options = ServiceOptions(
-        args.host, state, host.service_address, peers, _up_options(args, inventory), args.json
+        args.host, state, host.service_address, peers, _up_options(args, inventory, state), args.json
     )
     credentials = HostCredentials(keystore.read_keys(found, "host"), folders)
     return event_loop.run(run_service(options, credentials))
@@ -78,13 +80,13 @@ def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
     return inventory.hosts[host]
 
 
-def _up_options(args: argparse.Namespace, inventory: Inventory) -> list[str]:
+def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
     """The options of the mission's host: where the others are, its keys, and its own devices file."""
-    found = [*UP_OPTIONS]
+    found = [*UP_OPTIONS, f"--state={state}"]
+    for name, each in inventory.hosts.items():
+        found += ["--map", f"{name}={each.addresses[0]}"]
     if args.keys is not None:
         found.append(f"--keys={args.keys}")
-    if args.state is not None:
-        found.append(f"--state={args.state}")
     devices = inventory.hosts[args.host].devices
     if devices is not None:
         found.append(f"--devices={devices}")

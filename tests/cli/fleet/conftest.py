@@ -1,0 +1,19 @@
+"""Robots with services, as processes on this computer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import pytest
+from robots import Robots
+
+
+@pytest.fixture
+def robots(lfield, alone) -> Iterator[Callable[..., Robots]]:
+    """`robots("alpha", "bravo")`: their inventory and keys; nothing runs yet."""
+
+    def prepare(*hosts: str) -> Robots:
+        return Robots(lfield, hosts, alone["XDG_RUNTIME_DIR"])
+
+    yield prepare
+    lfield.end()

@@ -1,0 +1,122 @@
+"""What services and desks refuse: strangers, wrong signers and addresses, two desks at once, full disks."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+
+import pytest
+from robots import told
+
+from lfield.authority.identity import Right
+from lfield.authority.keystore import read_keys
+from lfield.operator.client import observer_transport
+from lfield.operator.fleet.activation import new_ballot
+from lfield.operator.fleet.service_link import open_service_link
+from lfield.wire.service_messages import BallotState, Proposal, VoteReport
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def team(lfield, robots):
+    made = robots("alpha", "bravo")
+    made.up()
+    made.mission()
+    return made
+
+
+def test_a_bundle_by_a_person_without_the_right_is_refused_by_every_robot(lfield, here, team) -> None:
+    assert here("build", "mission.dL").status == 0
+    lfield.keys.put("me", lfield.keys.made("person", "maria", Right.OBSERVE, Right.OPERATE))
+    refused = here("push", "mission.dL")
+    assert refused.status == 65
+    assert "command" in " ".join(refused.err)
+    assert here("status").status == 0
+    # The services refuse a request of such a person, whatever the bundle.
+    lfield.keys.put("me", lfield.keys.made("person", "anna", Right.OBSERVE, Right.OPERATE, Right.COMMAND))
+    assert here("sign", "mission.lfm").status == 0
+    lfield.keys.put("me", lfield.keys.made("person", "maria", Right.OBSERVE, Right.OPERATE))
+    refused = here("push", "mission.lfm")
+    assert refused.status == 69
+    assert "takes the right to command" in " ".join(refused.err)
+    for command in (("start",), ("stop",), ("rollback",)):
+        assert here(*command).status != 0
+    assert {each["bundle"] for each in told(here("status", "--json")).values()} == {""}
+
+
+def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield, here, team) -> None:
+    """Signed by keys of another authority, and pushed by a person who may."""
+    from lfield.testing.keyring import Keyring
+
+    assert here("build", "mission.dL").status == 0
+    Keyring(lfield.folder / "other").sign(lfield.folder / "mission.lfm")
+    refused = here("push", "mission.lfm", "--json")
+    assert (refused.status, told(refused)["outcome"]) == (1, "staged")
+    assert {each["code"] for each in told(refused)["sent"].values()} == {"signature"}
+
+
+def test_an_address_of_another_robot_is_found_by_its_certificate(lfield, here, team) -> None:
+    text = team.inventory.read_text()
+    (mission, service), (other_mission, other_service) = team.ports["alpha"], team.ports["bravo"]
+    text = text.replace(str(mission), "M").replace(str(service), "S")
+    text = text.replace(str(other_mission), str(mission)).replace(str(other_service), str(service))
+    team.inventory.write_text(text.replace("M", str(other_mission)).replace("S", str(other_service)))
+    refused = here("push", "mission.dL")
+    assert refused.status == 69
+    assert "bravo answered at the address of alpha" in " ".join(refused.err)
+
+
+def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team) -> None:
+    team.inventory.write_text(team.inventory.read_text().replace("bravo:", "brovo:"))
+    refused = here("push", "mission.dL")
+    assert refused.status == 64
+    assert "has no host 'bravo': did you mean 'brovo'?" in refused.err[0]
+
+
+def test_of_two_desks_at_once_the_second_is_refused_until_the_first_is_decided(lfield, here, team) -> None:
+    assert here("push", "mission.dL", "--stage").status == 0
+    digest = bytes.fromhex(told(here("status", "--json"))["alpha"]["stored"][0])
+    keys = read_keys(lfield.folder / "config/lfield/keys/me", "person")
+    ballot = new_ballot(digest, ["alpha", "bravo"], [], "anna")
+
+    async def send(host: str, message) -> BallotState:
+        address = f"127.0.0.1:{team.ports[host][1]}"
+        async with open_service_link(observer_transport(keys), address, host, None) as link:
+            return await link.ask(message, BallotState)
+
+    assert asyncio.run(send("alpha", Proposal(ballot))).votes == {"alpha": "yes"}
+    second = here("push", "mission.dL", "--json")
+    assert (second.status, told(second)["outcome"]) == (1, "aborted")
+    assert "by anna" in told(second)["reasons"]["alpha"]
+    # Bound by the first ballot, it starts nothing.
+    assert here("start").status == 1
+    assert asyncio.run(send("bravo", Proposal(ballot))).votes == {"bravo": "yes"}
+    # The two settle it among themselves, without the desk.
+    team.services["alpha"].wait_for("active, decided by the votes of alpha and bravo")
+    team.services["bravo"].wait_for("active, decided by the votes of alpha and bravo")
+    assert asyncio.run(send("alpha", VoteReport(ballot.id, {}))).outcome == "activated"
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
+def test_a_full_disk_is_named_and_nothing_is_lost(lfield, here, robots) -> None:
+    import subprocess
+
+    team = robots("alpha", "bravo")
+    disk = lfield.folder / "state-bravo"
+    disk.mkdir(mode=0o700)
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=15m,mode=700", "lfield-test", disk], check=False
+    )
+    if mounted.returncode:
+        pytest.fail("a tmpfs cannot be mounted here")
+    try:
+        team.up()
+        team.mission()
+        refused = here("push", "mission.dL", "--json")
+        assert (refused.status, told(refused)["outcome"]) == (1, "staged")
+        assert "16 MiB" in told(refused)["sent"]["bravo"]["refusal"]
+        assert here("status").status == 0
+    finally:
+        lfield.end()
+        subprocess.run(["umount", "-l", disk], check=True)

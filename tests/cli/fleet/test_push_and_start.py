@@ -1,0 +1,142 @@
+"""A bundle on all robots or none, and missions that start and stop from the desk."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+
+import pytest
+from robots import told
+
+pytestmark = pytest.mark.process
+
+
+def until(condition, seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.1)
+
+
+def is_up(here, host: str) -> bool:
+    """Whether the mission's host runs, and waits for nothing."""
+    run = told(here("status", "--json"))[host]["run"]
+    return (run["phase"], run["reason"]) == ("running", "")
+
+
+def test_a_mission_is_pushed_started_changed_and_rolled_back(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission()
+    first = told(here("push", "mission.dL", "--json"))
+    assert first["outcome"] == "activated"
+    assert first["votes"] == {"alpha": "yes", "bravo": "yes"}
+
+    began = here("start", "--json")
+    assert (began.status, told(began)["started"]) == (0, True)
+    team.services["bravo"].wait_for("^visit 1$")
+    team.services["alpha"].wait_for("status 0")
+    until(lambda: not any(each["unfinished"] for each in told(here("status", "--json")).values()))
+
+    team.mission(text="call")
+    second = told(here("push", "mission.dL", "--json"))
+    assert second["outcome"] == "activated"
+    # Only what changed is sent.
+    assert 0 < second["sent"]["alpha"]["bytes"] < first["sent"]["alpha"]["bytes"] / 2
+    assert here("start").status == 0
+    team.services["bravo"].wait_for("^call 1$")
+    until(lambda: told(here("status", "--json"))["alpha"]["run"]["phase"] == "ended")
+
+    back = told(here("rollback", "--json"))
+    assert (back["outcome"], back["bundle"]) == ("activated", first["bundle"])
+    states = told(here("status", "--json"))
+    assert {each["bundle"] for each in states.values()} == {first["bundle"]}
+    assert {each["signed_by"] for each in states.values()} == {"operator"}
+    shown = here("status")
+    assert [line.split()[:3] for line in shown.out[1:3]] == [
+        [host, first["bundle"][:16], "mission"] for host in ("alpha", "bravo")
+    ]
+
+
+def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_discarded(
+    lfield, here, robots
+) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission(rounds=1000, pause=0.5)
+    assert here("push", "mission.dL").status == 0
+    assert here("start").status == 0
+    team.services["bravo"].wait_for("^visit 2$")
+    team.mission()
+    refused = here("push", "mission.dL", "--json")
+    assert (refused.status, told(refused)["outcome"]) == (1, "aborted")
+    assert any("tom" in reason for reason in told(refused)["reasons"].values())
+
+    stopped = told(here("stop", "--json"))
+    assert [each["phase"] for each in stopped.values()] == ["stopped", "stopped"]
+    unfinished = [each["unfinished"] for each in told(here("status", "--json")).values()]
+    assert {one["agent"] for found in unfinished for one in found} == {"tom"}
+    assert here("push", "mission.dL").status == 1
+    # It continues where it was, until it is discarded.
+    assert here("start").status == 0
+    team.services["bravo"].wait_for("restarted")
+    gone = told(here("stop", "--discard", "--json"))
+    assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
+    assert here("push", "mission.dL").status == 0
+
+
+def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission(rounds=1000, pause=0.2)
+    assert here("push", "mission.dL").status == 0
+    assert here("start").status == 0
+    team.services["bravo"].wait_for("^visit 2$")
+    team.kill("bravo")
+    assert here("status").status == 69
+    team.up("bravo")
+    team.services["bravo"].wait_for("host of .* still running")
+    pid = team.state("bravo")["run"]["pid"]
+    # A host that is killed is started again.
+    os.kill(pid, signal.SIGKILL)
+    team.services["bravo"].wait_for("restarts in 2 s")
+    until(lambda: team.state("bravo")["run"]["pid"] not in (0, pid))
+    until(lambda: is_up(here, "bravo"))
+    # One that ended while no service ran, too.
+    team.kill("bravo")
+    pid = team.state("bravo")["run"]["pid"]
+    os.kill(pid, signal.SIGKILL)
+    team.up("bravo")
+    team.services["bravo"].wait_for("restarts in 2 s")
+    # The end of a service in order ends the mission's host.
+    until(lambda: is_up(here, "bravo"))
+    team.services["bravo"].signal(signal.SIGTERM)
+    assert team.services["bravo"].wait() == 0
+    team.services["bravo"].wait_for("ended with status 130")
+
+
+def test_a_host_that_is_off_is_named_before_the_vote_and_cannot_start_with_the_old_bundle(
+    lfield, here, robots
+) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission()
+    old = told(here("push", "mission.dL", "--json"))["bundle"]
+    team.kill("bravo")
+    team.mission(text="call")
+    missed = here("push", "mission.dL", "--json")
+    assert (missed.status, told(missed)["outcome"]) == (69, "staged")
+    assert list(told(missed)["errors"]) == ["bravo"]
+    assert any("bravo: NOT REACHED" in line for line in missed.err)
+    new = told(here("push", "mission.dL", "--without", "bravo", "--json"))
+    assert (new["outcome"], new["votes"]) == ("activated", {"alpha": "yes"})
+
+    team.up("bravo")
+    states = told(here("status", "--json"))
+    assert (states["alpha"]["bundle"], states["bravo"]["bundle"]) == (new["bundle"], old)
+    refused = here("start", "--json")
+    assert (refused.status, told(refused)["started"]) == (1, False)
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
+    assert here("start").status == 0
+    team.services["bravo"].wait_for("^call 1$")
