@@ -30,7 +30,7 @@ class ActivationState(Struct, frozen=True):
     """The durable state of a host: its active bundle, the earlier ones (newest last), and its last ballot.
 
     `past` are the decided ballots before that, without their proposals: another host may still be bound by
-    one and ask for the votes. `closed` are ids of ballots in which this host has voted no without being bound.
+    one and ask for the votes. `closed` are ids of ballots in which this host voted no without being bound.
     """
 
     active: Hash = b""
