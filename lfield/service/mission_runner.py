@@ -98,8 +98,10 @@ class MissionRunner:
 
     async def start(self, bundle: bytes) -> None:
         """Start the host of a bundle; nothing if it runs. Raises LfieldError."""
-        if self._supervision is not None and not self._supervision.done():
+        if self._process is not None:
             return
+        # A restart that waits would refuse, or start the host a second time.
+        await self._cancel_restart()
         self._restarts.clear()
         self._launch(bundle)
         self._supervision = spawn(self._supervise())
@@ -137,15 +139,19 @@ class MissionRunner:
             if self._process is not None:
                 self._set_phase("stopping", reason)
                 self._processes.terminate(self._process)
-            if self._supervision is not None:
-                if self._process is None:
-                    self._supervision.cancel()
-                await asyncio.gather(self._supervision, return_exceptions=True)
-                self._supervision = None
+                if self._supervision is not None:
+                    await asyncio.gather(self._supervision, return_exceptions=True)
+            else:
+                await self._cancel_restart()
         finally:
             self._is_stopping = False
         self._forget()
         self._set_phase("stopped", reason)
+
+    async def _cancel_restart(self) -> None:
+        if self._supervision is not None:
+            self._supervision.cancel()
+            await asyncio.gather(self._supervision, return_exceptions=True)
 
     def terminate_again(self) -> None:
         """Have a stopping host not wait for its devices."""

@@ -36,7 +36,10 @@ TEAM = "//Walker:tom@alpha?post\n//Post:post@bravo\n"
 def program(rounds: int = 1, pause: float = 0.0, text: str = "visit") -> str:
     """The program; `text` is what a post prints."""
     return (
-        PROGRAM.replace("ROUNDS", str(rounds)).replace("PAUSE", f"{pause:.1f}").replace("visit ", f"{text} ")
+        PROGRAM.replace("TABLE", PADDING)
+        .replace("ROUNDS", str(rounds))
+        .replace("PAUSE", f"{pause:.1f}")
+        .replace("visit ", f"{text} ")
     )
 
 

@@ -1,0 +1,238 @@
+"""A service without disk, processes and mission: what surrounds it, in memory."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from hashlib import sha256
+
+from lfield.errors import AddressError, BundleError, OutputFileError
+from lfield.service.ballots import ActivationState
+from lfield.service.bundle_store import RunRecord, ServiceRecord
+from lfield.service.mission_runner import HostEnd, MissionRunner, ProcessId
+from lfield.service.service import Service
+from lfield.simulate.jumping_loop import LoopClock
+from lfield.text.log_messages import LogLine
+from lfield.wire.bundle_pieces import Piece, piece_of
+from lfield.wire.service_messages import (
+    Ballot,
+    BallotState,
+    BundleInfo,
+    CommandResult,
+    MissionCommand,
+    Proposal,
+    UnfinishedCoordinator,
+    VoteQuery,
+)
+
+HOSTS = ["alpha", "bravo"]
+OLD, NEW = (sha256(name).digest() for name in (b"old", b"new"))
+WALKER = UnfinishedCoordinator("walker", "parked", "bravo", "patrol")
+
+
+class ServiceKilled(BaseException):
+    """The service ends here, as by SIGKILL."""
+
+
+def ballot(number: int = 1, digest: bytes = NEW, hosts: list[str] = HOSTS) -> Ballot:
+    return Ballot(number.to_bytes(16), digest, hosts, "anna")
+
+
+class FakeProcesses:
+    """See `HostProcesses`. The processes of one computer, which survive a service."""
+
+    def __init__(self) -> None:
+        self.boot = "first boot"
+        self.started: list[bytes] = []
+        self.alive: dict[int, bytes] = {}
+        self.ends: dict[int, asyncio.Future[HostEnd]] = {}
+        #: Raised by the next starts.
+        self.trouble: Exception | None = None
+        self.terminated: list[int] = []
+
+    def start(self, bundle: bytes) -> ProcessId:
+        if self.trouble is not None:
+            raise self.trouble
+        self.started.append(bundle)
+        pid = 100 + len(self.started)
+        self.alive[pid] = bundle
+        self.ends[pid] = asyncio.get_running_loop().create_future()
+        return ProcessId(pid, 7 * pid)
+
+    def find(self, bundle: bytes) -> ProcessId | None:
+        return next((ProcessId(pid, 7 * pid) for pid, each in self.alive.items() if each == bundle), None)
+
+    def is_alive(self, process: ProcessId) -> bool:
+        return process.pid in self.alive and process.started == 7 * process.pid
+
+    async def ended(self, process: ProcessId) -> HostEnd:
+        return await asyncio.shield(self.ends[process.pid])
+
+    def terminate(self, process: ProcessId) -> None:
+        self.terminated.append(process.pid)
+        self.end(0, "", process.pid)
+
+    def end(self, status: int, reason: str = "", pid: int = 0) -> None:
+        """The process, or the only one, ends."""
+        pid = pid or next(iter(self.alive))
+        del self.alive[pid]
+        self.ends[pid].set_result(HostEnd(status, reason))
+
+
+class FakeFiles:
+    """See `ServiceFiles`. `on_save` is called before each save with its number, after it with 0.5 more."""
+
+    def __init__(self) -> None:
+        self.record = ServiceRecord()
+        self.bundles: dict[bytes, bytes] = {}
+        self.saves = 0
+        self.is_full = False
+        self.on_save: Callable[[float], None] = lambda at: None
+
+    def save(self, record: ServiceRecord) -> None:
+        if self.is_full:
+            raise OutputFileError("state.json", "No space left on device")
+        self.saves += 1
+        self.on_save(self.saves)
+        self.record = record
+        self.on_save(self.saves + 0.5)
+
+    def stored(self) -> list[bytes]:
+        return list(self.bundles)
+
+    def read(self, digest: bytes) -> bytes | None:
+        return self.bundles.get(digest)
+
+    def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None:
+        self.bundles[digest] = data
+
+    def start_upload(self, file: bytes) -> None:
+        self.pieces: dict[int, bytes] = {}
+
+    def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]:
+        return [
+            first + n
+            for n, piece in enumerate(pieces)
+            if first + n not in self.pieces or piece_of(self.pieces[first + n]) != piece
+        ]
+
+    def put(self, file: bytes, number: int, data: bytes) -> None:
+        self.pieces[number] = data
+
+    def joined(self, file: bytes) -> bytes:
+        return b"".join(data for _, data in sorted(self.pieces.items()))
+
+    def drop(self, file: bytes) -> None:
+        self.pieces.clear()
+
+
+@dataclass
+class FakeProbe:
+    """See `MissionProbe`: what the mission of this computer does."""
+
+    motion: str = ""
+    waiting: list[UnfinishedCoordinator] = field(default_factory=list)
+    paused: bool = False
+    hold_trouble: str = ""
+    release_trouble: str = ""
+    without: list[str] = field(default_factory=list)
+    #: Called when a pause has been requested, before it is answered.
+    on_hold: Callable[[], None] = lambda: None
+
+    async def vehicles(self) -> str:
+        await asyncio.sleep(0.1)
+        return self.motion
+
+    async def unfinished(self) -> list[UnfinishedCoordinator]:
+        await asyncio.sleep(0.1)
+        return self.waiting
+
+    async def is_paused(self) -> bool:
+        return self.paused
+
+    async def hold(self) -> str:
+        await asyncio.sleep(0.1)
+        self.paused = not self.hold_trouble
+        self.on_hold()
+        return self.hold_trouble
+
+    async def release(self) -> str:
+        await asyncio.sleep(0.1)
+        self.paused = self.paused and bool(self.release_trouble)
+        return self.release_trouble
+
+    async def condition(self) -> str:
+        return "paused" if self.paused else ""
+
+    async def start_without(self, hosts: list[str]) -> str:
+        self.without = hosts
+        return ""
+
+    async def discard(self) -> list[str]:
+        names, self.waiting = [each.agent for each in self.waiting], []
+        return names
+
+
+class Robot:
+    """One computer with its disk, processes and mission; `boot_service` starts its service (again)."""
+
+    service: Service
+    runner: MissionRunner
+
+    def __init__(self, active: bytes = OLD, host: str = "alpha") -> None:
+        self.host = host
+        self.files, self.processes, self.probe = FakeFiles(), FakeProcesses(), FakeProbe()
+        self.files.bundles = {OLD: b"old", NEW: b"new"}
+        self.files.record = ServiceRecord(ActivationState(active=active))
+        self.log: list[LogLine] = []
+
+    def boot_service(self) -> Service:
+        clock = LoopClock()
+        record = self.files.record
+        self.runner = MissionRunner(record.run, self.processes, clock, self.log.append)
+        self.service = Service(self.host, record, self.files, self.runner, self.probe, self._verify, clock)
+        self.service.adopt()
+        return self.service
+
+    def _verify(self, data: bytes) -> BundleInfo:
+        if data not in (b"old", b"new"):
+            raise BundleError("it is no bundle")
+        return BundleInfo(sha256(data).digest(), data.decode())
+
+    def kill_service(self) -> None:
+        """Only what is on disk stays."""
+        self.runner.detach()
+
+    # --- what desks and other services send ------------------------------------------------------------
+
+    async def propose(self, proposal: Ballot | None = None) -> BallotState:
+        answer = await self.service.answer(Proposal(proposal or ballot()), "anna")
+        assert isinstance(answer, BallotState)
+        return answer
+
+    async def query(self, id: bytes, *, closes: bool = False) -> BallotState:
+        answer = await self.service.answer(VoteQuery(id, closes), "bravo")
+        assert isinstance(answer, BallotState)
+        return answer
+
+    async def command(self, command: MissionCommand) -> CommandResult:
+        answer = await self.service.answer(command, "anna")
+        assert isinstance(answer, CommandResult)
+        return answer
+
+    async def start(self) -> CommandResult:
+        return await self.command(MissionCommand("start"))
+
+    @property
+    def codes(self) -> list[str]:
+        """The codes of the log lines."""
+        return [line.code for line in self.log]
+
+
+async def unreachable(host: str, query: VoteQuery) -> BallotState:
+    raise AddressError(host, "no answer")
+
+
+def run_of(bundle: bytes, pid: int = 0, boot: str = "first boot") -> RunRecord:
+    return RunRecord(bundle, boot, pid, 7 * pid)

@@ -1,0 +1,342 @@
+"""The mission's host as a process: restarts after crashes, adoption by the next service, stops."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from service_fakes import NEW, OLD, FakeProcesses, run_of
+
+from lfield import exit_status
+from lfield.errors import OutputFileError
+from lfield.service.bundle_store import RunRecord
+from lfield.service.mission_runner import MissionRunner
+from lfield.service.restart_policy import MAX_RESTARTS, PERIOD, RESTART_DELAY, judge
+from lfield.simulate.jumping_loop import LoopClock, run_jumping
+
+#: Longer than the delay of a restart.
+SOON = RESTART_DELAY + 1.0
+
+
+class Computer:
+    """A runner on fake processes, whose record is stored in memory."""
+
+    runner: MissionRunner
+
+    def __init__(self) -> None:
+        self.processes, self.disk = FakeProcesses(), RunRecord()
+        self.refusal, self.is_full = "", False
+        self.boot()
+
+    def boot(self) -> None:
+        """Another service starts."""
+        self.runner = MissionRunner(self.disk, self.processes, LoopClock(), lambda line: None)
+        self.runner.attach(self._store, lambda bundle: self.refusal)
+
+    def _store(self) -> None:
+        if self.is_full:
+            raise OutputFileError("state.json", "No space left on device")
+        self.disk = self.runner.record
+
+
+@pytest.mark.parametrize("status", [exit_status.SOFTWARE, exit_status.UNAVAILABLE, -9, -11])
+def test_after_a_crash_it_is_restarted(status: int) -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.processes.end(status)
+        await asyncio.sleep(0.5 * RESTART_DELAY)
+        assert computer.runner.info.phase == "waiting"
+        await asyncio.sleep(RESTART_DELAY)
+        assert computer.processes.started == [OLD, OLD]
+        assert computer.runner.info.phase == "running"
+        assert computer.disk == run_of(OLD, 102)
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize(
+    "status",
+    [
+        exit_status.DONE,
+        exit_status.FAILED,
+        exit_status.UNSAFE,
+        exit_status.UNKNOWN_OUTCOME,
+        exit_status.USAGE,
+        exit_status.DATA,
+        exit_status.NO_INPUT,
+        exit_status.NO_OUTPUT,
+        exit_status.PROTOCOL,
+        exit_status.INTERRUPTED,
+    ],
+)
+def test_an_end_in_order_is_no_crash(status: int) -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.processes.end(status, "why")
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD]
+        info = computer.runner.info
+        assert (info.phase, info.status, info.reason) == ("ended", status, "why")
+        assert computer.disk.bundle == b""
+        assert bool(computer.disk.unsafe) is (status == exit_status.UNSAFE)
+
+    run_jumping(story())
+
+
+def test_it_is_restarted_five_times_in_ten_minutes_at_most() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        for _ in range(MAX_RESTARTS + 1):
+            computer.processes.end(-11)
+            await asyncio.sleep(SOON)
+        assert len(computer.processes.started) == MAX_RESTARTS + 1
+        assert computer.runner.info.phase == "ended"
+        assert computer.disk.unsafe
+        # A start by a person counts again from 0, and its vehicles are observed again.
+        await computer.runner.start(OLD)
+        assert not computer.disk.unsafe
+        computer.processes.end(-11)
+        await asyncio.sleep(SOON)
+        assert computer.runner.info.phase == "running"
+
+    run_jumping(story())
+
+
+def test_rare_crashes_are_always_followed_by_a_restart() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        for _ in range(3 * MAX_RESTARTS):
+            await asyncio.sleep(PERIOD / MAX_RESTARTS)
+            computer.processes.end(-11)
+            await asyncio.sleep(SOON)
+        assert computer.runner.info.phase == "running"
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize(
+    ("status", "earlier", "restarts"),
+    [
+        (exit_status.SOFTWARE, [], True),
+        (exit_status.UNAVAILABLE, [], True),
+        (-9, [], True),
+        (-9, [100.0 - PERIOD] * MAX_RESTARTS, True),
+        (-9, [100.1 - PERIOD] * MAX_RESTARTS, False),
+        (-9, [100.1 - PERIOD] * (MAX_RESTARTS - 1), True),
+        (exit_status.DONE, [], False),
+        (exit_status.UNSAFE, [], False),
+        (exit_status.DATA, [], False),
+        (exit_status.INTERRUPTED, [], False),
+        (77, [], False),
+    ],
+)
+def test_the_policy(status: int, earlier: list[float], restarts: bool) -> None:
+    verdict = judge(status, "", earlier, 100.0)
+    assert verdict.restarts is restarts
+    assert verdict.reason
+
+
+def test_the_next_service_adopts_a_host_that_runs() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.runner.detach()
+        computer.boot()
+        computer.runner.adopt()
+        assert computer.runner.is_running
+        assert computer.processes.started == [OLD]
+        computer.processes.end(-11)
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD, OLD]
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize(("status", "starts"), [(-9, 2), (exit_status.DONE, 1), (exit_status.UNSAFE, 1)])
+def test_a_host_that_ended_while_no_service_ran_is_judged_by_its_result(status: int, starts: int) -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.runner.detach()
+        computer.processes.end(status)
+        computer.boot()
+        computer.runner.adopt()
+        assert not computer.runner.is_running
+        assert computer.runner.info.phase == "waiting"
+        await asyncio.sleep(SOON)
+        assert len(computer.processes.started) == starts
+
+    run_jumping(story())
+
+
+def test_a_host_whose_number_was_not_stored_is_found() -> None:
+    """The service ended, or its disk was full, between the start of the process and the record of it."""
+
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.runner.detach()
+        computer.disk = run_of(OLD)
+        computer.boot()
+        computer.runner.adopt()
+        assert computer.runner.is_running
+        assert computer.disk == run_of(OLD, 101)
+        computer.runner.detach()
+        computer.disk = run_of(NEW)
+        computer.boot()
+        computer.runner.adopt()
+        assert computer.runner.info.phase == "interrupted"
+        assert computer.disk == RunRecord()
+
+    run_jumping(story())
+
+
+def test_another_boot_interrupts_the_mission() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.runner.detach()
+        computer.processes.boot = "second boot"
+        # Another process has the same number now.
+        computer.boot()
+        computer.runner.adopt()
+        await asyncio.sleep(SOON)
+        assert computer.runner.info.phase == "interrupted"
+        assert not computer.runner.is_running
+        assert computer.processes.started == [OLD]
+        assert computer.disk == RunRecord()
+
+    run_jumping(story())
+
+
+def test_a_stop_ends_the_host_and_is_stored() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        await computer.runner.start(OLD)
+        assert computer.processes.started == [OLD]
+        await computer.runner.stop("stopped by anna")
+        assert computer.processes.terminated == [101]
+        info = computer.runner.info
+        assert (info.phase, info.reason) == ("stopped", "stopped by anna")
+        assert computer.disk == RunRecord()
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD]
+        await computer.runner.start(NEW)
+        assert computer.processes.started == [OLD, NEW]
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize("status", [-11, exit_status.UNAVAILABLE])
+def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.processes.end(status)
+        await asyncio.sleep(0.5 * RESTART_DELAY)
+        await computer.runner.stop("stopped by anna")
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD]
+        assert computer.runner.info.phase == "stopped"
+        assert computer.disk == RunRecord()
+
+    run_jumping(story())
+
+
+def test_a_stop_forgets_that_vehicles_may_move() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.processes.end(exit_status.UNSAFE)
+        await asyncio.sleep(SOON)
+        computer.boot()
+        computer.runner.adopt()
+        assert computer.runner.info.phase == "ended"
+        await computer.runner.stop("stopped by anna")
+        assert computer.disk == RunRecord()
+
+    run_jumping(story())
+
+
+def test_a_refusal_ends_restarts() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.refusal = "a ballot is open"
+        computer.processes.end(-11)
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD]
+        computer.refusal = ""
+        await computer.runner.start(OLD)
+        computer.processes.end(-11)
+        await asyncio.sleep(0.5 * RESTART_DELAY)
+        # Also one that comes while the restart waits.
+        computer.refusal = "a ballot is open"
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD, OLD]
+        assert computer.runner.info.phase == "interrupted"
+
+    run_jumping(story())
+
+
+def test_no_host_starts_before_it_is_stored() -> None:
+    async def story() -> None:
+        computer = Computer()
+        computer.is_full = True
+        with pytest.raises(OutputFileError):
+            await computer.runner.start(OLD)
+        assert computer.processes.started == []
+        assert computer.runner.record == RunRecord()
+
+    run_jumping(story())
+
+
+def test_a_full_disk_interrupts_restarts_and_the_service_continues() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.is_full = True
+        computer.processes.end(-11)
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD]
+        assert computer.runner.info.phase == "interrupted"
+        computer.is_full = False
+        await computer.runner.start(OLD)
+        assert computer.runner.info.phase == "running"
+
+    run_jumping(story())
+
+
+def test_a_stop_with_a_full_disk_ends_the_host() -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.is_full = True
+        await computer.runner.stop("stopped by anna")
+        assert computer.runner.info.phase == "stopped"
+        assert not computer.processes.alive
+        # The next service finds its process ended in order.
+        computer.is_full = False
+        computer.boot()
+        computer.runner.adopt()
+        await asyncio.sleep(SOON)
+        assert computer.processes.started == [OLD]
+
+    run_jumping(story())
+
+
+def test_a_process_that_cannot_be_started_is_not_recorded() -> None:
+    async def story() -> None:
+        computer = Computer()
+        computer.processes.trouble = OutputFileError("host.result", "Permission denied")
+        with pytest.raises(OutputFileError):
+            await computer.runner.start(OLD)
+        assert computer.disk == RunRecord()
+        assert not computer.runner.is_running
+
+    run_jumping(story())

@@ -1,0 +1,546 @@
+"""The service of one robot: votes, what binds it, full disks, and kills between any two saves."""
+
+from __future__ import annotations
+
+import asyncio
+
+import pytest
+from service_fakes import (
+    HOSTS,
+    NEW,
+    OLD,
+    WALKER,
+    Robot,
+    ServiceKilled,
+    ballot,
+    run_of,
+    unreachable,
+)
+
+from lfield.errors import OutputFileError, WireError
+from lfield.service.ballots import ActivationState, propose
+from lfield.service.bundle_store import ServiceRecord
+from lfield.service.mission_runner import ProcessId
+from lfield.service.restart_policy import RESTART_DELAY
+from lfield.service.service import CLOSE_AFTER, RESOLVE_EVERY
+from lfield.simulate.jumping_loop import run_jumping
+from lfield.wire.service_messages import (
+    BallotState,
+    MissionCommand,
+    ServiceQuery,
+    ServiceStatus,
+    Vote,
+    VoteQuery,
+    VoteReport,
+)
+
+SOON = RESTART_DELAY + 1.0
+YES: dict[str, Vote] = dict.fromkeys(HOSTS, "yes")
+
+
+async def running(robot: Robot) -> None:
+    robot.boot_service()
+    await robot.start()
+    assert robot.runner.is_running
+
+
+# --- votes ---------------------------------------------------------------------------------------------
+
+
+def test_it_votes_yes_when_all_is_at_rest_and_pauses_its_host() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        answer = await robot.propose()
+        assert (answer.votes, answer.outcome) == ({"alpha": "yes"}, "open")
+        assert robot.files.record.activation.ballot == answer
+        assert robot.probe.paused
+        assert robot.files.record.held
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize(
+    "why", ["flying", "walking", "unknown bundle", "bad signature", "restarting", "killed"]
+)
+def test_it_votes_no_with_a_reason(why: str) -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        proposal = ballot()
+        match why:
+            case "flying":
+                robot.probe.motion = "drone is off the ground"
+            case "walking":
+                robot.probe.waiting = [WALKER]
+            case "unknown bundle":
+                proposal = ballot(digest=bytes(32))
+            case "bad signature":
+                robot.files.bundles[NEW] = b"damaged"
+            case "restarting":
+                robot.processes.end(-11)
+                await asyncio.sleep(0.5 * RESTART_DELAY)
+            case "killed":
+                for _ in range(6):
+                    robot.processes.end(-11)
+                    await asyncio.sleep(SOON)
+        answer = await robot.propose(proposal)
+        assert answer.votes == {"alpha": "no"}
+        assert answer.outcome == "aborted"
+        assert answer.reasons["alpha"]
+        assert not robot.probe.paused
+        assert robot.files.record.activation.open_ballot is None
+        status = await robot.service.answer(ServiceQuery(), "anna")
+        assert isinstance(status, ServiceStatus)
+        assert bool(status.refusal) is (why not in ("unknown bundle", "bad signature"))
+
+    run_jumping(story())
+
+
+def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+
+        def take_off() -> None:
+            robot.probe.motion = "drone is off the ground"
+
+        robot.probe.on_hold = take_off
+        answer = await robot.propose()
+        assert answer.votes == {"alpha": "no"}
+        assert not robot.probe.paused
+        assert not robot.files.record.held
+
+    run_jumping(story())
+
+
+def test_a_host_that_cannot_be_paused_votes_no_and_is_resumed_later() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.probe.hold_trouble = robot.probe.release_trouble = "no answer"
+        task = asyncio.create_task(robot.service.resolve(unreachable))
+        assert (await robot.propose()).votes == {"alpha": "no"}
+        assert robot.files.record.held
+        # The pause was received after all.
+        robot.probe.paused, robot.probe.release_trouble = True, ""
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert not robot.probe.paused
+        assert not robot.files.record.held
+        task.cancel()
+
+    run_jumping(story())
+
+
+def test_a_host_outside_the_ballot_is_not_bound() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        with pytest.raises(WireError):
+            await robot.propose(ballot(hosts=["bravo"]))
+        assert robot.files.record == ServiceRecord(ActivationState(active=OLD))
+
+    run_jumping(story())
+
+
+def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        asking = asyncio.create_task(robot.propose())
+        await asyncio.sleep(0.25)
+        closed = await robot.query(ballot().id, closes=True)
+        assert closed.votes == {"alpha": "no"}
+        answer = await asking
+        assert answer.votes == {"alpha": "no"}
+        assert not robot.probe.paused
+        assert not robot.files.record.held
+
+    run_jumping(story())
+
+
+def test_two_proposals_at_once_get_one_yes() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
+        assert [answer.votes["alpha"] for answer in answers] == ["yes", "no"]
+        assert answers[1].reasons["alpha"]
+        assert robot.probe.paused
+
+    run_jumping(story())
+
+
+def test_activating_the_active_bundle_changes_nothing() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.probe.motion = "drone is off the ground"
+        await robot.propose(ballot(digest=OLD))
+        await robot.service.answer(VoteReport(ballot().id, YES), "anna")
+        assert robot.runner.is_running
+        assert not robot.probe.paused
+        assert robot.service.activation.active == OLD
+        assert robot.service.activation.previous == b""
+
+    run_jumping(story())
+
+
+# --- what a vote binds ---------------------------------------------------------------------------------
+
+
+def test_a_bound_host_starts_nothing_and_restarts_nothing() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        robot.processes.end(-11)
+        await asyncio.sleep(SOON)
+        assert robot.processes.started == [OLD]
+        assert (await robot.start()).trouble
+        assert robot.processes.started == [OLD]
+        # Nor does the next service.
+        robot.kill_service()
+        robot.boot_service()
+        await asyncio.sleep(SOON)
+        assert (await robot.start()).trouble
+        assert robot.processes.started == [OLD]
+
+    run_jumping(story())
+
+
+def test_after_an_abort_the_host_is_resumed() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        await robot.service.on_votes(ballot().id, {"bravo": "no"})
+        assert robot.runner.is_running
+        assert not robot.probe.paused
+        assert not robot.files.record.held
+        robot.processes.end(-11)
+        await asyncio.sleep(SOON)
+        assert robot.processes.started == [OLD, OLD]
+
+    run_jumping(story())
+
+
+def test_a_pause_of_a_person_stays_after_an_abort() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.probe.paused = True
+        await robot.propose()
+        await robot.service.on_votes(ballot().id, {"bravo": "no"})
+        assert robot.probe.paused
+
+    run_jumping(story())
+
+
+def test_a_host_that_crashed_while_paused_is_resumed_when_it_runs_again() -> None:
+    """A pause is in the journal of the host: it starts paused."""
+
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        task = asyncio.create_task(robot.service.resolve(unreachable))
+        await robot.propose()
+        robot.processes.end(-11)
+        await asyncio.sleep(SOON)
+        await robot.service.on_votes(ballot().id, {"bravo": "no"})
+        assert robot.files.record.held
+        await robot.start()
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert not robot.probe.paused
+        assert not robot.files.record.held
+        task.cancel()
+
+    run_jumping(story())
+
+
+def test_an_activation_ends_the_host_of_another_bundle() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        await robot.service.answer(VoteReport(ballot().id, {"bravo": "yes"}), "anna")
+        assert robot.service.activation.active == NEW
+        assert robot.processes.terminated == [101]
+        assert not robot.runner.is_running
+        # The journal of the next host has no pause.
+        assert not robot.probe.paused
+        await robot.start()
+        assert robot.processes.started == [OLD, NEW]
+
+    run_jumping(story())
+
+
+def test_a_host_of_the_old_bundle_is_not_restarted_after_an_activation() -> None:
+    """The service and the host were killed between the record of the result and the end of the host."""
+
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.kill_service()
+        robot.processes.end(-9)
+        robot.files.record = ServiceRecord(ActivationState(active=NEW, earlier=(OLD,)), run_of(OLD, 101))
+        robot.boot_service()
+        await asyncio.sleep(SOON)
+        assert robot.processes.started == [OLD]
+
+    run_jumping(story())
+
+
+def test_a_start_names_the_bundle_that_must_be_active() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        assert (await robot.command(MissionCommand("start", NEW))).trouble
+        assert robot.processes.started == []
+        result = await robot.command(MissionCommand("start", OLD, without=["bravo"]))
+        assert (result.trouble, result.run.phase) == ("", "running")
+        assert robot.probe.without == ["bravo"]
+        robot = Robot(active=b"")
+        robot.boot_service()
+        assert (await robot.start()).trouble
+
+    run_jumping(story())
+
+
+def test_a_stop_with_discard_ends_what_is_parked() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.probe.waiting = [WALKER]
+        result = await robot.command(MissionCommand("stop"))
+        assert (result.run.phase, result.discarded) == ("stopped", [])
+        assert (await robot.propose()).votes == {"alpha": "no"}
+        result = await robot.command(MissionCommand("stop", discards=True))
+        assert result.discarded == ["walker"]
+        assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
+
+    run_jumping(story())
+
+
+# --- ballots without a decision ------------------------------------------------------------------------
+
+
+class Bravo:
+    """The service of the other host."""
+
+    def __init__(self) -> None:
+        self.queries: list[VoteQuery] = []
+        self.state = ActivationState()
+
+    async def ask(self, host: str, query: VoteQuery) -> BallotState:
+        self.queries.append(query)
+        assert host == "bravo"
+        vote: dict[str, Vote] = {"bravo": "no" if query.closes else "yes"}
+        return BallotState(query.id, None, vote if query.closes or self.state.ballot else {}, {}, "open")
+
+
+def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:
+    async def story() -> None:
+        robot, bravo = Robot(), Bravo()
+        await running(robot)
+        await robot.propose()
+        task = asyncio.create_task(robot.service.resolve(bravo.ask))
+        await asyncio.sleep(3 * RESOLVE_EVERY)
+        assert robot.service.activation.open_ballot is not None
+        bravo.state = propose(bravo.state, "bravo", ballot(), "")
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert robot.service.activation.active == NEW
+        assert not any(query.closes for query in bravo.queries)
+        asked = len(bravo.queries)
+        await asyncio.sleep(CLOSE_AFTER)
+        assert len(bravo.queries) == asked
+        task.cancel()
+
+    run_jumping(story())
+
+
+def test_it_closes_a_ballot_after_half_a_minute() -> None:
+    async def story() -> None:
+        robot, bravo = Robot(), Bravo()
+        await running(robot)
+        await robot.propose()
+        task = asyncio.create_task(robot.service.resolve(bravo.ask))
+        await asyncio.sleep(CLOSE_AFTER + 2 * RESOLVE_EVERY)
+        assert bravo.queries[-1].closes
+        assert robot.service.activation.open_ballot is None
+        assert robot.service.activation.active == OLD
+        assert not robot.probe.paused
+        assert "service-ballot-open" in robot.codes
+        task.cancel()
+
+    run_jumping(story())
+
+
+def test_a_service_that_was_restarted_still_asks() -> None:
+    async def story() -> None:
+        robot, bravo = Robot(), Bravo()
+        await running(robot)
+        await robot.propose()
+        robot.kill_service()
+        robot.boot_service()
+        await robot.service.settle()
+        assert robot.probe.paused
+        bravo.state = propose(bravo.state, "bravo", ballot(), "")
+        task = asyncio.create_task(robot.service.resolve(bravo.ask))
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert robot.service.activation.active == NEW
+        assert not robot.runner.is_running
+        task.cancel()
+
+    run_jumping(story())
+
+
+# --- full disks ----------------------------------------------------------------------------------------
+
+
+def test_a_full_disk_before_the_vote_changes_nothing() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        before = robot.files.record
+        robot.files.is_full = True
+        with pytest.raises(OutputFileError):
+            await robot.propose()
+        assert robot.files.record == before
+        assert robot.service.activation == before.activation
+        assert not robot.probe.paused
+        assert (await robot.query(ballot().id)).votes == {}
+        with pytest.raises(OutputFileError):
+            await robot.query(ballot().id, closes=True)
+        assert (await robot.query(ballot().id)).votes == {}
+        robot.files.is_full = False
+        assert (await robot.propose()).votes == {"alpha": "yes"}
+
+    run_jumping(story())
+
+
+def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+
+        def fill() -> None:
+            robot.files.is_full = True
+
+        robot.probe.on_hold = fill
+        with pytest.raises(OutputFileError):
+            await robot.propose()
+        assert (await robot.query(ballot().id)).votes == {}
+        assert not robot.probe.paused
+        task = asyncio.create_task(robot.service.resolve(unreachable))
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        robot.files.is_full = False
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert not robot.files.record.held
+        assert not task.done()
+        task.cancel()
+
+    run_jumping(story())
+
+
+def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
+    async def story() -> None:
+        robot, bravo = Robot(), Bravo()
+        await running(robot)
+        await robot.propose()
+        robot.files.is_full = True
+        with pytest.raises(OutputFileError):
+            await robot.service.answer(VoteReport(ballot().id, YES), "anna")
+        assert robot.service.activation.open_ballot is not None
+        assert robot.probe.paused
+        task = asyncio.create_task(robot.service.resolve(bravo.ask))
+        bravo.state = propose(bravo.state, "bravo", ballot(), "")
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert robot.service.activation.open_ballot is not None
+        robot.files.is_full = False
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert robot.service.activation.active == NEW
+        assert not robot.runner.is_running
+        task.cancel()
+
+    run_jumping(story())
+
+
+# --- kills ---------------------------------------------------------------------------------------------
+
+
+async def push_and_start(robot: Robot, *, activates: bool) -> None:
+    """A whole push, and the start of what is active then."""
+    await robot.start()
+    await robot.propose()
+    await robot.service.on_votes(ballot().id, {"bravo": "yes" if activates else "no"})
+    await robot.command(MissionCommand("stop"))
+    await robot.start()
+
+
+async def saves_of(*, activates: bool) -> int:
+    robot = Robot()
+    robot.boot_service()
+    await push_and_start(robot, activates=activates)
+    return robot.files.saves
+
+
+@pytest.mark.parametrize("activates", [True, False], ids=["activated", "aborted"])
+def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates: bool) -> None:
+    async def killed_at(moment: float) -> None:
+        robot = Robot()
+        robot.boot_service()
+
+        def kill(at: float) -> None:
+            if at == moment:
+                raise ServiceKilled
+
+        robot.files.on_save = kill
+        with pytest.raises(ServiceKilled):
+            await push_and_start(robot, activates=activates)
+        robot.files.on_save = lambda at: None
+        robot.kill_service()
+        voted = robot.files.record.activation.open_ballot is not None
+        alive = dict(robot.processes.alive)
+        robot.boot_service()
+        # A host that runs is supervised again, whenever the service ended.
+        assert robot.runner.is_running is bool(alive)
+        await robot.service.settle()
+        assert robot.probe.paused is (voted and bool(alive)), moment
+        assert robot.files.record.held is voted or not alive
+        await robot.propose()
+        await robot.service.on_votes(ballot().id, {"bravo": "yes" if activates else "no"})
+        assert robot.service.activation.open_ballot is None
+        assert robot.service.activation.active == (NEW if activates else OLD)
+        await robot.service.settle()
+        assert set(robot.processes.alive.values()) <= {robot.service.activation.active}
+        assert len(robot.processes.alive) <= 1
+        await robot.start()
+        await robot.service.settle()
+        assert list(robot.processes.alive.values()) == [robot.service.activation.active]
+        assert not robot.probe.paused
+        assert not robot.files.record.held
+
+    async def story() -> None:
+        saves = await saves_of(activates=activates)
+        assert saves > 5
+        for save in range(1, saves + 1):
+            for after in (0.0, 0.5):
+                await killed_at(save + after)
+
+    run_jumping(story())
+
+
+def test_the_record_of_a_process_identifies_it_also_after_its_number_was_used_again() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        assert not robot.processes.is_alive(ProcessId(101, 1))
+        robot.kill_service()
+        robot.files.record = ServiceRecord(ActivationState(active=OLD), run_of(OLD, 101))
+        robot.processes.end(0)
+        robot.boot_service()
+        await asyncio.sleep(SOON)
+        assert not robot.runner.is_running
+
+    run_jumping(story())
