@@ -18,7 +18,7 @@ from lfield.text.terminal_escape import escape_line
 if TYPE_CHECKING:
     from lfield.authority.key_material import Keys
     from lfield.inventory.inventory import Inventory
-    from lfield.net.tcp_transport import TcpTransport
+    from lfield.operator.fleet.service_link import ServiceLinks
     from lfield.operator.observer_link import PresentedCrl
     from lfield.wire.service_messages import ServiceMessage, ServiceStatus
 
@@ -79,11 +79,13 @@ class FleetDesk:
 
         return str(verify_keys(self.keys))
 
-    def transport(self) -> TcpTransport:
-        """A transport with the keys, in the running loop."""
+    def links(self, hosts: Sequence[str]) -> ServiceLinks:
+        """Links to the services of some hosts, in the running loop. Raises UsageError for an unknown host."""
         from lfield.operator.client import observer_transport
+        from lfield.operator.fleet.service_link import ServiceLinks
 
-        return observer_transport(self.keys, connect_timeout=TIMEOUT)
+        transport = observer_transport(self.keys, connect_timeout=TIMEOUT)
+        return ServiceLinks(transport, self.addresses(hosts), self.crl)
 
     def statuses(self, hosts: Sequence[str]) -> dict[str, ServiceStatus | LfieldError]:
         """The state of the services of some hosts."""
@@ -92,27 +94,33 @@ class FleetDesk:
         return self.ask(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
 
     def ask(
-        self, hosts: Sequence[str], message: ServiceMessage, answer: type[A], timeout: float
+        self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
     ) -> dict[str, A | LfieldError]:
         """The answers of the services of some hosts, or why there is none."""
-        return asyncio.run(self._ask(self.addresses(hosts), message, answer, timeout))
 
-    async def _ask(
-        self, addresses: Mapping[str, str], message: ServiceMessage, answer: type[A], timeout: float
-    ) -> dict[str, A | LfieldError]:
-        from lfield.operator.observer_link import Request, ask_with_retries
-
-        transport = self.transport()
-        request = Request(message, answer, timeout, is_retried=True)
-
-        async def one(host: str, address: str) -> A | LfieldError:
+        async def work() -> dict[str, A | LfieldError]:
+            links = self.links(hosts)
             try:
-                return await ask_with_retries(transport, address, request, host, self.crl)
-            except LfieldError as error:
-                return error
+                return await ask_all_services(links, message, kind, timeout)
+            finally:
+                links.close()
 
-        answers = await asyncio.gather(*(one(host, address) for host, address in addresses.items()))
-        return dict(zip(addresses, answers, strict=True))
+        return asyncio.run(work())
+
+
+async def ask_all_services(
+    links: ServiceLinks, message: ServiceMessage, kind: type[A], timeout: float
+) -> dict[str, A | LfieldError]:
+    """The answers of all services, or why there is none."""
+
+    async def one(host: str) -> A | LfieldError:
+        try:
+            return await links.ask(host, message, kind, timeout, timeout)
+        except LfieldError as error:
+            return error
+
+    answers = await asyncio.gather(*map(one, links.addresses))
+    return dict(zip(links.addresses, answers, strict=True))
 
 
 def open_desk(args: argparse.Namespace) -> FleetDesk:
