@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
 from collections.abc import Callable
 
 import pytest
 from robots import told
 
-from lfield.authority.identity import Right
+from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.keystore import read_keys
 from lfield.operator.client import observer_transport
 from lfield.operator.fleet.activation import new_ballot
@@ -73,6 +74,27 @@ def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team)
     refused = here("push", "mission.dL")
     assert refused.status == 64
     assert "has no host 'bravo': did you mean 'brovo'?" in refused.err[0]
+
+
+def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
+    lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
+    time.sleep(1.5)
+    refused = here("status")
+    assert refused.status == 69
+    assert "expired" in " ".join(refused.err)
+
+
+def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lfield, here, team) -> None:
+    assert here("build", "mission.dL").status == 0
+    assert here("sign", "mission.lfm").status == 0
+    staged = told(here("push", "mission.lfm", "--stage", "--json"))
+    assert staged["outcome"] == "staged"
+    # Another push in between is none of its business.
+    team.mission(text="call")
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
+    later = told(here("push", "mission.lfm", "--json"))
+    assert (later["outcome"], later["bundle"]) == ("activated", staged["bundle"])
+    assert [each["bytes"] for each in later["sent"].values()] == [0, 0]
 
 
 @pytest.fixture
