@@ -7,11 +7,14 @@ import asyncio
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from itertools import starmap
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.action_help import action_help
 from lfield.cli.fleet.desk import add_desk, add_inventory, find_own_keys, open_inventory, require_hosts
+from lfield.errors import AddressError
+from lfield.net.transport import split_address
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 
@@ -61,11 +64,11 @@ def _show(inventory: Inventory, hosts: Sequence[InventoryHost], *, as_json: bool
 
     table = new_table("HOST", "ADDRESSES", "SERVICE", "SSH", "ARCH", "PYTHON", "GROUPS", "DEVICES")
     for host in hosts:
-        ssh = f"{host.user}@" * bool(host.user) + (host.ssh_host or "...")
-        ssh += f":{host.ssh_port}" if host.ssh_port else ""
-        cells = ("\n".join(host.addresses), str(host.service_port), "" if ssh == "..." else ssh)
+        ssh = f"{host.user}@" * bool(host.user) + host.ssh_hosts[0]
+        ssh += f" port {host.ssh_port}" if host.ssh_port else ""
+        cells = (", ".join(host.addresses), str(host.service_port), ssh, host.arch, host.python)
         devices = "" if host.devices is None else str(host.devices)
-        add_row(table, host.name, *cells, host.arch, host.python, ",".join(host.groups), devices)
+        add_row(table, host.name, *cells, ", ".join(host.groups), devices)
     console = plain_console()
     console.print(escape_line(str(inventory.path)))
     console.print(table)
@@ -133,7 +136,6 @@ def _print_states(states: States, *, has_keys: bool) -> None:
     """A row for each address, then a line for each that is not as it should be."""
     from lfield.cli.views.team_state_view import add_row, new_table
     from lfield.cli.views.trees import plain_console
-    from lfield.net.transport import split_address
 
     rows: dict[tuple[str, str], dict[Purpose, str]] = {}
     for endpoint, state in states.items():
@@ -146,13 +148,16 @@ def _print_states(states: States, *, has_keys: bool) -> None:
         add_row(table, host, address, *(cells.get(each, "") for each in ("service", "mission", "ssh")))
     console = plain_console()
     console.print(table)
-    for endpoint, state in states.items():
-        if state.outcome == "other-host":
-            line = f"{endpoint.address} is an address of {state.name}: correct the inventory"
-        elif state.error is not None and state.outcome != "closed":
-            line = str(state.error)
-        else:
-            continue
-        console.print(escape_line(f"{endpoint.host}: {endpoint.purpose}: {line}"))
+    for line in dict.fromkeys(filter(None, starmap(_finding, states.items()))):
+        console.print(escape_line(line))
     if not has_keys:
         print("lfield: certificates were not checked: there are no keys of yours here", file=sys.stderr)
+
+
+def _finding(endpoint: Endpoint, state: EndpointState) -> str:
+    """The line about an address that is not as it should be; one for all ports that cannot be reached."""
+    if state.outcome == "other-host":
+        return f"{endpoint.host}: {endpoint.address} is an address of {state.name}: correct the inventory"
+    if state.outcome == "unreachable" and isinstance(state.error, AddressError):
+        return f"{endpoint.host}: {split_address(endpoint.address)[0]}: {state.error.reason}"
+    return f"{endpoint.host}: {endpoint.address}: {state.error}" if state.outcome == "refused" else ""
