@@ -29,14 +29,19 @@ S = TypeVar("S")
 TIMEOUT = 8.0
 
 
-def add_desk(parser: argparse.ArgumentParser) -> None:
-    """Declare the inventory, the keys, and --json."""
+def add_inventory(parser: argparse.ArgumentParser) -> None:
+    """Declare the inventory."""
     parser.add_argument(
         "--inventory",
         metavar="FILE",
         type=Path,
         help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
     )
+
+
+def add_desk(parser: argparse.ArgumentParser) -> None:
+    """Declare the inventory, the keys, and --json."""
+    add_inventory(parser)
     parser.add_argument(
         "--keys",
         metavar="DIR",
@@ -66,10 +71,7 @@ class FleetDesk:
 
     def addresses(self, hosts: Sequence[str]) -> dict[str, str]:
         """The addresses of the services of some hosts. Raises UsageError for an unknown host."""
-        for host in hosts:
-            if host not in self.inventory.hosts:
-                hint = did_you_mean(host, self.hosts) or f"it has {listed(self.hosts)}"
-                raise UsageError(f"the inventory {self.inventory.path} has no host '{host}': {hint}")
+        require_hosts(self.inventory, hosts)
         return {host: self.inventory.hosts[host].service_address for host in hosts}
 
     @property
@@ -123,11 +125,18 @@ async def ask_all_services(
     return dict(zip(links.addresses, answers, strict=True))
 
 
-def open_desk(args: argparse.Namespace) -> FleetDesk:
-    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
-    from lfield.authority import keystore
+def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:
+    """Check that the inventory has some hosts. Raises UsageError."""
+    known = list(inventory.hosts)
+    for host in hosts:
+        if host not in known:
+            hint = did_you_mean(host, known) or f"it has {listed(known)}"
+            raise UsageError(f"the inventory {inventory.path} has no host '{host}': {hint}")
+
+
+def open_inventory(args: argparse.Namespace) -> Inventory:
+    """The inventory of a command. Raises UsageError without one, ProgramError, InputFileError."""
     from lfield.inventory.inventory_file import find_inventory
-    from lfield.operator.client import presented_crl
 
     inventory = find_inventory(args.inventory, os.environ)
     if inventory is None:
@@ -135,13 +144,28 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
             "no inventory: write the hosts and their addresses into ~/.config/lfield/inventory.yaml, or name "
             "the file with --inventory (lfield/docs/operations.md has an example)"
         )
+    return inventory
+
+
+def find_own_keys(args: argparse.Namespace) -> Keys | None:
+    """The keys of the user, None without any. Raises KeysError."""
+    from lfield.authority import keystore
+
     folder = keystore.find_keys("person", keystore.OWN, args.keys, os.environ)
-    if folder is None:
+    return None if folder is None else keystore.read_keys(folder, "person")
+
+
+def open_desk(args: argparse.Namespace) -> FleetDesk:
+    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
+    from lfield.operator.client import presented_crl
+
+    inventory = open_inventory(args)
+    keys = find_own_keys(args)
+    if keys is None:
         raise KeysError(
             "there are no keys of yours here: 'lfield keys init --person NAME' makes them, and --keys names "
             "their directory"
         )
-    keys = keystore.read_keys(folder, "person")
     return FleetDesk(inventory, keys, presented_crl(keys))
 
 

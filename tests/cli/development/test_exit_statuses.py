@@ -58,6 +58,9 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("query", 69): ("query Lift", "no mission is running"),
     ("capabilities", 65): ("capabilities check latin.yaml", "latin.yaml:1:4: error["),
     ("capabilities", 66): ("capabilities check none.yaml", "cannot read none.yaml"),
+    ("inventory", 65): ("inventory show --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("inventory", 66): ("inventory show --inventory none.yaml", "cannot read none.yaml"),
+    ("inventory", 69): ("inventory check --inventory team.yaml --json", "127.0.0.1:1"),
     ("estop", 65): ("estop latin.dL", "latin.dL:1:4: error["),
     ("estop", 66): ("estop none.dL", "cannot read none."),
     ("estop", 69): ("estop", "no mission is running"),
@@ -148,6 +151,7 @@ def files(lfield):
     lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
     bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:/none:57600'}}}}\n"
     lfield.write("sky.yaml", bound)
+    lfield.write("team.yaml", "hosts: {alpha: {addresses: ['127.0.0.1:1'], service_port: 2, ssh_port: 3}}\n")
     for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
         lfield.write(f"latin.{ending}", b"abc\xe9")
     return lfield
