@@ -73,7 +73,7 @@ def test_the_engine_in_webassembly_does_the_same() -> None:
     assert [report for seed in range(8) for report in fuzz.seed(seed)] == []
 
 
-# 2,000 examples take three minutes on a machine that does nothing else, and hypothesis shrinks for up to five.
+# 2,000 examples take three minutes on an idle machine, and hypothesis shrinks for up to five.
 @pytest.mark.timeout(1200)
 def test_the_engines_do_the_same_whatever_hypothesis_thinks_of(pytestconfig: pytest.Config) -> None:
     @given(DICE, st.integers(0, 1000))
