@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from lfield.service import ballots
 from lfield.service.bundle_store import ServiceRecord
-from lfield.wire.service_messages import Ballot, BallotOutcome, BallotState
+from lfield.wire.service_messages import Ballot, BallotOutcome, BallotState, Vote
 from simulation_testing.invariants.breaches import Breaches
 from simulation_testing.services.robot_mission import RobotMission
 
@@ -21,6 +21,7 @@ class PushJudge:
         #: Every ballot on which a host has voted, in the order of the first votes; what hosts know of it.
         self.ballots: dict[bytes, Ballot] = {}
         self.outcomes: dict[bytes, BallotOutcome] = {}
+        self._votes: dict[tuple[str, bytes], Vote] = {}
         #: The last ballot that was really activated, by robot: it is when the last host votes yes.
         self._activated: dict[str, Ballot] = {}
         self.counts = dict.fromkeys(("yes", "no", "activated", "aborted", "starts", "acts"), 0)
@@ -30,7 +31,7 @@ class PushJudge:
     def on_save(self, robot: str, before: ServiceRecord, after: ServiceRecord) -> None:
         """The state of a robot is stored now."""
         self.records[robot] = after
-        self._check_votes_kept(robot, before, after)
+        self._check_votes_kept(robot, after)
         if before.run.unsafe and not after.run.unsafe and not after.run.bundle:
             # A person has checked the vehicle.
             self.missions[robot].is_airborne = False
@@ -45,14 +46,14 @@ class PushJudge:
         if found.outcome != "open":
             self._on_outcome(robot, found)
 
-    def _check_votes_kept(self, robot: str, before: ServiceRecord, after: ServiceRecord) -> None:
+    def _check_votes_kept(self, robot: str, after: ServiceRecord) -> None:
         for id in self.ballots:
-            old = ballots.answer(before.activation, robot, id)
-            new = ballots.answer(after.activation, robot, id)
-            if robot in old.votes and old.votes[robot] != new.votes.get(robot):
-                self.breaches.add("vote changed", (robot,), f"{old.votes[robot]} became {new.votes}")
-            if old.outcome not in ("open", new.outcome):
-                self.breaches.add("outcome changed", (robot,), f"{old.outcome} became {new.outcome}")
+            known = ballots.answer(after.activation, robot, id)
+            if (vote := known.votes.get(robot)) is None:
+                continue
+            first = self._votes.setdefault((robot, id), vote)
+            if vote != first:
+                self.breaches.add("vote changed", (robot,), f"it has voted {first}, and answers {vote}")
 
     def _on_yes(self, robot: str, before: ServiceRecord, ballot: Ballot) -> None:
         mission = self.missions[robot]
