@@ -91,11 +91,31 @@ def test_of_two_desks_at_once_the_second_is_refused_until_the_first_is_decided(l
     assert "by anna" in told(second)["reasons"]["alpha"]
     # Bound by the first ballot, it starts nothing.
     assert here("start").status == 1
+    assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "open"
     assert asyncio.run(send("bravo", Proposal(ballot))).votes == {"bravo": "yes"}
     # The two settle it among themselves, without the desk.
     team.services["alpha"].wait_for("active, decided by the votes of alpha and bravo")
     team.services["bravo"].wait_for("active, decided by the votes of alpha and bravo")
     assert asyncio.run(send("alpha", VoteReport(ballot.id, {}))).outcome == "activated"
+
+
+def test_an_activation_is_aborted_by_command_if_a_robot_is_lost_for_good(lfield, here, team) -> None:
+    assert here("push", "mission.dL", "--stage").status == 0
+    digest = bytes.fromhex(told(here("status", "--json"))["alpha"]["stored"][0])
+    keys = read_keys(lfield.folder / "config/lfield/keys/me", "person")
+    team.kill("bravo")
+    proposal = Proposal(new_ballot(digest, ["alpha", "bravo"], [], "anna"))
+
+    async def propose() -> None:
+        address = f"127.0.0.1:{team.ports['alpha'][1]}"
+        async with open_service_link(observer_transport(keys), address, "alpha", None) as link:
+            await link.ask(proposal, BallotState)
+
+    asyncio.run(propose())
+    assert here("start", "--without", "bravo").status == 1
+    assert told(here("rollback", "--lost", "bravo", "--json"))["aborted"] == ["alpha"]
+    assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "aborted"
+    assert here("rollback", "--lost", "bravo").status == 64
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")
