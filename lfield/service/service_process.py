@@ -82,7 +82,6 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     address = await server.listen(options.listen)
     active = short_digest(service.activation.active) or "none"
     service.note(messages.LISTENING.line(host=host, address=address, bundle=active))
-    await service.settle()
     tasks = [
         spawn(service.resolve(partial(_ask_peer, transport, options.peers))),
         spawn(_reauthorise(server)),
