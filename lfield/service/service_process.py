@@ -83,7 +83,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     active = short_digest(service.activation.active) or "none"
     service.note(messages.LISTENING.line(host=host, address=address, bundle=active))
     tasks = [
-        spawn(service.resolve(partial(_ask_peer, transport, options.peers))),
+        spawn(service.resolve(partial(ask_peer, transport, options.peers))),
         spawn(_reauthorise(server)),
     ]
     await signals.first_requested.wait()
@@ -95,7 +95,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     return 0
 
 
-async def _ask_peer(
+async def ask_peer(
     transport: TcpTransport, peers: Mapping[str, str], host: str, query: VoteQuery
 ) -> BallotState:
     """The answer of the service of another host. Raises LfieldError."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 from lfield.errors import LfieldError
 from lfield.operator.fleet.service_link import ServiceLinks
@@ -98,11 +98,10 @@ async def activate(
     return result
 
 
-async def _until_decided(result: BallotResult, requests: Iterable[asyncio.Future[None]]) -> None:
+async def _until_decided(result: BallotResult, requests: Sequence[asyncio.Future[None]]) -> None:
     """Wait for the requests for votes until all have ended, or one host has voted no."""
-    tasks = set(requests)
-    while tasks and result.outcome == "open":
-        _, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+    while result.outcome == "open" and (pending := [each for each in requests if not each.done()]):
+        await asyncio.wait(pending, return_when=asyncio.FIRST_COMPLETED)
+    for each in requests:
+        each.cancel()
+    await asyncio.gather(*requests, return_exceptions=True)
