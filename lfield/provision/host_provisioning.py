@@ -6,7 +6,7 @@ import json
 import shlex
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -19,6 +19,7 @@ from lfield.provision.plan import (
     Step,
     choose_python,
     clock_step,
+    needs_new_key,
     plan,
     system_step,
     target_of,
@@ -99,6 +100,8 @@ class ProvisionRun:
     sockets: Path
     inventory: str
     on_report: Callable[[StepReport], None]
+    #: Makes new keys for a host; not in a dry run.
+    replaces_keys: Callable[[str], tuple[RobotFile, ...]] | None = None
     is_dry: bool = False
     only_prepares: bool = False
     desk_time: Callable[[], float] = time.time
@@ -144,11 +147,9 @@ class HostProvisioning:
         await self._connect()
         facts = await self._facts()
         system = system_step(facts, self._robot.arch, self._run.inventory)
-        clock = clock_step(facts, str(self._connection.destination), self._run.desk_time())
-        for step in (system, clock):
-            self._report(step.name, step.state, step.text, step.advice)
-        if system.state == "refused":
+        if not self._report_step(system):
             return False
+        self._report_step(clock_step(facts, str(self._connection.destination), self._run.desk_time()))
         installation = await self._installation(facts)
         if self._run.only_prepares:
             return True
@@ -206,7 +207,11 @@ class HostProvisioning:
 
     async def _installation(self, facts: RobotFacts) -> Installation:
         python = choose_python(facts)
-        return await self._collect(target_of(facts, python), python)
+        made = await self._collect(target_of(facts, python), python)
+        if self._run.replaces_keys is None or not needs_new_key(facts, made.keys):
+            return made
+        self._report("keys", "note", f"the private key of {made.host} is lost; making a new one")
+        return replace(made, keys=self._run.replaces_keys(made.host))
 
     async def _permitted(self, steps: list[Step]) -> list[Step]:
         """The steps up to the first that would disturb a running mission, which refuses."""
@@ -218,10 +223,14 @@ class HostProvisioning:
         )
         return [*steps[: steps.index(disturbing[0])], refusal]
 
+    def _report_step(self, step: Step) -> bool:
+        """Report a step as it was planned; whether it does not refuse."""
+        self._report(step.name, step.state, step.text, step.advice)
+        return step.state != "refused"
+
     async def _step(self, step: Step) -> bool:
         if step.state != "todo" or self._run.is_dry:
-            self._report(step.name, step.state, step.text, step.advice)
-            return step.state != "refused"
+            return self._report_step(step)
         self._report(step.name, "running", step.text)
         for number, command in enumerate(step.commands):
             await self._connection.execute(command, step.name)

@@ -10,6 +10,8 @@ from pathlib import Path
 from lfield.provision.lock_file import Wheel, text_digest
 from lfield.provision.robot_facts import KEYS, SERVICE_USER, SETTINGS, UNIT
 
+#: The mode of a private key.
+PRIVATE = "600"
 #: Access to serial ports; the inventory adds more.
 BASE_GROUPS = ("dialout",)
 
@@ -106,6 +108,6 @@ def key_files(folder: str, files: Iterable[tuple[str, bytes, bool]]) -> tuple[Ro
     """The keys of a host: name, contents, and whether it is the private key, of each file."""
     owner = f"{SERVICE_USER}:{SERVICE_USER}"
     return tuple(
-        RobotFile(f"{KEYS}/{folder}/{name}", data, "600" if is_private else "644", owner)
+        RobotFile(f"{KEYS}/{folder}/{name}", data, PRIVATE if is_private else "644", owner)
         for name, data, is_private in files
     )

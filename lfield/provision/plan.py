@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal
 
 from lfield.provision import robot_scripts as scripts
-from lfield.provision.installation import Installation, RobotFile
+from lfield.provision.installation import PRIVATE, Installation, RobotFile
 from lfield.provision.lock_file import Wheel
 from lfield.provision.robot_facts import ROOT, RobotFacts
 from lfield.provision.wheel_target import ARCHITECTURES, MIN_GLIBC, PYTHONS, WheelTarget
@@ -25,6 +25,8 @@ STANDALONE = "3.12"
 MAX_CLOCK_OFFSET = 60.0
 #: Wheels that are sent in one command, in bytes: an interrupted transfer repeats at most this.
 BATCH = 4 << 20
+#: Steps that change what the service reads when it starts.
+_READ_BY_SERVICE = ("keys", "settings", "unit", "version")
 #: Bytes of an environment for each byte of its wheels, bytecode included; of a Python, of its archive.
 _UNPACKED, _PYTHON_UNPACKED = 5, 4
 
@@ -117,8 +119,9 @@ def plan(facts: RobotFacts, user: str, installation: Installation) -> list[Step]
         _files_step(facts, "settings", installation.settings),
         _files_step(facts, "unit", (installation.unit,)),
         _version_step(facts, installation),
-        _service_step(facts, installation),
     ]
+    is_changed = any(step.state == "todo" for step in steps if step.name in _READ_BY_SERVICE)
+    steps.append(_service_step(facts, installation, is_changed))
     refused = [step for step in (*steps, *_disk_step(facts, installation)) if step.state == "refused"]
     return refused or steps
 
@@ -239,6 +242,16 @@ def _numbered(files: Sequence[RobotFile]) -> tuple[Upload, ...]:
     return tuple(Upload(str(number), file.data) for number, file in enumerate(files))
 
 
+def needs_new_key(facts: RobotFacts, keys: Sequence[RobotFile]) -> bool:
+    """Whether the private key of a host is lost: it is not among `keys`, and not on the robot with them."""
+    has_key = any(file.mode == PRIVATE for file in keys)
+    certificates = [file for file in keys if file.path.endswith("/host.pem")]
+    if has_key or not certificates:
+        return False
+    private = certificates[0].path.replace("/host.pem", "/host.key")
+    return private not in facts.files or facts.files.get(certificates[0].path) != certificates[0].sha256
+
+
 def _keys_step(facts: RobotFacts, installation: Installation) -> Step:
     if not installation.keys:
         return Step("keys", "note", "no authority on this desk; the keys of the robot stay")
@@ -275,11 +288,11 @@ def start_command(host: str) -> str:
     return f"sudo -u lfield {ROOT}/current/bin/lfield service --host {host}"
 
 
-def _service_step(facts: RobotFacts, installation: Installation) -> Step:
+def _service_step(facts: RobotFacts, installation: Installation, is_changed: bool) -> Step:
     if not facts.has_systemd:
         text = "not started: systemd does not run on the robot"
         return Step("service", "note", text, f"start it there: {start_command(installation.host)}")
-    is_current = facts.started == installation.configuration
+    is_current = facts.started == installation.configuration and not is_changed
     if is_current and facts.is_active and facts.is_enabled:
         return Step("service", "done", "runs with this configuration, and starts at each boot")
     command = RootCommand(scripts.service_script(installation.configuration))

@@ -97,11 +97,11 @@ sync; touch {folder}/{COMPLETE}
 
 
 def files_script(files: Sequence[RobotFile]) -> str:
-    """Install files, which arrive under their numbers."""
+    """Install files, which arrive under their numbers. The service no longer runs with what is installed."""
     folders = sorted({file.path.rpartition("/")[0] for file in files})
     made = [f"[ -d {shlex.quote(f)} ] || install -d -m 755 {shlex.quote(f)}" for f in folders]
     puts = [f"put {n} {shlex.quote(file.path)} {file.mode} {file.owner}" for n, file in enumerate(files)]
-    return "\n".join(["", *made, *puts, ""])
+    return "\n".join(["", f"rm -f {STARTED}", *made, *puts, ""])
 
 
 def keys_script(folder: str, files: Sequence[RobotFile]) -> str:
@@ -120,6 +120,7 @@ def version_script(installation: Installation, wheels: Iterable[str], before: st
     kept = "|".join(shlex.quote(name) for name in {environment, before} if name)
     files = "|".join(shlex.quote(name) for name in sorted(wheels))
     return f"""
+rm -f {STARTED}
 ln -s {shlex.quote(environment)} current; mv -fT current {CURRENT}
 cd {ROOT}
 for folder in [0-9]*/; do case "${{folder%/}}" in {kept}) ;; *) rm -rf "./$folder" ;; esac; done

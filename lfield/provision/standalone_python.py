@@ -81,7 +81,8 @@ async def _run_uv(key: str, folder: str) -> None:
             process.kill()
             await process.wait()
     if process.returncode:
-        reason = " ".join(errors.decode(errors="replace").split())
+        # What comes before is progress.
+        reason = " ".join(errors.decode(errors="replace").rpartition("error: ")[2].split())
         advice = "--prepare needs access to the internet, or UV_PYTHON_INSTALL_MIRROR=URL"
         raise ProvisionError("", f"the standalone Python {key} cannot be collected: {reason}", advice)
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from pathlib import Path
 
-from lfield.authority.key_material import AUTHORITY, REVOKED, Keys, certificate_name, key_name
-from lfield.authority.keystore import entry_name, read_keys
+from lfield.authority.key_material import AUTHORITY, MAX_PEM, REVOKED, Keys, certificate_name, key_name
+from lfield.authority.keystore import entry_name, read_crl, read_file, read_keys, read_trusted
 from lfield.authority.ledger import Ledger, issued_hosts, open_ledger
 from lfield.errors import KeysError
 from lfield.provision.installation import RobotFile, key_files
@@ -25,8 +25,8 @@ def planned_keys(folder: Path, names: Iterable[str]) -> dict[str, tuple[RobotFil
     found = {}
     for name in names:
         place = folder / "hosts" / name
-        if name in issued_hosts(folder) and (place / key_name("host")).exists():
-            found[name] = _files(name, read_keys(place, "host"))
+        if name in issued_hosts(folder) and (place / certificate_name("host")).exists():
+            found[name] = _files_in(place, name)
         else:
             found[name] = _files(name, Keys("host", b"", b"", b""))
     return found
@@ -38,13 +38,28 @@ def team_keys(folder: Path, names: Iterable[str], now: float) -> dict[str, tuple
         return {name: _host_files(ledger, name, now) for name in names}
 
 
+def replaced_keys(folder: Path, name: str, now: float) -> tuple[RobotFile, ...]:
+    """New keys for a host, whose private key is neither on this desk nor on the robot. Raises KeysError."""
+    with open_ledger(folder) as ledger:
+        made = ledger.renew("host", name, now, now + VALIDITY, new_key=True)
+        return _files(name, read_keys(made.folder, "host"))
+
+
 def keys_folder(name: str) -> str:
     """The name of the folder of a host's keys."""
     return entry_name(name)
 
 
 def _host_files(ledger: Ledger, name: str, now: float) -> tuple[RobotFile, ...]:
-    return _files(name, read_keys(_current_folder(ledger, name, now), "host"))
+    return _files_in(_current_folder(ledger, name, now), name)
+
+
+def _files_in(folder: Path, name: str) -> tuple[RobotFile, ...]:
+    """The files in a folder of the authority, whose private key may have been deleted."""
+    if (folder / key_name("host")).exists():
+        return _files(name, read_keys(folder, "host"))
+    certificate = read_file(folder / certificate_name("host"), MAX_PEM)
+    return _files(name, Keys("host", read_trusted(folder), certificate, b"", read_crl(folder, needed=True)))
 
 
 def _files(name: str, keys: Keys) -> tuple[RobotFile, ...]:
@@ -54,7 +69,7 @@ def _files(name: str, keys: Keys) -> tuple[RobotFile, ...]:
         (key_name("host"), keys.key, True),
         (REVOKED, keys.revoked, False),
     )
-    return key_files(keys_folder(name), files)
+    return key_files(keys_folder(name), [file for file in files if file[1] or not file[2]])
 
 
 def _current_folder(ledger: Ledger, name: str, now: float) -> Path:
@@ -69,8 +84,6 @@ def _current_folder(ledger: Ledger, name: str, now: float) -> Path:
             f"the keys of host {name} are revoked: if the robot is in your hands again, "
             f"'lfield keys host {name}' makes new ones"
         )
-    if max(who.valid_until for who in valid) - now > RENEWAL and (folder / key_name("host")).exists():
+    if max(who.valid_until for who in valid) - now > RENEWAL and (folder / certificate_name("host")).exists():
         return folder
-    # A private key that was deleted from the desk is replaced.
-    is_lost = not (folder / key_name("host")).exists()
-    return ledger.renew("host", name, now, now + VALIDITY, new_key=is_lost).folder
+    return ledger.renew("host", name, now, now + VALIDITY).folder

@@ -38,6 +38,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "CONTRIBUTING.md": {
         "sudo apt-get install chromium chromium-driver": INSTALLS,
+        "sudo apt-get install openssh-server sudo": INSTALLS,
         "make test": SUITE,
         "make test-more": SUITE,
         "make lint": SUITE,

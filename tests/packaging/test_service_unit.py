@@ -1,4 +1,4 @@
-"""The unit of the permanent service: it can be loaded, is little exposed, and a crash leaves the mission alone."""
+"""The unit of the permanent service: systemd loads it, it has few rights, and its crash ends no host."""
 
 from __future__ import annotations
 

@@ -127,10 +127,13 @@ def test_the_environment_is_named_after_all_that_is_in_it():
 @pytest.mark.parametrize(
     ("change", "todo"),
     [
-        (lambda facts, made: {"files": {**facts.files, made.unit.path: "other"}}, {"unit"}),
-        (lambda facts, made: {"modes": {**facts.modes, made.keys[1].path: "644:root:root"}}, {"keys"}),
-        (lambda facts, made: {"has_private_keys_folder": False}, {"keys"}),
-        (lambda facts, made: {"current": "0.3.0-0123456789ab"}, {"version"}),
+        (lambda facts, made: {"files": {**facts.files, made.unit.path: "other"}}, {"unit", "service"}),
+        (
+            lambda facts, made: {"modes": {**facts.modes, made.keys[1].path: "644:root:root"}},
+            {"keys", "service"},
+        ),
+        (lambda facts, made: {"has_private_keys_folder": False}, {"keys", "service"}),
+        (lambda facts, made: {"current": "0.3.0-0123456789ab"}, {"version", "service"}),
         (lambda facts, made: {"started": "before"}, {"service"}),
         (lambda facts, made: {"is_active": False}, {"service"}),
         (lambda facts, made: {"is_enabled": False}, {"service"}),

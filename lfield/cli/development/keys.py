@@ -139,7 +139,7 @@ def _init(args: argparse.Namespace) -> int:
     from lfield.authority.peer_verification import format_time
 
     if args.person is not None:
-        _require_no_own_keys()
+        _require_new_person(args.person)
     at = time.time()
     ledger = create_ledger(_authority(args.folder), at, _ends(args, at, _AUTHORITY_DAYS))
     made = ledger.authority
@@ -160,8 +160,11 @@ def _own_folder() -> Path:
     return config_dir() / "keys" / OWN
 
 
-def _require_no_own_keys() -> None:
+def _require_new_person(name: str) -> None:
     """Refuse before an authority is made: keys of another team would be lost. Raises KeysError."""
+    from lfield.authority.ledger import require_name
+
+    require_name(name)
     if (_own_folder() / "person.key").exists():
         raise KeysError(f"{_own_folder()} has keys already: move them away, or leave out --person")
 

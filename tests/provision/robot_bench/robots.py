@@ -123,9 +123,8 @@ class RobotKind:
 class BenchRobot:
     """A running robot."""
 
-    def __init__(self, name: str, number: int, process: subprocess.Popen[str], child: int) -> None:
-        self.name, self.address = name, f"{NETWORK}.{number}"
-        self._process, self.pid = process, child
+    def __init__(self, name: str, number: int, pid: int) -> None:
+        self.name, self.address, self.pid = name, f"{NETWORK}.{number}", pid
 
     def path(self, path: str) -> Path:
         """A file of the robot."""
@@ -139,15 +138,9 @@ class BenchRobot:
     def run(self, script: str) -> str:
         """The output of a script that root runs there."""
         words = ["nsenter", "-t", str(self.pid), "-m", "-n", "-p", "-u", "-r", "-w", "sh", "-c", script]
-        return subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout
-
-    def stop(self) -> None:
-        """Switch it off."""
-        self._process.kill()
-        self._process.wait()
-        for stream in (self._process.stdin, self._process.stdout):
-            if stream:
-                stream.close()
+        done = subprocess.run(words, capture_output=True, text=True, check=False, timeout=60)
+        assert done.returncode == 0, done
+        return done.stdout
 
 
 class RobotBench:
@@ -180,15 +173,17 @@ class RobotBench:
 
     def _start(self, prefix: list[str], script: str, values: Mapping[str, str]) -> subprocess.Popen[str]:
         environment = {"PATH": os.environ["PATH"], "KEYS": str(self.folder), **values}
-        process = subprocess.Popen(
-            [*prefix, "sh", "-c", script],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=(self.folder / "bench.log").open("a"),
-            text=True,
-            env=environment,
-        )
-        self._stack.callback(process.wait)
+        with (self.folder / "bench.log").open("a") as log:
+            process = subprocess.Popen(
+                [*prefix, "sh", "-c", script],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                text=True,
+                env=environment,
+            )
+        # Its pipes are closed once it is killed.
+        self._stack.enter_context(process)
         self._stack.callback(process.kill)
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -213,7 +208,7 @@ class RobotBench:
         spaces = ["unshare", "--mount", "--net", "--uts", "--pid", "--fork", "--kill-child"]
         process = self._start(spaces, script, values)
         (child,) = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
-        robot = BenchRobot(name, number, process, int(child))
+        robot = BenchRobot(name, number, int(child))
         self._connect(robot)
         assert process.stdin is not None
         process.stdin.write("go\n")
