@@ -32,7 +32,7 @@ _UNPACKED, _PYTHON_UNPACKED = 5, 4
 
 
 @dataclass(frozen=True, slots=True)
-class Upload:
+class RobotUpload:
     """A file that is sent with a command: its contents, or the file on the desk that has them."""
 
     name: str
@@ -44,7 +44,7 @@ class RootCommand:
     """A script that root runs on the robot, and the files in its working directory."""
 
     script: str
-    uploads: tuple[Upload, ...] = ()
+    uploads: tuple[RobotUpload, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +140,7 @@ def _python_step(facts: RobotFacts, python: PythonChoice, installation: Installa
     if brought.version in facts.standalone:
         return Step("python", "done", f"standalone {brought.version}")
     script = scripts.python_script(brought.version, brought.sha256)
-    command = RootCommand(script, (Upload(scripts.ARCHIVE, brought.archive),))
+    command = RootCommand(script, (RobotUpload(scripts.ARCHIVE, brought.archive),))
     return Step("python", "todo", f"install a standalone Python {brought.version}: {text}", "", (command,))
 
 
@@ -187,7 +187,7 @@ def _wheels_step(facts: RobotFacts, installation: Installation) -> Step:
     commands = tuple(
         RootCommand(
             scripts.wheels_script([(wheel.file, wheel.sha256) for wheel in batch]),
-            tuple(Upload(wheel.file, installation.payload.path(wheel)) for wheel in batch),
+            tuple(RobotUpload(wheel.file, installation.payload.path(wheel)) for wheel in batch),
         )
         for batch in _batches(missing)
     )
@@ -223,7 +223,7 @@ def _environment_step(facts: RobotFacts, python: PythonChoice, installation: Ins
     if _is_built(facts, installation):
         return Step("environment", "done", f"{ROOT}/{name}")
     script = scripts.environment_script(name, python_path(python, installation))
-    uploads = (Upload(scripts.REQUIREMENTS, installation.payload.lock.encode()),)
+    uploads = (RobotUpload(scripts.REQUIREMENTS, installation.payload.lock.encode()),)
     return Step("environment", "todo", f"install {ROOT}/{name}", "", (RootCommand(script, uploads),))
 
 
@@ -238,8 +238,8 @@ def _outdated(facts: RobotFacts, files: Sequence[RobotFile]) -> list[RobotFile]:
     ]
 
 
-def _numbered(files: Sequence[RobotFile]) -> tuple[Upload, ...]:
-    return tuple(Upload(str(number), file.data) for number, file in enumerate(files))
+def _numbered(files: Sequence[RobotFile]) -> tuple[RobotUpload, ...]:
+    return tuple(RobotUpload(str(number), file.data) for number, file in enumerate(files))
 
 
 def needs_new_key(facts: RobotFacts, keys: Sequence[RobotFile]) -> bool:

@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from lfield.errors import ProvisionError
-from lfield.provision.plan import RootCommand, Upload
+from lfield.provision.plan import RootCommand, RobotUpload
 from lfield.provision.robot_facts import ACCESS_SCRIPT, LoginAccess, parse_access
 from lfield.provision.robot_scripts import locked_command
 from lfield.provision.ssh_errors import SshDestination, command_error, connection_error, is_unreachable
@@ -150,7 +150,7 @@ class SshConnection:
         self._master = None
 
 
-def archive(uploads: Iterable[Upload]) -> bytes:
+def archive(uploads: Iterable[RobotUpload]) -> bytes:
     """Files as a tar archive, owned by root."""
     buffer = io.BytesIO()
     with tarfile.open(fileobj=buffer, mode="w", format=tarfile.GNU_FORMAT) as tar:

@@ -31,12 +31,6 @@ class SshDestination:
         return f"{program} {port}{self}"
 
 
-def host_part(address: str) -> str:
-    """The host of `HOST:PORT`; an IPv6 address loses its brackets."""
-    host, _, port = address.rpartition(":")
-    return host.strip("[]") if port.isdecimal() and host else address
-
-
 #: Messages after which another address of the same robot may succeed.
 _UNREACHABLE = re.compile(
     r"Connection (?:timed out|refused|reset)|Operation timed out|No route to host|Network is unreachable"

@@ -54,7 +54,7 @@ def test_systemd_calls_it_little_exposed():
 
 def test_it_runs_what_provision_installs(settings):
     assert settings["ExecStart"] == [f"{CURRENT}/bin/lfield service --host ${{LFIELD_HOST}}"]
-    assert settings["EnvironmentFile"] == [f"{SETTINGS}/service.env"]
+    assert settings["EnvironmentFile"] == [f"{SETTINGS}/service.env", f"-{SETTINGS}/local.env"]
 
 
 def test_a_crash_of_the_service_does_not_end_the_host(settings):

@@ -10,7 +10,6 @@ from lfield.provision.ssh_errors import (
     access_error,
     command_error,
     connection_error,
-    host_part,
     is_unreachable,
 )
 
@@ -70,17 +69,3 @@ def test_sudo_with_a_password_names_the_line_that_is_missing():
 )
 def test_a_failed_command_names_the_remedy(message, remedy):
     assert remedy in command_error("alpha", "wheels", 1, message).advice
-
-
-@pytest.mark.parametrize(
-    ("address", "host"),
-    [
-        ("10.0.0.11:8181", "10.0.0.11"),
-        ("[fd00::11]:8181", "fd00::11"),
-        ("[fe80::1%wlan0]:8181", "fe80::1%wlan0"),
-        ("alpha.local:8181", "alpha.local"),
-        ("alpha", "alpha"),
-    ],
-)
-def test_ssh_gets_the_address_without_the_port_of_lfield(address, host):
-    assert host_part(address) == host
