@@ -19,7 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from lfield.errors import ProvisionError
-from lfield.provision.plan import RootCommand, RobotUpload
+from lfield.provision.plan import RobotUpload, RootCommand
 from lfield.provision.robot_facts import ACCESS_SCRIPT, LoginAccess, parse_access
 from lfield.provision.robot_scripts import locked_command
 from lfield.provision.ssh_errors import SshDestination, command_error, connection_error, is_unreachable
