@@ -31,6 +31,9 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("keys", 65): ("keys list --authority none", "none has no authority"),
     ("keys", 69): ("keys show .", "not found"),
     ("keys", 73): ("keys init mission.L", "cannot write mission.L: it is not a folder"),
+    ("provision", 65): ("provision --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("provision", 66): ("provision --inventory none.yaml", "cannot read none.yaml"),
+    ("provision", 69): ("provision --inventory away.yaml", "0 of 1 hosts done"),
     ("sign", 65): ("sign latin.lfm", "not a valid bundle"),
     ("sign", 66): ("sign none.lfm", "cannot read none.lfm"),
     ("disasm", 65): ("disasm latin.lb", "not a valid L program"),
@@ -152,6 +155,7 @@ def files(lfield):
     bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:/none:57600'}}}}\n"
     lfield.write("sky.yaml", bound)
     lfield.write("team.yaml", "hosts: {alpha: {addresses: ['127.0.0.1:1'], service_port: 2, ssh_port: 3}}\n")
+    lfield.write("away.yaml", "hosts:\n  alpha:\n    addresses: [127.0.0.1]\n    ssh_port: 1\n")
     for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
         lfield.write(f"latin.{ending}", b"abc\xe9")
     return lfield
