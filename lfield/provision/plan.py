@@ -28,7 +28,7 @@ BATCH = 4 << 20
 #: Steps that change what the service reads when it starts.
 _READ_BY_SERVICE = ("keys", "settings", "unit", "version")
 #: Bytes of an environment for each byte of its wheels, bytecode included; of a Python, of its archive.
-_UNPACKED, _PYTHON_UNPACKED = 5, 4
+_UNPACKED, _PYTHON_UNPACKED = 6, 4
 
 
 @dataclass(frozen=True, slots=True)

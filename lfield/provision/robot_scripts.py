@@ -13,7 +13,9 @@ from lfield.provision.installation import Installation, RobotFile
 from lfield.provision.robot_facts import COMPLETE, CURRENT, KEYS, ROOT, SERVICE_USER, STARTED, WHEELS
 
 #: How long a command waits for that of an interrupted run or of another desk, in seconds.
-LOCK_TIMEOUT = 900
+LOCK_TIMEOUT = 300
+#: Exit status when that command does not end within this time.
+BUSY = 75
 #: The file that serialises commands on a robot.
 _LOCK = "/run/lfield-provision.lock"
 #: The archive of a standalone Python, and the requirements, as they arrive.
@@ -36,8 +38,11 @@ put() {{
 
 
 def locked_command(script: str) -> str:
-    """The command line that runs a script with its files, alone on the robot."""
-    return f"flock -w {LOCK_TIMEOUT} {_LOCK} sh -c {shlex.quote(_HEAD + script)}"
+    """The command line that runs a script with its files, alone on the robot.
+
+    The script does not inherit the lock: what it starts may outlive it.
+    """
+    return f"flock -o -w {LOCK_TIMEOUT} -E {BUSY} {_LOCK} sh -c {shlex.quote(_HEAD + script)}"
 
 
 def python_script(version: str, sha256: str) -> str:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from lfield.errors import ProvisionError
 from lfield.provision.robot_facts import LoginAccess
+from lfield.provision.robot_scripts import BUSY, LOCK_TIMEOUT
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,6 +85,9 @@ def command_error(host: str, step: str, status: int, message: str) -> ProvisionE
     if "Read-only file system" in message:
         remedy = "check its card (dmesg), and run provision again"
         return _error(host, f"{step}: the disk is read-only", remedy)
+    if status == BUSY and not message.strip():
+        reason = f"{step}: another provision has been running on the robot for {LOCK_TIMEOUT} s"
+        return _error(host, reason, "wait for it, or end it there, and run provision again")
     reason = _last_line(message) or f"exit status {status}"
     return _error(host, f"{step}: {reason}", "correct it, and run provision again: it continues")
 

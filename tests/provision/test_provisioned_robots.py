@@ -5,10 +5,13 @@ No robot and no desk has a route to anywhere else. Each robot is a root of its o
 
 from __future__ import annotations
 
+import shutil
 import signal
 import stat
+from pathlib import Path
 
 import pytest
+from robot_bench.desk import LFIELD, NAMES, Desk, make_wheels
 from robot_bench.robots import RobotKind, missing
 
 from lfield import exit_status
@@ -19,6 +22,9 @@ pytestmark = [
     pytest.mark.long,
 ]
 
+ROOT = Path(__file__).parents[2]
+#: What simulated autopilots need besides.
+SIMULATED = ("geographiclib", "lxml", "pymavlink", "pyserial", "wasmtime")
 #: All steps that change a robot.
 STEPS = ["user", "wheels", "environment", "keys", "settings", "unit", "version", "service"]
 SERVICE_ENV = "/etc/lfield/service.env"
@@ -79,10 +85,9 @@ def test_what_was_changed_by_hand_is_repaired_but_not_while_a_mission_runs(trial
     alpha.path("/tmp/wait.dL").write_text("//Wait:tom@alpha\n")
     alpha.path("/etc/systemd/system/lfield.service").write_text("[Unit]\n")
     alpha.path(SERVICE_ENV).write_text("LFIELD_HOST=bravo\n")
+    # As the service's user, at another address than the service would start it.
     alpha.run(
-        # As systemd does it for the service.
-        "cd /tmp; install -d -o lfield -g lfield -m 750 /run/lfield; "
-        "export RUNTIME_DIRECTORY=/run/lfield HOME=/tmp; "
+        "cd /tmp; export RUNTIME_DIRECTORY=/run/lfield HOME=/tmp; "
         "runuser -u lfield -- /opt/lfield/current/bin/lfield up --deploy wait.dL --all >up.log 2>&1 & "
         "echo $! >/tmp/up.pid; "
         "until /opt/lfield/current/bin/lfield ps; do "
@@ -92,14 +97,14 @@ def test_what_was_changed_by_hand_is_repaired_but_not_while_a_mission_runs(trial
     assert running.status == exit_status.UNAVAILABLE
     assert running.last("alpha")["step"] == "mission"
     assert alpha.read("/etc/systemd/system/lfield.service") == "[Unit]\n"
+    service = alpha.read("/run/bench-service")
     alpha.run("kill $(cat /tmp/up.pid); while pgrep -f '[l]field up' >/dev/null; do sleep 0.1; done")
     stopped = trial.provision()
     assert stopped.status == exit_status.DONE
-    assert {step for step, state in stopped.states("alpha").items() if state == "changed"} == {
-        "unit",
-        "service",
-    }
+    changed = {step for step, state in stopped.states("alpha").items() if state == "changed"}
+    assert changed == {"unit", "service"}
     assert alpha.read(SERVICE_ENV) == "LFIELD_HOST=alpha\n"
+    assert alpha.read("/run/bench-service") != service
 
 
 REFUSALS = {
@@ -141,7 +146,15 @@ def test_a_run_that_is_interrupted_at_every_step_is_continued(trial):
     """The desk is killed at each step, then stopped by Ctrl-C; then one run does the rest."""
     robot = trial.bench.add("killed", RobotKind(has_systemd=False))
     trial.write_inventory(robot)
-    for step in STEPS[:-1]:
+    for step in STEPS[: STEPS.index("environment")]:
+        trial.kill_at(step)
+    # The robot loses all its processes while pip runs, as in a restart.
+    restart = "until pgrep -f '[p]ip-.*whl/pip'; do sleep 0.05; done; kill -9 -1; true"
+    lost = trial.provision_until(
+        "environment", lambda process: robot.run(restart), signum=exit_status.UNAVAILABLE
+    )
+    assert lost["step"] == "failed"
+    for step in STEPS[STEPS.index("environment") : -1]:
         trial.kill_at(step)
     trial.provision_until(
         "doctor", lambda process: process.send_signal(signal.SIGINT), signum=exit_status.INTERRUPTED
@@ -188,3 +201,29 @@ def test_a_disk_that_fills_up_meanwhile_is_reported(trial):
     assert "free disk space" in str(full["hint"])
     robot.path("/opt/ballast").unlink()
     assert trial.provision().status == exit_status.DONE
+
+
+@pytest.mark.few(0)
+def test_four_commands_lead_from_bare_robots_to_a_flying_team(trial, wheels, tmp_path):
+    """With simulated devices on the robots; the wheels of all drivers are those of this environment."""
+    simulated = "mkdir -p /etc/lfield; echo 'LFIELD_UP_OPTIONS=--sim' >/etc/lfield/local.env"
+    robots = [trial.bench.add(name, RobotKind(setup=simulated)) for name in ("alpha2", "bravo2")]
+    desk = Desk(tmp_path)
+    desk.write_inventory({"alpha": robots[0].address, "bravo": robots[1].address})
+    drivers = tmp_path / "wheels"
+    drivers.mkdir()
+    make_wheels(drivers, (*NAMES, *SIMULATED))
+    desk.collect_wheels(drivers)
+    shutil.copy(ROOT / "examples/01-first-flight/mission.L", tmp_path)
+    for file in (ROOT / "deploy/two-copters").iterdir():
+        shutil.copy(file, tmp_path)
+    environment = {**desk.environment, "LFIELD_INVENTORY": str(desk.inventory)}
+    for command in (
+        ("keys", "init", "--person", "anna"),
+        ("provision",),
+        ("push", tmp_path / "mission.dL"),
+        ("start",),
+    ):
+        done = trial.bench.run([LFIELD, *command], environment)
+        assert done.returncode == 0, done
+    robots[0].run("timeout 50 sh -c \"until grep 'lead: landed' /var/log/lfield.log; do sleep 0.2; done\"")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from lfield.provision.robot_facts import LoginAccess
+from lfield.provision.robot_scripts import BUSY
 from lfield.provision.ssh_errors import (
     SshDestination,
     access_error,
@@ -56,6 +57,10 @@ def test_sudo_with_a_password_names_the_line_that_is_missing():
     assert "pi ALL=(root) NOPASSWD: ALL" in error.advice
     assert "ssh -t -p 2222 pi@10.0.0.11" in error.advice
     assert "user: root" in access_error("alpha", ALPHA, LoginAccess("pi", 1000, "missing")).advice
+
+
+def test_a_robot_that_another_desk_provisions_is_named():
+    assert "another provision" in command_error("alpha", "wheels", BUSY, "").reason
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 The root of a robot is an overlay of this computer's root, in memory: what is installed there, disappears with
 it. The desk and the robots are on one bridge without any route, so neither has internet access. There is no
-systemd: `systemctl` is a script that records its arguments and answers from files.
+systemd: `systemctl` is a script that records its arguments, and restarts the service as the unit says.
 """
 
 from __future__ import annotations
@@ -25,9 +25,24 @@ _SYSTEMCTL = """#!/bin/sh
 echo "$*" >>/var/log/systemctl.calls
 case "$1" in
   enable) touch /etc/bench-enabled ;;
-  restart) touch /run/bench-active ;;
+  restart)
+    service=$(cat /run/bench-service 2>/dev/null)
+    # A process that has ended has no program, also before its parent knows it.
+    [ ! -e "/proc/${service:-none}/exe" ] || kill "$service"
+    while [ -e "/proc/${service:-none}/exe" ]; do sleep 0.05; done
+    install -d -o lfield -g lfield -m 700 /var/lib/lfield /var/cache/lfield
+    install -d -o lfield -g lfield -m 750 /run/lfield
+    set -a; . /etc/lfield/service.env; [ ! -e /etc/lfield/local.env ] || . /etc/lfield/local.env
+    cd /
+    export RUNTIME_DIRECTORY=/run/lfield STATE_DIRECTORY=/var/lib/lfield CACHE_DIRECTORY=/var/cache/lfield
+    export XDG_CACHE_HOME=/var/cache HOME=/var/lib/lfield
+    setsid setpriv --reuid lfield --regid lfield --init-groups \
+      /opt/lfield/current/bin/lfield service --host "$LFIELD_HOST" </dev/null >/var/log/lfield.log 2>&1 &
+    echo $! >/run/bench-service ;;
   is-enabled) if [ -e /etc/bench-enabled ]; then echo enabled; else echo disabled; exit 1; fi ;;
-  is-active) if [ -e /run/bench-active ]; then echo active; else echo inactive; exit 3; fi ;;
+  is-active)
+    service=$(cat /run/bench-service || echo none)
+    if [ -e "/proc/$service/exe" ]; then echo active; else echo inactive; exit 3; fi ;;
 esac
 """
 _SSHD_CONFIG = """
