@@ -97,7 +97,7 @@ async def send_request(
     """
     asking, link = _RequestLink(request, host, crl), None
     try:
-        link = await transport.connect(address, asking)
+        link = await transport.connect(address, asking, host or "")
         if link.who.kind == "stranger":
             raise KeysError(
                 f"the host at {address} accepts commands only with keys: 'lfield keys person' "

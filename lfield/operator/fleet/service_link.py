@@ -113,7 +113,7 @@ async def open_service_link(
 ) -> ServiceLink:
     """A link to the service of `host`. Raises AddressError, HandshakeError, KeysError."""
     handler = ServiceLink(host, crl)
-    link = await transport.connect(address, handler)
+    link = await transport.connect(address, handler, host)
     try:
         if link.who.kind == "stranger":
             raise KeysError(
