@@ -38,6 +38,8 @@ os.environ["XDG_CONFIG_HOME"] = os.path.join(_OWN.name, "config")
 os.environ["XDG_STATE_HOME"] = os.path.join(_OWN.name, "state")
 #: Nor do the commands of tests find, or stop, what else runs on this computer.
 os.environ["LFIELD_RUNS"] = "here"
+#: Nor do they reach the hosts of an inventory of this computer.
+os.environ["LFIELD_INVENTORY"] = ""
 #: What Python compiles is kept, whatever the environment wants: a run starts a thousand interpreters.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
@@ -104,15 +106,15 @@ FOREIGN = {
 }
 
 
-def on_radio(report: pytest.TestReport) -> bool:
-    """Whether it is of a test that needs what few computers offer (tests/radio)."""
-    return report.nodeid.startswith("tests/radio/")
+def needs_namespaces(report: pytest.TestReport) -> bool:
+    """Whether it is of a test that needs what few computers offer: namespaces, and tools for them."""
+    return report.nodeid.startswith(("tests/radio/", "tests/provision/"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Why the emulated radio was not tried; with -s also how many uses of others' software were tried."""
+    """What was not tried here, and why; with -s also how many uses of others' software were tried."""
     for why in sorted(
-        {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if on_radio(skip)}
+        {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if needs_namespaces(skip)}
     ):
         terminalreporter.write_line(f"NOT TESTED: {why.removeprefix('Skipped: ')}")
     if terminalreporter.config.option.capture != "no":

@@ -38,6 +38,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "CONTRIBUTING.md": {
         "sudo apt-get install chromium chromium-driver": INSTALLS,
+        "sudo apt-get install openssh-server sudo": INSTALLS,
         "make test": SUITE,
         "make test-more": SUITE,
         "make lint": SUITE,
@@ -89,19 +90,32 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "ssh alpha sudo chown -R lfield: /etc/lfield/keys/alpha": SERVICE,
     },
     "deploy/README.md": {
-        "sudo apt-get install python3 python3-venv git": INSTALLS,
-        "sudo python3 -m venv /opt/lfield": INSTALLS,
-        "sudo /opt/lfield/bin/pip install '/path/to/this/repository[mavlink,fast]'": INSTALLS,
-        "sudo useradd --system --user-group --groups dialout lfield": INSTALLS,
-        'sudo usermod --append --groups lfield "$USER"': INSTALLS,
-        "sudo mkdir -p /etc/lfield": INSTALLS,
+        "lfield keys init --person anna": "makes the keys of this user: tests/cli/development tries it",
+        "lfield provision": "installs software on robots: tests/provision tries it",
         "lfield sign mission.lfm": "takes somebody's keys: lfield/docs/security.md makes some, and signs",
-        "sudo cp mission.lfm deploy/lfield.env /etc/lfield/": INSTALLS,
-        "sudo cp deploy/lfield@.service /etc/systemd/system/": INSTALLS,
-        "sudo systemctl daemon-reload": SERVICE,
         "lfield up mission.lfm --all --sim --until-done": EXAMPLES,
-        "sudo systemctl start lfield@alpha": SERVICE,
-        "journalctl -fu lfield@alpha": SERVICE,
+        **dict.fromkeys(
+            (
+                "sudo useradd --system --user-group --no-create-home --home-dir /var/lib/lfield "
+                "--groups dialout lfield",
+                'sudo usermod --append --groups lfield "$USER"',
+                "sudo python3 -m venv --without-pip /opt/lfield/VERSION",
+                "sudo /opt/lfield/VERSION/bin/python wheels/pip-VERSION.whl/pip install --no-index "
+                "--find-links wheels --require-hashes -r run.txt",
+                "sudo ln -sfn VERSION /opt/lfield/current",
+                "sudo install -d -m 755 /etc/lfield/keys",
+                "sudo install -d -m 700 -o lfield -g lfield /etc/lfield/keys/alpha",
+                "sudo install -m 600 -o lfield -g lfield -t /etc/lfield/keys/alpha "
+                "keys/host.key keys/host.pem keys/authority.pem keys/revoked.crl",
+                "sudo cp inventory.yaml /etc/lfield/",
+                "echo LFIELD_HOST=alpha | sudo tee /etc/lfield/service.env",
+                "sudo cp lfield.service /etc/systemd/system/",
+                "sudo systemctl daemon-reload",
+                "sudo systemctl enable --now lfield",
+                "sudo -u lfield /opt/lfield/current/bin/lfield doctor",
+            ),
+            INSTALLS,
+        ),
     },
     "drivers/lfield_can/README.md": {
         "sudo ip link set can0 up type can bitrate 500000 restart-ms 100": HARDWARE,

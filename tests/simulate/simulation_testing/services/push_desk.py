@@ -14,7 +14,7 @@ from lfield.event_loop import spawn
 from lfield.net.tcp_transport import TcpTransport
 from lfield.operator.fleet.activation import BallotResult, activate, new_ballot
 from lfield.operator.fleet.bundle_upload import Upload, upload
-from lfield.operator.fleet.service_link import open_service_link
+from lfield.operator.fleet.service_link import ServiceLinks
 from lfield.service.service_process import MAX_BLOCK
 from lfield.simulate.computers.simulated_computer import SimulatedComputer
 from lfield.simulate.host_fleet import host_at_address
@@ -84,9 +84,9 @@ class SimulatedDesk:
 
     async def _push(self, step: DeskStep) -> None:
         """As `lfield push`."""
-        robots, transport = self._fleet.robots, self._transport()
+        robots, links = self._fleet.robots, self._links()
         what = _upload_of(len(robots), step.version)
-        reached = await asyncio.gather(*(self._upload(transport, robot, what) for robot in robots))
+        reached = await asyncio.gather(*(self._upload(links, robot, what) for robot in robots))
         hosts = [robot for robot, stored in zip(robots, reached, strict=True) if stored]
         without = [robot for robot in robots if robot not in hosts]
         if not hosts or (without and step.action == "push"):
@@ -100,15 +100,16 @@ class SimulatedDesk:
                 kill_here(process)
 
         ballot = new_ballot(what.digest, hosts, without, self.name, self._rng.randbytes)
-        result = await activate(transport, self._fleet.addresses, ballot, on_change=on_change)
+        result = await activate(links, ballot, on_change)
+        links.close()
         self._fleet.note(self.name, f"{ballot.id.hex()[:6]} {result.outcome} {result.votes} {result.reasons}")
         self.results.append(result)
         if result.outcome == "activated" and self._rng.random() < 0.5:
             await self._command(MissionCommand("start", what.digest, without=without), hosts)
 
-    async def _upload(self, transport: TcpTransport, robot: str, what: Upload) -> bool:
+    async def _upload(self, links: ServiceLinks, robot: str, what: Upload) -> bool:
         try:
-            progress = await upload(transport, self._fleet.addresses[robot], robot, what, patience=PATIENCE)
+            progress = await upload(links, robot, what, patience=PATIENCE)
         except LfieldError:
             return False
         return not progress.refusal
@@ -118,19 +119,15 @@ class SimulatedDesk:
 
     async def _send_command(self, command: MissionCommand, robot: str) -> None:
         """Send a command, again after broken links."""
-        transport, address = self._transport(), self._fleet.addresses[robot]
+        links = self._links()
         try:
-            async with asyncio.timeout(COMMAND):
-                while True:
-                    try:
-                        async with open_service_link(transport, address, robot, None) as link:
-                            result = await link.ask(command, CommandResult, ANSWER)
-                        self._fleet.note(self.name, f"{command.action} {robot}: {result.trouble or 'done'}")
-                        return
-                    except LfieldError:
-                        await asyncio.sleep(1.0)
-        except TimeoutError:
+            result = await links.ask(robot, command, CommandResult, COMMAND, ANSWER)
+            self._fleet.note(self.name, f"{command.action} {robot}: {result.trouble or 'done'}")
+        except LfieldError:
             self._fleet.note(self.name, f"{command.action} {robot}: no answer")
+        finally:
+            links.close()
 
-    def _transport(self) -> TcpTransport:
-        return TcpTransport(MAX_BLOCK, identify=host_at_address, busy=float)
+    def _links(self) -> ServiceLinks:
+        transport = TcpTransport(MAX_BLOCK, identify=host_at_address, busy=float)
+        return ServiceLinks(transport, self._fleet.addresses)

@@ -7,6 +7,7 @@ host: what the service observes and orders is modelled only. Vehicle and journal
 from __future__ import annotations
 
 import asyncio
+import itertools
 import random
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -57,6 +58,7 @@ class RobotMission:
         self.hosts: dict[int, ModelHost] = {}
         self.ends: dict[int, int] = {}
         self.boots = self._coordinators = 0
+        self._numbers = itertools.count(1)
 
     @property
     def host(self) -> ModelHost | None:
@@ -72,10 +74,12 @@ class RobotMission:
         """Start the host of a bundle; returns its process number."""
         self.on_start(self.robot, bundle)
         process = self.computer.start()
-        host = self.hosts[process.pid] = ModelHost(self, bundle, process)
-        process.await_end(partial(self._on_end, process.pid))
+        # Not its own number, which depends on the stories before.
+        number = next(self._numbers)
+        host = self.hosts[number] = ModelHost(self, bundle, process)
+        process.await_end(partial(self._on_end, number))
         process.loop.soon(lambda: process.loop.create_task(host.run()), self.rng.uniform(*STARTUP))
-        return process.pid
+        return number
 
     def on_power_off(self) -> None:
         """The robot is without power: its vehicle too."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import random
 import tempfile
-from collections.abc import Awaitable, Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -18,18 +17,17 @@ from lfield.event_loop import spawn
 from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 from lfield.net.tcp_transport import TcpTransport
-from lfield.operator.observer_link import Request, ask_with_retries
 from lfield.service.mission_runner import MissionRunner
 from lfield.service.server import ServiceServer
 from lfield.service.service import Service
-from lfield.service.service_process import MAX_BLOCK, PEER_TIMEOUT
+from lfield.service.service_process import MAX_BLOCK, ask_peer
 from lfield.simulate.computers.event_queue import EventQueue
 from lfield.simulate.computers.process_loop import closing_generators, release
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_machine import SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
 from lfield.simulate.host_fleet import CLOCK_DRIFT, host_at_address
-from lfield.wire.service_messages import BallotState, BundleInfo, VoteQuery
+from lfield.wire.service_messages import BundleInfo
 from simulation_testing.services.push_judge import PushJudge
 from simulation_testing.services.robot_mission import ModelProbe, ModelProcesses, RobotMission
 from simulation_testing.services.service_disk import OpenServiceDisk, ProcessKilled, ServiceDisk
@@ -186,11 +184,4 @@ class ServiceFleet:
         server = ServiceServer(name, service, transport, clock, rng, AdmissionPolicy())
         service.adopt()
         await server.listen(self.addresses[name])
-        await service.resolve(self._asks(transport))
-
-    def _asks(self, transport: TcpTransport) -> Callable[[str, VoteQuery], Awaitable[BallotState]]:
-        def ask(host: str, query: VoteQuery) -> Awaitable[BallotState]:
-            request = Request(query, BallotState, PEER_TIMEOUT)
-            return ask_with_retries(transport, self.addresses[host], request, host, None)
-
-        return ask
+        await service.resolve(partial(ask_peer, transport, self.addresses))
