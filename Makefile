@@ -51,6 +51,7 @@ SEEDS ?= 10000
 FIRST ?= 0
 simulate: $(VENV)/.tested
 	$(BIN)/python tests/simulate/simulate.py --seeds $(SEEDS) --first $(FIRST)
+	$(BIN)/python tests/simulate/simulate.py --pushes --seeds $(SEEDS) --first $(FIRST)
 	$(BIN)/python tests/planted/catalogue.py --run tests/simulate
 
 # Real processes that are killed, stopped, cut off and out of disk space, for SECONDS. Disks that are full are mounted in a

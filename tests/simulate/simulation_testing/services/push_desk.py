@@ -6,6 +6,7 @@ import asyncio
 import random
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Literal
 
 from lfield.errors import LfieldError
@@ -26,6 +27,11 @@ DeskAction = Literal["push", "push without", "start", "stop", "discard"]
 #: Seconds without any stored piece after which an upload fails, for the answer to a command, and for all of a
 #: command.
 PATIENCE, ANSWER, COMMAND = 8.0, 20.0, 30.0
+
+
+@cache
+def _upload_of(robots: int, version: int) -> Upload:
+    return Upload.of(bundle_version(robots, version))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +85,7 @@ class SimulatedDesk:
     async def _push(self, step: DeskStep) -> None:
         """As `lfield push`."""
         robots, links = self._fleet.robots, self._links()
-        what = Upload.of(bundle_version(len(robots), step.version))
+        what = _upload_of(len(robots), step.version)
         reached = await asyncio.gather(*(self._upload(links, robot, what) for robot in robots))
         hosts = [robot for robot, stored in zip(robots, reached, strict=True) if stored]
         without = [robot for robot in robots if robot not in hosts]

@@ -21,6 +21,8 @@ class PushJudge:
         #: Every ballot on which a host has voted, in the order of the first votes; what hosts know of it.
         self.ballots: dict[bytes, Ballot] = {}
         self.outcomes: dict[bytes, BallotOutcome] = {}
+        #: Called at the next vote for a ballot of a robot.
+        self.at_vote: dict[str, Callable[[], None]] = {}
         self._votes: dict[tuple[str, bytes], Vote] = {}
         #: The last ballot that was really activated, by robot: it is when the last host votes yes.
         self._activated: dict[str, Ballot] = {}
@@ -31,14 +33,15 @@ class PushJudge:
     def on_save(self, robot: str, before: ServiceRecord, after: ServiceRecord) -> None:
         """The state of a robot is stored now."""
         self.records[robot] = after
+        found, was = after.activation.ballot, before.activation.ballot
+        if found is not None and found.ballot is not None:
+            self.ballots.setdefault(found.id, found.ballot)
         self._check_votes_kept(robot, after)
         if before.run.unsafe and not after.run.unsafe and not after.run.bundle:
             # A person has checked the vehicle.
             self.missions[robot].is_airborne = False
-        found, was = after.activation.ballot, before.activation.ballot
         if found is None or found.ballot is None:
             return
-        self.ballots.setdefault(found.id, found.ballot)
         if was is None or was.id != found.id:
             self.counts[found.votes[robot]] += 1
             if found.votes[robot] == "yes":
@@ -57,18 +60,14 @@ class PushJudge:
 
     def _on_yes(self, robot: str, before: ServiceRecord, ballot: Ballot) -> None:
         mission = self.missions[robot]
+        self.at_vote.pop(robot, lambda: None)()
         if ballot.digest != before.activation.active:
             if not mission.is_at_rest:
                 state = "flies" if mission.is_airborne else f"has coordinators {[*mission.unfinished]}"
                 self.breaches.add("yes without rest", (robot,), f"it {state} at its vote")
             if mission.host is not None and not mission.is_paused:
                 self.breaches.add("yes without pause", (robot,), "its host can start anything")
-        records = [self.records.get(host, ServiceRecord()) for host in ballot.hosts]
-        votes = [
-            ballots.answer(record.activation, host, ballot.id).votes.get(host)
-            for host, record in zip(ballot.hosts, records, strict=True)
-        ]
-        if all(vote == "yes" for vote in votes):
+        if all(self._votes.get((host, ballot.id)) == "yes" for host in ballot.hosts):
             self._activated |= dict.fromkeys(ballot.hosts, ballot)
 
     def _on_outcome(self, robot: str, found: BallotState) -> None:
@@ -79,9 +78,7 @@ class PushJudge:
             self.breaches.add("two outcomes", (robot,), f"{found.outcome}, and elsewhere {first}")
         if found.outcome == "activated":
             for host in found.ballot.hosts:
-                record = self.records.get(host, ServiceRecord())
-                vote = ballots.answer(record.activation, host, found.id).votes.get(host)
-                if vote != "yes":
+                if (vote := self._votes.get((host, found.id))) != "yes":
                     self.breaches.add("activated without a yes", (robot, host), f"{host} has voted {vote}")
 
     # --- hosts ----------------------------------------------------------------------------------------

@@ -25,19 +25,23 @@ SETTLES = CLOSE_AFTER + 4 * (RESOLVE_EVERY + PEER_TIMEOUT)
 LAST_PUSH, LAST_PUSHES = 60.0, 4
 #: The most events of one story.
 MAX_EVENTS = 400_000
-#: Seconds that a fault lasts, and seconds of a slow way and of a slow disk.
-LASTS, SLOW_WAY, SLOW_DISK = (0.5, 25.0), (0.3, 3.0), (0.05, 1.0)
+#: Seconds that short and long faults last (some until ballots are closed), of a slow way and of a slow disk.
+SHORT, LONG, SLOW_WAY, SLOW_DISK = (0.5, 12.0), (12.0, 60.0), (0.3, 3.0), (0.05, 1.0)
+#: The most saves until a planned kill.
+SAVES = 4
 #: What can go wrong, with the mean seconds between two faults of a kind in rough weather.
 KINDS: Mapping[str, float] = {
     "cut": 10.0,
     "one_way": 15.0,
     "island": 20.0,
+    "island_at_vote": 12.0,
     "desk_cut": 20.0,
     "reset": 10.0,
     "slow": 20.0,
     "kill_service": 15.0,
     "kill_before_save": 15.0,
     "kill_after_save": 15.0,
+    "kill_both": 15.0,
     "kill_host": 20.0,
     "kill_desk": 25.0,
     "power": 40.0,
@@ -104,7 +108,9 @@ def draw_push_story(seed: int) -> PushStory:
         at = rng.expovariate(1.0 / (mean * calm))
         while at < seconds:
             one, other = rng.sample(names, 2)
-            faults.append(PushFault(at, kind, one, other, rng.uniform(*LASTS), rng.random()))
+            faults.append(
+                PushFault(at, kind, one, other, rng.uniform(*rng.choice((SHORT, SHORT, LONG))), rng.random())
+            )
             at += rng.expovariate(1.0 / (mean * calm))
     faults.sort(key=lambda fault: fault.at)
     return PushStory(seed, robots, seconds, steps, tuple(faults))
@@ -195,11 +201,13 @@ class PushWeather:
         """All is healed, and desks end."""
         self._is_over = True
         fleet = self._fleet
+        fleet.judge.at_vote.clear()
         fleet.network.heal_all()
         for desk in self._desks:
             desk.kill()
         for robot, disk in fleet.disks.items():
-            disk.is_full, disk.slow, disk.kill_point = False, 0.0, ""
+            disk.plan_kill("")
+            disk.is_full, disk.slow, disk.kills_host = False, 0.0, False
             fleet.power_on(robot)
             for process in list(fleet.computers[robot].processes):
                 process.loop.thaw()
@@ -239,6 +247,17 @@ class PushWeather:
         others.remove(fault.one)
         return self._silence([way for other in others for way in ((fault.one, other), (other, fault.one))])
 
+    def _island_at_vote(self, fault: PushFault) -> None:
+        """The answer with the next vote of a robot is lost, and it is unreachable for a while."""
+
+        def cut() -> None:
+            if self._is_over:
+                return
+            self._reset(fault)
+            self._fleet.timeline.after(fault.lasts, partial(self._heal, self._island(fault)))
+
+        self._fleet.judge.at_vote[fault.one] = lambda: self._fleet.later(cut)
+
     def _desk_cut(self, fault: PushFault) -> Callable[[], None]:
         desk = self._desk(fault)
         return self._silence([(desk.name, fault.one), (fault.one, desk.name)])
@@ -268,10 +287,24 @@ class PushWeather:
         self._fleet.kill_service(fault.one)
 
     def _kill_before_save(self, fault: PushFault) -> None:
-        self._fleet.disks[fault.one].kill_point = "before"
+        self._fleet.disks[fault.one].plan_kill("before", int(fault.size * SAVES))
 
     def _kill_after_save(self, fault: PushFault) -> None:
-        self._fleet.disks[fault.one].kill_point = "after"
+        self._fleet.disks[fault.one].plan_kill("after", int(fault.size * SAVES))
+
+    def _kill_both(self, fault: PushFault) -> None:
+        """The service and the host of a robot are killed after the next save, or the next after a vote."""
+        disk = self._fleet.disks[fault.one]
+
+        def arm() -> None:
+            if not self._is_over:
+                disk.plan_kill("after")
+                disk.kills_host = True
+
+        if fault.size < 0.3:
+            arm()
+        else:
+            self._fleet.judge.at_vote[fault.one] = lambda: self._fleet.later(arm)
 
     def _kill_host(self, fault: PushFault) -> None:
         self._fleet.kill_host(fault.one)

@@ -26,8 +26,8 @@ STEP, STARTUP, LANDING = (0.2, 2.0), (0.1, 1.5), (0.5, 5.0)
 LATENCY, LOST_ANSWERS = (0.005, 0.4), 30
 #: Seconds between two checks whether a process has ended.
 POLL = 0.25
-#: Parts of all steps in which a coordinator takes off, lands, moves to another robot, and ends.
-TAKES_OFF, LANDS, MOVES, ENDS = 0.4, 0.3, 0.15, 0.3
+#: Parts of all steps in which a coordinator takes off, lands, moves to another robot, ends; ends in flight.
+TAKES_OFF, LANDS, MOVES, ENDS, LEFT_IN_THE_AIR = 0.4, 0.3, 0.15, 0.3, 0.15
 #: Parts of all starts with a new coordinator, and of all steps without one in which a host ends.
 NEW_COORDINATOR, LEAVES = 0.6, 0.02
 
@@ -157,6 +157,9 @@ class ModelHost:
         mission.on_act(mission.robot, self.bundle)
         if mission.is_airborne:
             mission.is_airborne = chance > LANDS
+            if chance > 1.0 - LEFT_IN_THE_AIR:
+                # Its coordinator has ended: the vehicle stays where it is for a while.
+                del mission.unfinished[agent]
         elif chance < TAKES_OFF:
             mission.is_airborne = True
         elif chance < TAKES_OFF + MOVES:

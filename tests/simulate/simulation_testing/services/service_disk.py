@@ -7,6 +7,7 @@ just after a save, the disk may be full, and it may be slow.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from typing import Literal
 
 import msgspec
@@ -18,10 +19,15 @@ from lfield.wire.bundle_pieces import Piece, piece_of, split
 
 _encoder, _decoder = msgspec.msgpack.Encoder(), msgspec.msgpack.Decoder(ServiceRecord)
 
-#: When the process is killed: before or after its next save.
+#: When the process is killed: before or after a save.
 KillPoint = Literal["", "before", "after"]
 #: Called with the name of a robot and its records before and after a save.
 OnSave = Callable[[str, ServiceRecord, ServiceRecord], None]
+
+
+@cache
+def _pieces_of(data: bytes) -> tuple[tuple[Piece, bytes], ...]:
+    return tuple((piece_of(part), part) for part in split(data))
 
 
 class ProcessKilled(BaseException):
@@ -46,7 +52,22 @@ class ServiceDisk:
         self.is_full = False
         #: Seconds for a save.
         self.slow = 0.0
-        self.kill_point: KillPoint = ""
+        self._kill_point: KillPoint = ""
+        self._saves_before_kill = 0
+        #: Whether the mission's host is killed with the service.
+        self.kills_host = False
+
+    def plan_kill(self, point: KillPoint, saves: int = 0) -> None:
+        """Kill the service before or after a save, after so many others; "" for never."""
+        self._kill_point, self._saves_before_kill = point, saves
+
+    def next_point(self) -> KillPoint:
+        """Whether the service is killed at the save that begins."""
+        if self._kill_point and self._saves_before_kill:
+            self._saves_before_kill -= 1
+            return ""
+        point, self._kill_point = self._kill_point, ""
+        return point
 
     def load(self) -> ServiceRecord:
         """The stored state."""
@@ -67,7 +88,7 @@ class OpenServiceDisk:
     def save(self, record: ServiceRecord) -> None:
         """Replace the state. Raises OutputFileError, ProcessKilled."""
         self._check_usable()
-        point, self._disk.kill_point = self._disk.kill_point, ""
+        point = self._disk.next_point()
         if point == "before":
             kill_here(self._process)
         self._disk.store(record)
@@ -94,7 +115,7 @@ class OpenServiceDisk:
 
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]:
         """The offered pieces that are neither stored nor in a stored bundle."""
-        known = {piece_of(part): part for data in self._disk.bundles.values() for part in split(data)}
+        known = {piece: part for data in self._disk.bundles.values() for piece, part in _pieces_of(data)}
         stored = self._disk.uploads[file]
         for number, piece in enumerate(pieces, first):
             if number not in stored and piece in known:

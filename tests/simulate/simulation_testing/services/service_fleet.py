@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import random
 import tempfile
+from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -99,6 +100,10 @@ class ServiceFleet:
         lines = (f"{at:.9f} {name} {text}\n" for at, name, text in self.log)
         return hashlib.sha256("".join(lines).encode()).hexdigest()
 
+    def later(self, event: Callable[[], None]) -> None:
+        """Schedule an event after the present one."""
+        self.timeline.after(0.0, event)
+
     def run(self, seconds: float) -> None:
         """Run for that many seconds, or until a breach."""
         with closing_generators():
@@ -155,6 +160,9 @@ class ServiceFleet:
     def _on_service_end(self, name: str, process: SimulatedProcess, _: int) -> None:
         if self.services.get(name) is process:
             del self.services[name]
+            if self.disks[name].kills_host:
+                self.disks[name].kills_host = False
+                self.kill_host(name)
             rng = self.computers[name].machine.rng
             self.timeline.after(rng.uniform(*RESTART), partial(self.start_service, name))
 
