@@ -79,7 +79,7 @@ def test_a_python_that_is_too_old_is_prepared_for(folder, here, monkeypatch) -> 
     assert without.status == exit_status.UNAVAILABLE
     assert reports(without.out)["alpha"]["hint"] == "pip install uv"
     collected = folder / ".cache/lfield/python/aarch64-3.12.9.tar.gz"
-    collected.parent.mkdir()
+    collected.parent.mkdir(exist_ok=True)
     collected.write_bytes(b"python")
     assert here(*prepare).status == exit_status.DONE
 
