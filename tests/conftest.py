@@ -38,6 +38,8 @@ os.environ["XDG_CONFIG_HOME"] = os.path.join(_OWN.name, "config")
 os.environ["XDG_STATE_HOME"] = os.path.join(_OWN.name, "state")
 #: Nor do the commands of tests find, or stop, what else runs on this computer.
 os.environ["LFIELD_RUNS"] = "here"
+#: Nor do they reach the hosts of an inventory of this computer.
+os.environ["LFIELD_INVENTORY"] = ""
 #: What Python compiles is kept, whatever the environment wants: a run starts a thousand interpreters.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False

@@ -38,6 +38,7 @@ COMMANDS = {
     "logs": "print the log of a mission's programs and hosts",
     "query": "list the agents that provide a capability, and explain why others do not",
     "capabilities": "show and check the registry of capabilities",
+    "inventory": "show the hosts of the inventory, and check which of their addresses answer",
     "provision": "install lfield on the robots of the inventory, over ssh",
     "push": "send a bundle to all robots of its mission and activate it on all or none",
     "rollback": "activate the previous bundle on all robots or none",
@@ -73,7 +74,7 @@ _PACKAGES = {
         "forget",
         "recover",
     ),
-    "fleet": ("provision", "push", "rollback", "status", "stop", "service"),
+    "fleet": ("inventory", "provision", "push", "rollback", "status", "stop", "service"),
     "device": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of each subcommand.

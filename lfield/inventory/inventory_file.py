@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from ipaddress import ip_address
+from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 
 from lfield.errors import AddressError, NoHomeFolder, ProgramError
@@ -30,22 +30,24 @@ from lfield.net.transport import DEFAULT_PORT, join_address, split_address
 from lfield.text.source_text import Diagnostics, Span
 from lfield.text.user_dirs import config_dir
 from lfield.text.yaml_fields import YamlFields
-from lfield.text.yaml_source import YamlEntry, YamlNode, YamlScalar, read
+from lfield.text.yaml_source import YamlEntry, YamlList, YamlNode, YamlScalar, read
 
 #: The variable that names the file, and the file of a robot.
 VARIABLE, SYSTEM = "LFIELD_INVENTORY", Path("/etc/lfield/inventory.yaml")
-_NAME = re.compile(r"[A-Za-z0-9]([A-Za-z0-9.-]*[A-Za-z0-9])?", re.ASCII)
+#: No dash first: it would be an option of ssh.
+_NAME = re.compile(r"(?!-)[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*", re.ASCII)
 _USER = re.compile(r"[a-z_][a-z0-9_-]*\$?", re.ASCII)
-_PYTHON = re.compile(r"3\.(\d{1,2})", re.ASCII)
-#: The oldest minor version of Python 3 that lfield runs on.
-_OLDEST_PYTHON = 11
+_SSH_HOST = re.compile(r"(?!-)[A-Za-z0-9._:%-]+", re.ASCII)
+_PYTHON = re.compile(r"3\.\d{1,2}", re.ASCII)
 
 
 def find_inventory(named: Path | None, environment: Mapping[str, str]) -> Inventory | None:
     """The inventory of a command: `named`, else $LFIELD_INVENTORY, else the user's, else that of the robot.
 
-    None without any. Raises as `read_inventory`.
+    None without any, and with an empty variable. Raises as `read_inventory`.
     """
+    if named is None and environment.get(VARIABLE) == "":
+        return None
     said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
     if said is not None:
         return read_inventory(said)
@@ -73,6 +75,8 @@ class _Reader:
         self._path, self._found = path, found
         #: Which host has each address: "host:port" in a normal form.
         self._owners: dict[str, str] = {}
+        #: The names of hosts in lower case.
+        self._names: dict[str, str] = {}
 
     def inventory(self, node: YamlNode) -> Inventory:
         top = YamlFields(node, self._found, "an inventory")
@@ -88,63 +92,61 @@ class _Reader:
         if not _NAME.fullmatch(name):
             hint = "letters, digits, '-' and '.', as in the deployment"
             fields.report("Y113", f"'{name}' is not a name of a host", entry.key_span, hint)
+        if (first := self._names.setdefault(name.lower(), name)) != name:
+            fields.report("Y113", f"'{name}' differs from '{first}' by upper case only", entry.key_span)
         port = fields.integer("service_port", SERVICE_PORT, minimum=1, maximum=65535)
         addresses = self._addresses(name, port, fields)
-        python = fields.text("python")
-        if python and not ((match := _PYTHON.fullmatch(python)) and int(match[1]) >= 10):
-            fields.report(
-                "Y113", f"'{python}' is not a version of Python", fields.value_span("python"), 'write "3.11"'
-            )
-        user = fields.text("user")
-        if user and not _USER.fullmatch(user):
-            fields.report("Y113", f"'{user}' is not a name of a user", fields.value_span("user"))
+        python = self._matching("python", _PYTHON, 'a version of Python, as in "3.11"', fields)
+        user = self._matching("user", _USER, "a name of a user", fields)
+        groups = fields.texts("groups")
+        for group in groups:
+            if not _USER.fullmatch(group):
+                fields.report("Y113", f"'{group}' is not a name of a group", fields.value_span("groups"))
         devices = fields.text("devices")
         host = InventoryHost(
             name,
             addresses,
             user,
             fields.integer("ssh_port", 0, minimum=1, maximum=65535) if "ssh_port" in fields else 0,
-            fields.text("ssh_host"),
+            self._matching("ssh_host", _SSH_HOST, "a host for ssh", fields),
             fields.text("arch", choices=ARCHITECTURES),
             python,
             port,
-            fields.texts("groups"),
+            groups,
             (self._path.parent / devices).absolute() if devices else None,
         )
         fields.report_unread()
         return host
 
+    def _matching(self, key: str, pattern: re.Pattern[str], what: str, fields: YamlFields) -> str:
+        """A text that matches; '' without it, and with a finding."""
+        text = fields.text(key)
+        if not text or pattern.fullmatch(text):
+            return text
+        fields.report("Y113", f"'{text}' is not {what}", fields.value_span(key))
+        return ""
+
     def _addresses(self, name: str, service_port: int, fields: YamlFields) -> tuple[str, ...]:
         """The addresses of a host, each with its port."""
         found: list[str] = []
-        for node in fields.items("addresses"):
+        nodes, value = fields.items("addresses"), fields.node("addresses")
+        for node in nodes:
             if not isinstance(node, YamlScalar) or not isinstance(node.value, str):
                 fields.report("Y112", "an address must be text", node.span, 'write "10.42.0.11"')
-            elif address := self._address(node.value, node.span, fields):
-                self._own(name, address, service_port, node.span, fields)
-                found.append(address)
-        if not found and not fields.items("addresses"):
+                continue
+            try:
+                address = normal_address(node.value)
+            except AddressError as error:
+                sentence = f"'{node.value}' is not an address of a host: {error.reason}"
+                fields.report("Y113", sentence, node.span, _ADDRESSES)
+                continue
+            if address in found:
+                fields.report("Y113", f"{address} occurs twice", node.span)
+            self._own(name, address, service_port, node.span, fields)
+            found.append(address)
+        if value is None or (isinstance(value, YamlList) and not nodes):
             fields.report("Y110", f"'{name}' needs 'addresses', with at least one", fields.span)
         return tuple(found)
-
-    def _address(self, text: str, span: Span, fields: YamlFields) -> str:
-        """An address with its port; '' and a finding for an invalid one."""
-        try:
-            host, port = _with_port(text)
-            if not port:
-                raise AddressError(text, "0 is not a port; write a number from 1 to 65535")
-            if host.replace(".", "").isdigit():
-                ip_address(host)
-        except AddressError as error:
-            fields.report("Y113", f"'{text}' is not an address: {error.reason}", span, _ADDRESSES)
-            return ""
-        except ValueError:
-            fields.report("Y113", f"'{text}' is not an address", span, _ADDRESSES)
-            return ""
-        if not _is_host(host):
-            fields.report("Y113", f"'{text}' is not an address", span, _ADDRESSES)
-            return ""
-        return join_address(host, port)
 
     def _own(self, name: str, address: str, service_port: int, span: Span, fields: YamlFields) -> None:
         """Record the ports of a host at an address; a finding where another host has one of them."""
@@ -152,7 +154,7 @@ class _Reader:
         if port == service_port:
             hint = "the mission's host and the service listen at different ports"
             fields.report("Y113", f"{address} is also the address of the service of {name}", span, hint)
-        for endpoint in (join_address(host.lower(), port), join_address(host.lower(), service_port)):
+        for endpoint in (join_address(host, port), join_address(host, service_port)):
             other = self._owners.setdefault(endpoint, name)
             if other != name:
                 fields.report(
@@ -165,21 +167,30 @@ _EXAMPLE = "hosts: {alpha: {addresses: [10.42.0.11]}}"
 _ADDRESSES = "write HOST, HOST:PORT, IPv6, [IPv6]:PORT or [IPv6%INTERFACE]:PORT"
 
 
-def _with_port(text: str) -> tuple[str, int]:
-    """Host and port of an address, which for IPv6 may lack its brackets. Raises AddressError."""
-    bare = text.partition("%")[0]
-    if bare.count(":") > 1 and not text.startswith("["):
-        return text, DEFAULT_PORT
-    return split_address(text)
+def normal_address(text: str) -> str:
+    """An address as "host:port" in its normal form; IPv6 may lack its brackets. Raises AddressError."""
+    is_bare = text.partition("%")[0].count(":") > 1 and not text.startswith("[")
+    host, port = (text, DEFAULT_PORT) if is_bare else split_address(text)
+    if not port:
+        raise AddressError(text, "0 is not a port; write a number from 1 to 65535")
+    if ":" in host or re.fullmatch(r"[0-9.]+", host):
+        host = _normal_number(text, host)
+    elif not _NAME.fullmatch(host):
+        raise AddressError(text, "it has characters that no name of a host has")
+    return join_address(host.lower() if "%" not in host else host, port)
 
 
-def _is_host(host: str) -> bool:
-    """Whether it is an IP address, with a zone if it is link-local, or can be a name."""
-    bare, percent, zone = host.partition("%")
-    if ":" in bare:
-        try:
-            address = ip_address(bare)
-        except ValueError:
-            return False
-        return bool(zone) if address.is_link_local else not percent
-    return bool(_NAME.fullmatch(host))
+def _normal_number(text: str, host: str) -> str:
+    """An IP address in its normal form. Raises AddressError."""
+    try:
+        address = ip_address(host)
+    except ValueError:
+        raise AddressError(text, "it is not an IP address") from None
+    if address.is_unspecified or address.is_multicast:
+        raise AddressError(text, "it is not the address of one computer")
+    zone = getattr(address, "scope_id", None)
+    if isinstance(address, IPv6Address) and address.is_link_local and not zone:
+        raise AddressError(text, "a link-local address needs the interface, as in fe80::1%wlan0")
+    if zone and not address.is_link_local:
+        raise AddressError(text, "only a link-local address has an interface")
+    return str(address)

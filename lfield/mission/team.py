@@ -10,7 +10,7 @@ from typing import NamedTuple
 import msgspec
 
 from lfield.errors import AddressError, UsageError
-from lfield.net.transport import DEFAULT_PORT, split_address
+from lfield.net.transport import DEFAULT_PORT, split_address, split_addresses
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.vm.agent import AgentKind, TeamMember
 
@@ -134,10 +134,13 @@ def parse_maps(given: Sequence[str], team: Team) -> dict[str, str]:
 
 
 def _has_port(address: str) -> bool:
-    """Whether an address has a valid port, IPv6 in brackets."""
-    try:
-        _, port = split_address(address)
-    except AddressError:
-        return False
-    _, colon, written = address.rpartition(":")
-    return bool(colon) and written.isdigit() and port > 0
+    """Whether each address has a valid port, IPv6 in brackets."""
+    for each in split_addresses(address):
+        try:
+            _, port = split_address(each)
+        except AddressError:
+            return False
+        _, colon, written = each.rpartition(":")
+        if not (colon and written.isdigit() and port > 0):
+            return False
+    return True

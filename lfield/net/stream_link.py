@@ -76,6 +76,12 @@ class StreamLink(FramedLink, asyncio.Protocol):
     async def ready(self) -> None:
         """Return when messages can be sent. Raises HandshakeError, WireError and AddressError."""
 
+    def require_host(self, host: str) -> None:
+        """Let `ready` raise HandshakeError if another host has authenticated itself; '' for any host.
+
+        Without TLS, hosts are not authenticated.
+        """
+
     def write(self, data: Buffer) -> None:
         """Send messages of one turn together: a system call costs more than the rest of a hop."""
         if not self._waiting:

@@ -20,7 +20,7 @@ from lfield.net.datagrams.datagram_port import DatagramPort, DatagramReader, Lin
 from lfield.net.peer_credentials import socket_address
 from lfield.net.scheduling.link_schedulers import LinkScheduler
 from lfield.net.stream_link import StreamLink, anonymous_identity
-from lfield.net.transport import UNIX, split_address
+from lfield.net.transport import UNIX, split_address, split_addresses
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
@@ -76,7 +76,7 @@ class TcpTransport:
         self.note = note
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
-        """Listen at every address of a name that belongs to this computer; port 0 chooses a free port.
+        """Listen at every address that belongs to this computer; port 0 chooses a free port.
 
         "[::]" covers both families. "fd:N" is an inherited listening socket. Access to "unix:PATH" follows
         its folder: its group may connect if it may enter. Raises AddressError.
@@ -106,7 +106,9 @@ class TcpTransport:
                 _set_backlog(server)
                 return SocketListener(server, address, path)
             if isinstance(loop, SimulatedLoop):
-                server = await loop.create_server(called, *split_address(address), backlog=ACCEPT_BATCH)
+                server = await loop.create_server(
+                    called, *split_address(split_addresses(address)[0]), backlog=ACCEPT_BATCH
+                )
                 _set_backlog(server)
                 return SocketListener(server, socket_address(server.sockets[0].getsockname()))
         except (OSError, UnicodeError) as error:
@@ -115,11 +117,11 @@ class TcpTransport:
         await listener.open()
         return listener
 
-    async def connect(self, address: str, handler: LinkHandler) -> Link:
+    async def connect(self, address: str, handler: LinkHandler, host: str = "") -> Link:
         """Connect to a listening host. Raises AddressError, or NoListener for a refused connection.
 
-        The name is resolved anew, and its addresses are raced. Raises HandshakeError and WireError if
-        authentication fails.
+        Names are resolved again, and the addresses are raced; one of another host is skipped. Raises
+        HandshakeError and WireError if authentication fails.
         """
         loop = asyncio.get_running_loop()
         plain = address.startswith(UNIX)
@@ -127,14 +129,16 @@ class TcpTransport:
         def calling() -> StreamLink:
             return self._new_link(lambda _: handler, plain=plain, calls=True)
 
-        call = ConnectionAttempt(address, calling, self._unanswered)
+        call = ConnectionAttempt(address, calling, self._unanswered, host)
         try:
             async with asyncio.timeout(self._connect_timeout) as bound:
                 if plain:
                     _, link = await loop.create_unix_connection(calling, str(_path(address)))
                     return link
                 if isinstance(loop, SimulatedLoop):
-                    _, link = await loop.create_connection(calling, *split_address(address))
+                    _, link = await loop.create_connection(
+                        calling, *split_address(split_addresses(address)[0])
+                    )
                     return await call.adopt(link)
                 # A path that returns late still leaves the full time for the handshake.
                 return await call.connect(lambda: bound.reschedule(loop.time() + self._connect_timeout))

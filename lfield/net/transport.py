@@ -1,7 +1,8 @@
 """The transport interface: listen, connect, and links for messages and blocks.
 
 `tcp_transport` is the real one, `memory` the one for tests and simulation; `lfield.testing.transport_kit`
-tests both. Addresses are "host:port"; IPv6 hosts are in brackets.
+tests both. Addresses are "host:port"; IPv6 hosts are in brackets. Several addresses of one host are written
+"host:port,host:port", in order of preference.
 
 All calls and callbacks happen on one thread. No callback runs inside `send`, `send_transfer` or `close`.
 """
@@ -111,13 +112,15 @@ class Transport(Protocol):
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
         """Listen; `on_link` returns the handler of each new link, and may send on it at once.
 
-        Binds exactly this address; the caller restricts it to loopback. Raises AddressError.
+        Binds exactly this address; the caller restricts it to loopback. Of several addresses, it binds those
+        of this computer. Raises AddressError.
         """
 
-    async def connect(self, address: str, handler: LinkHandler) -> Link:
+    async def connect(self, address: str, handler: LinkHandler, host: str = "") -> Link:
         """Connect to a listener; `handler` may be called before this returns.
 
-        Raises AddressError, and HandshakeError if a certificate is rejected by either side.
+        Of several addresses, one at which another host than `host` answers is skipped. Raises AddressError,
+        and HandshakeError if a certificate is rejected by either side.
         """
 
 
@@ -139,6 +142,11 @@ def split_address(address: str) -> tuple[str, int]:
     return host, int(port)
 
 
+def split_addresses(address: str) -> tuple[str, ...]:
+    """The addresses of a host, each for `split_address`, in order of preference."""
+    return tuple(address.split(","))
+
+
 def join_address(host: str, port: int) -> str:
     """The inverse of `split_address`."""
     return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
@@ -153,9 +161,10 @@ def is_lasting(host: str) -> bool:
 
 
 def is_number(address: str) -> bool:
-    """Whether it is an IP address, which needs no lookup."""
+    """Whether it has only IP addresses, which need no lookup."""
     try:
-        ip_address(split_address(address)[0])
+        for each in split_addresses(address):
+            ip_address(split_address(each)[0])
     except (AddressError, ValueError):
         return False
     return True

@@ -53,6 +53,15 @@ cd /
 if [ -x {CURRENT}/bin/lfield ]; then {CURRENT}/bin/lfield ps --json 2>/dev/null; fi
 printf '\\nprocesses\\t%s\\n' "$(pgrep -f '[l]field up ' | tr '\\n' ' ')"
 """
+#: Prints what forbids an update; nothing where the present version cannot say it.
+_CHECK = f"""
+cd /
+export STATE_DIRECTORY=/var/lib/lfield HOME=/var/lib/lfield
+[ -x {CURRENT}/bin/lfield ] || exit 0
+found=$(runuser -u {SERVICE_USER} -- {CURRENT}/bin/lfield service --host HOST --check 2>/dev/null)
+[ $? = 1 ] && printf '%s\\n' "$found"
+exit 0
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -222,12 +231,16 @@ class HostProvisioning:
     async def _permitted(self, steps: list[Step]) -> list[Step]:
         """The steps up to the first that would disturb a running mission, which refuses."""
         disturbing = [step for step in steps if step.state == "todo" and step.disturbs_mission]
-        if not disturbing or not await is_mission_running(self._connection):
+        if not disturbing:
             return steps
-        refusal = Step(
-            "mission", "refused", "a mission runs on the robot", "stop it, and run provision again"
+        if not await is_mission_running(self._connection):
+            update = next((step for step in disturbing if step.name == "version"), None)
+            why = await update_refusal(self._connection, self._robot.name) if update is not None else ""
+            advice = "let them end, or 'lfield stop --discard'; then run provision again"
+            return steps if update is None or not why else _refused_from(steps, update, why, advice)
+        return _refused_from(
+            steps, disturbing[0], "a mission runs on the robot", "stop it, and run provision again"
         )
-        return [*steps[: steps.index(disturbing[0])], refusal]
 
     def _report_step(self, step: Step) -> bool:
         """Report a step as it was planned; whether it does not refuse."""
@@ -253,6 +266,18 @@ class HostProvisioning:
         text = f"{len(findings)} findings, {problems or 'no'} problem{'s' if problems > 1 else ''}"
         self._report("doctor", "failed" if problems else "done", text, findings=findings)
         return not problems
+
+
+def _refused_from(steps: list[Step], first: Step, why: str, advice: str) -> list[Step]:
+    """The steps before `first`, and a refusal in place of the rest."""
+    return [*steps[: steps.index(first)], Step("mission", "refused", why, advice)]
+
+
+async def update_refusal(connection: SshConnection, host: str) -> str:
+    """Why another version of lfield may not become active on the robot; '' if it may, or none is there."""
+    script = _CHECK.replace("HOST", shlex.quote(host))
+    output = await connection.run_as_root(f"sh -c {shlex.quote(script)}", "mission")
+    return "; ".join(line for line in output.splitlines() if line)
 
 
 async def is_mission_running(connection: SshConnection) -> bool:

@@ -50,7 +50,7 @@ class TcpBench:
         self.listeners.append(await self.tcp.listen(address, tracked))
         return self.listeners[-1]
 
-    async def connect(self, address: str, handler):
+    async def connect(self, address: str, handler, host=""):
         self.links.append(await self.tcp.connect(address, handler))
         return self.links[-1]
 

@@ -31,7 +31,7 @@ class Doors:
         self.asked: list[str] = []
         self.now, self.most = 0, 0
 
-    async def connect(self, address, handler):
+    async def connect(self, address, handler, host=""):
         self.asked.append(address)
         self.now += 1
         self.most = max(self.most, self.now)
@@ -177,7 +177,7 @@ def test_nothing_is_left_behind_of_links_that_end_before_they_are_there(doors):
     said: list[str] = []
 
     class Ending(TcpTransport):
-        async def connect(self, address, handler):
+        async def connect(self, address, handler, host=""):
             handler.on_closed(None, NoListener(address))
             raise AddressError(address, "no answer within 2 s")
 

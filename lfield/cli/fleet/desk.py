@@ -18,7 +18,7 @@ from lfield.text.terminal_escape import escape_line
 if TYPE_CHECKING:
     from lfield.authority.key_material import Keys
     from lfield.inventory.inventory import Inventory
-    from lfield.net.tcp_transport import TcpTransport
+    from lfield.operator.fleet.service_link import ServiceLinks
     from lfield.operator.observer_link import PresentedCrl
     from lfield.wire.service_messages import ServiceMessage, ServiceStatus
 
@@ -29,14 +29,19 @@ S = TypeVar("S")
 TIMEOUT = 8.0
 
 
-def add_desk(parser: argparse.ArgumentParser) -> None:
-    """Declare the inventory, the keys, and --json."""
+def add_inventory(parser: argparse.ArgumentParser) -> None:
+    """Declare the inventory."""
     parser.add_argument(
         "--inventory",
         metavar="FILE",
         type=Path,
         help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
     )
+
+
+def add_desk(parser: argparse.ArgumentParser) -> None:
+    """Declare the inventory, the keys, and --json."""
+    add_inventory(parser)
     parser.add_argument(
         "--keys",
         metavar="DIR",
@@ -66,10 +71,7 @@ class FleetDesk:
 
     def addresses(self, hosts: Sequence[str]) -> dict[str, str]:
         """The addresses of the services of some hosts. Raises UsageError for an unknown host."""
-        for host in hosts:
-            if host not in self.inventory.hosts:
-                hint = did_you_mean(host, self.hosts) or f"it has {listed(self.hosts)}"
-                raise UsageError(f"the inventory {self.inventory.path} has no host '{host}': {hint}")
+        require_hosts(self.inventory, hosts)
         return {host: self.inventory.hosts[host].service_address for host in hosts}
 
     @property
@@ -79,11 +81,13 @@ class FleetDesk:
 
         return str(verify_keys(self.keys))
 
-    def transport(self) -> TcpTransport:
-        """A transport with the keys, in the running loop."""
+    def links(self, hosts: Sequence[str]) -> ServiceLinks:
+        """Links to the services of some hosts, in the running loop. Raises UsageError for an unknown host."""
         from lfield.operator.client import observer_transport
+        from lfield.operator.fleet.service_link import ServiceLinks
 
-        return observer_transport(self.keys, connect_timeout=TIMEOUT)
+        transport = observer_transport(self.keys, connect_timeout=TIMEOUT)
+        return ServiceLinks(transport, self.addresses(hosts), self.crl)
 
     def statuses(self, hosts: Sequence[str]) -> dict[str, ServiceStatus | LfieldError]:
         """The state of the services of some hosts."""
@@ -92,34 +96,47 @@ class FleetDesk:
         return self.ask(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
 
     def ask(
-        self, hosts: Sequence[str], message: ServiceMessage, answer: type[A], timeout: float
+        self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
     ) -> dict[str, A | LfieldError]:
         """The answers of the services of some hosts, or why there is none."""
-        return asyncio.run(self._ask(self.addresses(hosts), message, answer, timeout))
 
-    async def _ask(
-        self, addresses: Mapping[str, str], message: ServiceMessage, answer: type[A], timeout: float
-    ) -> dict[str, A | LfieldError]:
-        from lfield.operator.observer_link import Request, ask_with_retries
-
-        transport = self.transport()
-        request = Request(message, answer, timeout, is_retried=True)
-
-        async def one(host: str, address: str) -> A | LfieldError:
+        async def work() -> dict[str, A | LfieldError]:
+            links = self.links(hosts)
             try:
-                return await ask_with_retries(transport, address, request, host, self.crl)
-            except LfieldError as error:
-                return error
+                return await ask_all_services(links, message, kind, timeout)
+            finally:
+                links.close()
 
-        answers = await asyncio.gather(*(one(host, address) for host, address in addresses.items()))
-        return dict(zip(addresses, answers, strict=True))
+        return asyncio.run(work())
 
 
-def open_desk(args: argparse.Namespace) -> FleetDesk:
-    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
-    from lfield.authority import keystore
+async def ask_all_services(
+    links: ServiceLinks, message: ServiceMessage, kind: type[A], timeout: float
+) -> dict[str, A | LfieldError]:
+    """The answers of all services, or why there is none."""
+
+    async def one(host: str) -> A | LfieldError:
+        try:
+            return await links.ask(host, message, kind, timeout, timeout)
+        except LfieldError as error:
+            return error
+
+    answers = await asyncio.gather(*map(one, links.addresses))
+    return dict(zip(links.addresses, answers, strict=True))
+
+
+def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:
+    """Check that the inventory has some hosts. Raises UsageError."""
+    known = list(inventory.hosts)
+    for host in hosts:
+        if host not in known:
+            hint = did_you_mean(host, known) or f"it has {listed(known)}"
+            raise UsageError(f"the inventory {inventory.path} has no host '{host}': {hint}")
+
+
+def open_inventory(args: argparse.Namespace) -> Inventory:
+    """The inventory of a command. Raises UsageError without one, ProgramError, InputFileError."""
     from lfield.inventory.inventory_file import find_inventory
-    from lfield.operator.client import presented_crl
 
     inventory = find_inventory(args.inventory, os.environ)
     if inventory is None:
@@ -127,13 +144,28 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
             "no inventory: write the hosts and their addresses into ~/.config/lfield/inventory.yaml, or name "
             "the file with --inventory (lfield/docs/operations.md has an example)"
         )
+    return inventory
+
+
+def find_own_keys(args: argparse.Namespace) -> Keys | None:
+    """The keys of the user, None without any. Raises KeysError."""
+    from lfield.authority import keystore
+
     folder = keystore.find_keys("person", keystore.OWN, args.keys, os.environ)
-    if folder is None:
+    return None if folder is None else keystore.read_keys(folder, "person")
+
+
+def open_desk(args: argparse.Namespace) -> FleetDesk:
+    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
+    from lfield.operator.client import presented_crl
+
+    inventory = open_inventory(args)
+    keys = find_own_keys(args)
+    if keys is None:
         raise KeysError(
             "there are no keys of yours here: 'lfield keys init --person NAME' makes them, and --keys names "
             "their directory"
         )
-    keys = keystore.read_keys(folder, "person")
     return FleetDesk(inventory, keys, presented_crl(keys))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import asyncio
 import json
 from typing import TYPE_CHECKING
 
@@ -12,6 +13,7 @@ from lfield.cli.fleet.desk import (
     FleetDesk,
     add_desk,
     add_without,
+    ask_all_services,
     open_desk,
     report_unreached,
     split_answers,
@@ -41,22 +43,32 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0 when the previous bundle is active on all hosts; else as `lfield push`."""
-    from lfield.cli.fleet.ballot_report import PushReport
-    from lfield.cli.fleet.push import vote
-
     desk = open_desk(args)
     desk.addresses([*args.without, *([args.lost] if args.lost else [])])
     if args.lost:
         return _abort(desk, args)
     hosts = [host for host in desk.hosts if host not in args.without]
-    statuses, failed = split_answers(desk.statuses(hosts))
-    if failed:
-        report_unreached(failed, "; nothing was changed")
-        return exit_status.UNAVAILABLE
-    digest = _common_previous(statuses)
-    report = PushReport(digest, as_json=args.json)
-    report.start(f"bundle {short_digest(digest)}")
-    return vote(desk, digest, hosts, args.without, report)
+    return asyncio.run(_rollback(desk, hosts, args))
+
+
+async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace) -> int:
+    from lfield.cli.fleet.ballot_report import PushReport
+    from lfield.cli.fleet.push import vote
+    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
+
+    links = desk.links(hosts)
+    try:
+        answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, TIMEOUT)
+        statuses, failed = split_answers(answers)
+        if failed:
+            report_unreached(failed, "; nothing was changed")
+            return exit_status.UNAVAILABLE
+        digest = _common_previous(statuses)
+        report = PushReport(digest, as_json=args.json)
+        report.start(f"bundle {short_digest(digest)}")
+        return await vote(desk, links, digest, statuses, args.without, report)
+    finally:
+        links.close()
 
 
 def _common_previous(statuses: Mapping[str, ServiceStatus]) -> bytes:

@@ -213,7 +213,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield.net.local_addresses import own_host
 
     set_cloexec_on_all()
-    name = mission.team.find_host(args.host) if args.host else own_host(mission.team.hosts)
+    name = mission.team.find_host(args.host) if args.host else own_host(mission.team.hosts, {})
     proof = load_credentials(name, args)
     if proof is not None and built:
         mission = built_here(mission, mission_path(args), args)

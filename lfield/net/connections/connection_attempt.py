@@ -1,4 +1,4 @@
-"""One connection attempt to a host: resolves its name and tries its addresses until one gives a link."""
+"""One connection attempt to a host: resolves its names and tries its addresses until one gives a link."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import TYPE_CHECKING
 
 from lfield.address_race import first_connected
 from lfield.errors import AddressError, LfieldError
-from lfield.net.connections.resolver import ResolvedAddress, resolve
+from lfield.net.connections.resolver import AddressLookups, ResolvedAddress
 from lfield.net.connections.socket_errors import describe
 from lfield.net.peer_credentials import socket_address
-from lfield.net.transport import is_number, split_address
+from lfield.net.transport import is_number, split_addresses
 
 if TYPE_CHECKING:
+    import socket
+
     from lfield.net.stream_link import StreamLink
 
 #: Seconds for the authentication of an accepted connection while other addresses remain.
@@ -23,17 +25,24 @@ HANDSHAKE_TIMEOUT = 1.5
 class ConnectionAttempt:
     """An attempt at `address`; `calling` creates the link of a connection.
 
-    `unanswered` holds addresses of any host that have failed lately; they are tried last. It is updated here.
+    An address at which another host than `host` answers counts as failed while others remain. `unanswered`
+    holds addresses of any host that have failed lately; they are tried last. It is updated here.
     """
 
     def __init__(
-        self, address: str, calling: Callable[[], StreamLink], unanswered: set[ResolvedAddress]
+        self,
+        address: str,
+        calling: Callable[[], StreamLink],
+        unanswered: set[ResolvedAddress],
+        host: str = "",
     ) -> None:
-        self._address, self._make_link, self._unanswered = address, calling, unanswered
+        self._addresses, self._make_link, self._unanswered = split_addresses(address), calling, unanswered
+        self._host = host
         #: The link that is not authenticated yet.
         self.link: StreamLink | None = None
         self._remaining: list[ResolvedAddress] = []
-        self._count, self._is_number = 0, is_number(address)
+        self._count = 0
+        self._is_number = len(self._addresses) == 1 and is_number(address)
         self._failures: dict[ResolvedAddress, Exception] = {}
 
     async def adopt(self, link: StreamLink) -> StreamLink:
@@ -47,27 +56,61 @@ class ConnectionAttempt:
 
         Raises OSError, UnicodeError, and the error of `StreamLink.ready` for the last address.
         """
-        found = await resolve(*split_address(self._address))
-        self._count = len(found)
-        self._remaining = sorted(found, key=lambda at: at in self._unanswered)
+        lookups = AddressLookups(self._addresses)
+        try:
+            await lookups.settle()
+            while True:
+                made, at = await self._connected(lookups)
+                on_connected()
+                self._remaining = [
+                    other for other in self._remaining if other != at and other not in self._failures
+                ]
+                is_last = not (self._remaining or lookups.pending)
+                # At the last address, the handshake of the handler reports another host.
+                self.link = await self._new_link(made, "" if is_last else self._host)
+                try:
+                    async with asyncio.timeout(None if is_last else HANDSHAKE_TIMEOUT):
+                        await self.link.ready()
+                except (TimeoutError, LfieldError) as error:
+                    self._fail(at, error)
+                    if is_last:
+                        raise
+                    continue
+                self._unanswered -= {at}
+                self._unanswered |= self._failures.keys()
+                return self.link
+        finally:
+            lookups.cancel()
+
+    async def _connected(self, lookups: AddressLookups) -> tuple[socket.socket, ResolvedAddress]:
+        """A connection to an address that has not failed. Raises the OSError of the last one.
+
+        The race starts again when a look-up has a result, so that a slow name server delays no address.
+        """
         while True:
-            made, at = await first_connected(self._remaining, self._failures, again=True)
-            on_connected()
-            self._remaining = [
-                other for other in self._remaining if other != at and other not in self._failures
-            ]
-            _, self.link = await asyncio.get_running_loop().create_connection(self._make_link, sock=made)
+            found = [at for at in lookups.found if at not in self._failures]
+            self._count = len(lookups.found)
+            self._remaining = sorted(found, key=lambda at: at in self._unanswered)
+            race = asyncio.ensure_future(first_connected(self._remaining, self._failures, again=True))
             try:
-                async with asyncio.timeout(HANDSHAKE_TIMEOUT if self._remaining else None):
-                    await self.link.ready()
-            except (TimeoutError, LfieldError) as error:
-                self._fail(at, error)
-                if not self._remaining:
-                    raise
-                continue
-            self._unanswered -= {at}
-            self._unanswered |= self._failures.keys()
-            return self.link
+                await asyncio.wait({race, *lookups.pending}, return_when=asyncio.FIRST_COMPLETED)
+                if race.done() and (not race.exception() or not lookups.pending):
+                    return race.result()
+                if race.done():
+                    await asyncio.wait(lookups.pending, return_when=asyncio.FIRST_COMPLETED)
+            finally:
+                race.cancel()
+            await asyncio.gather(race, return_exceptions=True)
+
+    async def _new_link(self, made: socket.socket, host: str) -> StreamLink:
+        """The link of a connection; only `host` may answer, if it is stated."""
+
+        def link() -> StreamLink:
+            new = self._make_link()
+            new.require_host(host)
+            return new
+
+        return (await asyncio.get_running_loop().create_connection(link, sock=made))[1]
 
     @property
     def is_mixed(self) -> bool:

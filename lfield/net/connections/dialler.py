@@ -100,7 +100,7 @@ class Dialler:
     async def _dial(self, session: Session) -> str:
         """Dial, and wait for the end of the link. Returns why it ended, or was not made."""
         try:
-            link = await self._transport.connect(self._address, session)
+            link = await self._transport.connect(self._address, session, self._host)
             there = self._owner.link_of(self._host)
             if there not in (None, session) and not there.is_suspected:
                 # The host has dialled meanwhile, or the silent link has recovered.

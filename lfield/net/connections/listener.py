@@ -11,10 +11,10 @@ from typing import Protocol
 
 from lfield.errors import AddressError
 from lfield.event_loop import spawn
-from lfield.net.connections.resolver import ResolvedAddress, resolve
+from lfield.net.connections.resolver import AddressLookups, ResolvedAddress
 from lfield.net.connections.socket_errors import describe
 from lfield.net.peer_credentials import socket_address
-from lfield.net.transport import is_lasting, split_address
+from lfield.net.transport import is_lasting, split_address, split_addresses
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
@@ -44,10 +44,11 @@ class SocketListener:
 
 
 class PortListener:
-    """Listens at every address of a name that belongs to this computer.
+    """Listens at every address of a host that belongs to this computer.
 
     `serve` creates a server for a bound socket, `note` writes a log line, and `why` explains an error to the
-    user. When the name resolves to other addresses, the sockets follow. A failed attempt is repeated.
+    user. When a name resolves to other addresses, the sockets follow. A failed attempt is repeated, and an
+    address of several that this computer does not have yet is tried again.
     """
 
     def __init__(
@@ -58,7 +59,11 @@ class PortListener:
         why: Callable[[OSError | UnicodeError], str] = describe,
     ) -> None:
         self._requested, self._serve, self._note, self._why = address, serve, note, why
-        self._host, self._port = split_address(address)
+        self._each = split_addresses(address)
+        hosts = [split_address(each)[0] for each in self._each]
+        #: The requested names, for the log.
+        self._host = ",".join(hosts)
+        self._is_lasting = all(map(is_lasting, hosts))
         self._servers: dict[ResolvedAddress, SocketServer] = {}
         #: The sockets by address.
         self._addresses: dict[ResolvedAddress, str] = {}
@@ -69,20 +74,25 @@ class PortListener:
 
     async def open(self) -> None:
         """Listen, and follow the name. Raises AddressError when no address can be bound."""
+        lookups = AddressLookups(self._each, passive=True)
         try:
-            failures = await self._bind(await resolve(self._host, self._port, passive=True))
+            await lookups.settle()
+            failures = await self._bind(lookups.found)
         except (OSError, UnicodeError) as error:
             raise AddressError(self._requested, self._why(error)) from None
+        finally:
+            lookups.cancel()
         if not self._servers:
             raise AddressError(self._requested, "; ".join(dict.fromkeys(failures.values())))
         self._report(failures)
-        if not is_lasting(self._host):
+        if not self._is_lasting or failures or not lookups.is_complete:
             self._plan()
 
     @property
     def address(self) -> str:
-        """The first listening address, with the actual port if 0 was requested."""
-        return self._addresses[next(iter(self._servers))]
+        """The listening addresses, with the actual port if 0 was requested; of one name only the first."""
+        addresses = list(self._addresses.values())
+        return addresses[0] if len(self._each) == 1 else ",".join(addresses)
 
     def close(self) -> None:
         """Stop accepting links."""
@@ -98,17 +108,22 @@ class PortListener:
 
     async def _check(self) -> None:
         """Listen at the present addresses of the name; keep the old ones when it does not resolve."""
-        with suppress(OSError, UnicodeError):
-            await self._follow(await resolve(self._host, self._port, passive=True))
+        lookups = AddressLookups(self._each, passive=True)
+        try:
+            with suppress(OSError, UnicodeError):
+                await lookups.settle()
+                await self._follow(lookups.found, is_complete=lookups.is_complete)
+        finally:
+            lookups.cancel()
         self._plan()
 
-    async def _follow(self, found: list[ResolvedAddress]) -> None:
+    async def _follow(self, found: list[ResolvedAddress], *, is_complete: bool) -> None:
         before = set(self._servers)
         failures = await self._bind([at for at in found if at not in self._servers])
         for at in self._servers.keys() - before:
             self._note(log_messages.LISTENING_ALSO.line(address=self._addresses[at], host=self._host))
         self._report(failures)
-        if not self._servers.keys().isdisjoint(found):
+        if is_complete and not self._servers.keys().isdisjoint(found):
             for at in [at for at in self._servers if at not in found]:
                 self._servers.pop(at).close()
                 old = self._addresses.pop(at)
@@ -139,7 +154,7 @@ class PortListener:
 
     async def _listen(self, at: ResolvedAddress) -> tuple[SocketServer, str]:
         """The server at an address, and that address with its port. Raises OSError."""
-        made = bound_socket(at, self._port or self._real_port())
+        made = bound_socket(at, at.address[1] or self._real_port())
         name = socket_address(made.getsockname())
         try:
             return await self._serve(made), name
@@ -149,11 +164,11 @@ class PortListener:
             raise
 
     def _address_text(self, at: ResolvedAddress) -> str:
-        return socket_address((at.address[0], self._port or self._real_port(), *at.address[2:]))
+        return socket_address((at.address[0], at.address[1] or self._real_port(), *at.address[2:]))
 
     def _real_port(self) -> int:
         """The port that the kernel chose for port 0."""
-        return split_address(self.address)[1] if self._servers else 0
+        return split_address(next(iter(self._addresses.values())))[1] if self._addresses else 0
 
 
 def bound_socket(at: ResolvedAddress, port: int) -> socket.socket:

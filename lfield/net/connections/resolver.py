@@ -12,11 +12,16 @@ import os
 import socket
 import threading
 from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
+from lfield.net.transport import split_address
+
 #: Maximum number of concurrent lookups of one name; a further one fails at once.
 MAX_LOOKUPS = 4
+#: Seconds for the look-ups of the other addresses of a host, after one has an address.
+PREFERENCE_TIME = 0.25
 
 SocketAddress = tuple[str, int] | tuple[str, int, int, int]
 
@@ -71,6 +76,53 @@ async def resolve(host: str, port: int, *, passive: bool = False) -> list[Resolv
     _running[host] += 1
     threading.Thread(target=work, name=f"lookup {host}", daemon=True).start()
     return await result
+
+
+class AddressLookups:
+    """Look-ups of all addresses of a host at the same time: a name without an answer delays no other address.
+
+    Raises AddressError for an address that cannot be split.
+    """
+
+    def __init__(self, addresses: Sequence[str], *, passive: bool = False) -> None:
+        endpoints = [split_address(address) for address in addresses]
+        self._tasks = [asyncio.ensure_future(resolve(*each, passive=passive)) for each in endpoints]
+
+    async def settle(self) -> None:
+        """Wait for the first addresses, and a short time for those that the user prefers.
+
+        Raises OSError and UnicodeError when no look-up has an address.
+        """
+        while not self.found and self.pending:
+            await asyncio.wait(self.pending, return_when=asyncio.FIRST_COMPLETED)
+        if self.pending:
+            await asyncio.wait(self.pending, timeout=PREFERENCE_TIME)
+        errors = [error for task in self._tasks if task.done() and (error := task.exception())]
+        if errors and not self.found:
+            raise errors[0]
+
+    @property
+    def pending(self) -> list[asyncio.Task[list[ResolvedAddress]]]:
+        """The look-ups without a result."""
+        return [task for task in self._tasks if not task.done()]
+
+    @property
+    def found(self) -> list[ResolvedAddress]:
+        """The addresses that are known, in order of preference."""
+        done = [task for task in self._tasks if task.done() and not task.exception()]
+        return list(dict.fromkeys(at for task in done for at in task.result()))
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether each look-up has addresses."""
+        return all(task.done() and not task.exception() and task.result() for task in self._tasks)
+
+    def cancel(self) -> None:
+        """End the look-ups without a result."""
+        for task in self._tasks:
+            if not task.cancel() and not task.cancelled():
+                # An error that no task has retrieved is not a fault.
+                task.exception()
 
 
 def resolve_blocking(host: str, port: int, flags: int = 0, *, passive: bool = False) -> list[ResolvedAddress]:

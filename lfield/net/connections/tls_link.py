@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from lfield.errors import AddressError, LfieldError
+from lfield.errors import AddressError, HandshakeError, LfieldError
 from lfield.net.scheduling.handshake_scheduler import source_of
 from lfield.net.stream_link import StreamLink, anonymous_identity
 
@@ -40,6 +40,8 @@ class TlsLink(StreamLink):
         self._tls = tls
         self._channel: TlsChannel | None = None
         self._proven: asyncio.Future[None] = self._loop.create_future()
+        #: The host that must answer; '' for any.
+        self._required = ""
         #: The source of its address for rationing, and seconds of CPU time used by its handshake.
         self._source = ""
         self._spent = 0.0
@@ -49,6 +51,9 @@ class TlsLink(StreamLink):
 
     async def ready(self) -> None:
         await self._proven
+
+    def require_host(self, host: str) -> None:
+        self._required = host
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -145,12 +150,18 @@ class TlsLink(StreamLink):
                 self._send_handshake(channel)
                 self.who = channel.who
                 if channel.proven and not self._proven.done():
+                    self._check_host(channel)
                     self._proven.set_result(None)
                     self._scheduler.handshakes.on_proven(self._source)
                 if start + size < len(view):
                     yield
         except LfieldError as error:
             self._on_tls_error(channel, error)
+
+    def _check_host(self, channel: TlsChannel) -> None:
+        who, required = channel.who, self._required
+        if required and who.kind == "host" and who.name != required:
+            raise HandshakeError(f"{who.name} answered at an address of {required}; correct the address")
 
     def _on_tls_error(self, channel: TlsChannel, error: LfieldError) -> None:
         self._error = self._error or error

@@ -7,14 +7,14 @@ import asyncio
 from collections.abc import Callable, Mapping
 
 from lfield.errors import AddressError, HandshakeError, LfieldError
-from lfield.net.connections.resolver import ResolvedAddress, SocketAddress, resolve
-from lfield.net.transport import split_address
+from lfield.net.connections.resolver import AddressLookups, ResolvedAddress, SocketAddress
+from lfield.net.transport import split_addresses
 from lfield.operator.orders.order_protocol import OrderProtocol
 from lfield.operator.orders.order_sockets import OnDatagram, OrderSocket, OrderSockets
 from lfield.wire.observer_messages import EmergencyStopResult
 from lfield.wire.order_messages import OrderConfirmed, OrderDenied, devices_of
 
-#: The maximum number of addresses of a name that get datagrams before one has answered.
+#: The maximum number of addresses that get datagrams, for each stated address of a host.
 MAX_ADDRESSES = 2
 
 
@@ -86,15 +86,27 @@ class OrderDatagrams:
         self._step()
 
     async def _look_up(self, host: str) -> None:
+        each = split_addresses(self._addresses[host])
         try:
-            found = await resolve(*split_address(self._addresses[host]))
-        except (OSError, UnicodeError, AddressError):
-            # The link attempt reports what is wrong with the name.
+            lookups = AddressLookups(each)
+        except AddressError:
+            # The link attempt reports what is wrong with it.
             self._needs_link[host].set()
             return
-        self._found[host] = found[:MAX_ADDRESSES]
-        if (data := self._waiting.pop(host, None)) is not None:
-            self._send(host, data)
+        try:
+            await lookups.settle()
+            self._found[host] = lookups.found[: MAX_ADDRESSES * len(each)]
+            if (data := self._waiting.pop(host, None)) is not None:
+                self._send(host, data)
+            if lookups.pending:
+                # The next repetition is sent to these too.
+                await asyncio.wait(lookups.pending)
+                self._found[host] = lookups.found[: MAX_ADDRESSES * len(each)]
+        except (OSError, UnicodeError):
+            # Likewise.
+            self._needs_link[host].set()
+        finally:
+            lookups.cancel()
 
     # --- effects --------------------------------------------------------------------------------------
 

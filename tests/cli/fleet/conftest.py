@@ -9,8 +9,11 @@ from robots import Robots
 
 
 @pytest.fixture
-def robots(lfield, alone) -> Iterator[Callable[..., Robots]]:
+def robots(lfield, alone, monkeypatch) -> Iterator[Callable[..., Robots]]:
     """`robots("alpha", "bravo")`: their inventory and keys; nothing runs yet."""
+
+    # The inventory of their own folder counts.
+    monkeypatch.delenv("LFIELD_INVENTORY")
 
     def prepare(*hosts: str) -> Robots:
         return Robots(lfield, hosts, alone["XDG_RUNTIME_DIR"])

@@ -141,7 +141,7 @@ class EagerTransport:
     async def listen(self, address, on_link):
         return self.network.listen(self.machine, address, on_link)
 
-    async def connect(self, address, handler):
+    async def connect(self, address, handler, host=""):
         link = self.network.connect(self.machine, address, handler)
         self.network.run()
         return link
@@ -165,7 +165,7 @@ def test_a_greeting_that_is_read_before_the_caller_gets_its_turn(fleet):
 class SlowTransport(EagerTransport):
     """Connects after a while, as where the first packets get lost."""
 
-    async def connect(self, address, handler):
+    async def connect(self, address, handler, host=""):
         await asyncio.sleep(6.0)
         return self.network.connect(self.machine, address, handler)
 

@@ -124,7 +124,7 @@ class Silent:
     def now(self):
         return asyncio.get_running_loop().time()
 
-    async def connect(self, address, handler):
+    async def connect(self, address, handler, host=""):
         self.calls.append(self.now())
         await asyncio.sleep(0.2)
         self.on_call()
@@ -167,7 +167,7 @@ def test_a_connection_is_used_unless_the_old_link_has_woken_up_meanwhile(wakes):
     async def story():
         owner, opened, used = Silent(), Opened(), []
 
-        async def connect(address, session):
+        async def connect(address, session, host=""):
             session.open = used.append
             await asyncio.sleep(0.2)
             if wakes:

@@ -147,7 +147,7 @@ class MemoryTransport:
         """See `Transport.listen`."""
         return self._network.listen(self._machine, address, on_link)
 
-    async def connect(self, address: str, handler: LinkHandler) -> Link:
+    async def connect(self, address: str, handler: LinkHandler, host: str = "") -> Link:
         """See `Transport.connect`."""
         return self._network.connect(self._machine, address, handler)
 

@@ -109,7 +109,7 @@ class Desk:
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
 
-    async def connect(self, address: str, handler: LinkHandler) -> Link:
+    async def connect(self, address: str, handler: LinkHandler, host="") -> Link:
         if address == NOWHERE:
             raise AddressError(address, "the name is not known")
         return await self._transport.connect(address, handler)

@@ -94,7 +94,7 @@ class Network:
         if self.udp(host):
             self.carry(lambda: self.on_datagram(data, (f"10.0.0.{host[1:]}", 6000)))
 
-    async def connect(self, address: str, handler: Any) -> Connection:
+    async def connect(self, address: str, handler: Any, host="") -> Connection:
         host = f"h{address.partition(':')[0].rpartition('.')[2]}"
         self.dialled.append((self.now, host))
         if self.refused(host):

@@ -115,7 +115,7 @@ class EventFollower:
                 cursor.on_unreachable()
             self._addresses[host] = address
             self._links[host] = watching
-            link = await self._transport.connect(address, watching)
+            link = await self._transport.connect(address, watching, host)
             watching.greet(link)
             return await watching.closed, watching.is_silent
         except AddressError as error:

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import socket
-import threading
-from collections.abc import Callable, Iterator
 
 import pytest
+from address_book import HOLE, listening, needs_ipv6, until
 
 from lfield.address_race import ATTEMPT_DELAY
 from lfield.errors import AddressError, NoListener
@@ -22,92 +21,6 @@ from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import is_lasting
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield.testing.transport_kit import MAX_BLOCK, Recorder
-
-#: A listener whose callers are never accepted: its queue is full, and nothing is answered.
-HOLE = "127.0.0.9"
-
-
-def has_ipv6() -> bool:
-    try:
-        with socket.create_server(("::1", 0), family=socket.AF_INET6):
-            return True
-    except OSError:
-        return False
-
-
-needs_ipv6 = pytest.mark.skipif(not has_ipv6(), reason="this computer has no IPv6")
-
-
-class Book:
-    """What names lead to, in place of the system's list."""
-
-    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
-        self.rows: dict[str, list[str]] = {}
-        self.blocked = threading.Event()
-        self.blocking: set[str] = set()
-        self.asked = 0
-        self._real = socket.getaddrinfo
-        monkeypatch.setattr(socket, "getaddrinfo", self._found)
-
-    def _found(self, host, port, *args, flags=0, **more):
-        if flags & socket.AI_NUMERICHOST or host not in self.rows:
-            return self._real(host, port, *args, flags=flags, **more)
-        self.asked += 1
-        if host in self.blocking:
-            self.blocked.wait(30.0)
-        return [row for address in self.rows[host] for row in self._real(address, port, *args, **more)]
-
-
-@pytest.fixture
-def book(monkeypatch) -> Iterator[Book]:
-    made = Book(monkeypatch)
-    yield made
-    made.blocked.set()
-
-
-@pytest.fixture
-def hole() -> Iterator[int]:
-    """The port at HOLE."""
-    with socket.socket() as made:
-        made.bind((HOLE, 0))
-        made.listen(0)
-        callers = [socket.socket() for _ in range(3)]
-        for caller in callers:
-            caller.setblocking(False)
-            caller.connect_ex(made.getsockname())
-        yield made.getsockname()[1]
-        for caller in callers:
-            caller.close()
-
-
-@pytest.fixture(params=["asyncio", "uvloop"])
-def run(request) -> Callable[..., object]:
-    def told(story):
-        if request.param == "asyncio":
-            return asyncio.run(story)
-        uvloop = pytest.importorskip("uvloop")
-        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
-            return runner.run(story)
-
-    return told
-
-
-async def listening(address: str, transport: TcpTransport | None = None):
-    accepted: list[Recorder] = []
-
-    def on_link(link):
-        accepted.append(Recorder())
-        return accepted[-1]
-
-    found = await (transport or TcpTransport(MAX_BLOCK)).listen(address, on_link)
-    return found, accepted
-
-
-async def until(done: Callable[[], bool]) -> None:
-    async with asyncio.timeout(30.0):
-        while not done():
-            await asyncio.sleep(0.01)
-
 
 # Names
 
@@ -360,7 +273,7 @@ class Caller:
     def on_dialled(self, host):
         pass
 
-    async def connect(self, address, handler):
+    async def connect(self, address, handler, host=""):
         now = asyncio.get_running_loop().time()
         self.calls.append(now)
         raise self.errors[len(self.calls) % len(self.errors)]

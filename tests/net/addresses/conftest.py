@@ -1,0 +1,44 @@
+"""Fixtures for tests of ways to a host."""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Iterator
+
+import pytest
+from address_book import HOLE, Book
+
+
+@pytest.fixture
+def book(monkeypatch) -> Iterator[Book]:
+    made = Book(monkeypatch)
+    yield made
+    made.blocked.set()
+
+
+@pytest.fixture
+def hole() -> Iterator[int]:
+    """The port at HOLE."""
+    with socket.socket() as made:
+        made.bind((HOLE, 0))
+        made.listen(0)
+        callers = [socket.socket() for _ in range(3)]
+        for caller in callers:
+            caller.setblocking(False)
+            caller.connect_ex(made.getsockname())
+        yield made.getsockname()[1]
+        for caller in callers:
+            caller.close()
+
+
+@pytest.fixture(params=["asyncio", "uvloop"])
+def run(request) -> Callable[..., object]:
+    def told(story):
+        if request.param == "asyncio":
+            return asyncio.run(story)
+        uvloop = pytest.importorskip("uvloop")
+        with asyncio.Runner(loop_factory=uvloop.new_event_loop) as runner:
+            return runner.run(story)
+
+    return told
