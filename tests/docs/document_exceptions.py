@@ -92,7 +92,9 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     "deploy/README.md": {
         "lfield keys init --person anna": "makes the keys of this user: tests/cli/development tries it",
         "lfield provision": "installs software on robots: tests/provision tries it",
-        "lfield sign mission.lfm": "takes somebody's keys: lfield/docs/security.md makes some, and signs",
+        "lfield push deploy/two-copters/mission.dL --program examples/01-first-flight/mission.L": SERVICE,
+        "lfield start": SERVICE,
+        "lfield status": SERVICE,
         "lfield up mission.lfm --all --sim --until-done": EXAMPLES,
         **dict.fromkeys(
             (

@@ -40,7 +40,7 @@ class RadioFleet:
         """Start the services, and wait until they answer."""
         for host in HOSTS:
             words = ["service", "--host", host, "--state", str(self.folder / f"state-{host}")]
-            self._start(host, *words)
+            self._start(host, *words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         end = time.monotonic() + 60
         while self.desk("status").wait(60):
             assert time.monotonic() < end
