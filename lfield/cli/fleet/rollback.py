@@ -121,7 +121,7 @@ def _require_unknown_result(
     hosts = {host for each in open_ballots.values() if each.ballot is not None for host in each.ballot.hosts}
     if unknown := sorted(hosts - lost - statuses.keys()):
         raise UsageError(
-            f"{listed(unknown)} may know the result: repeat this when it answers, or add --without if it is lost"
+            f"{listed(unknown)} may know the result: repeat this when it answers; --without if it is lost"
         )
     ids = {each.id for each in open_ballots.values()}
     for host, status in statuses.items():
