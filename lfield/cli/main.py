@@ -38,6 +38,7 @@ COMMANDS = {
     "logs": "print the log of a mission's programs and hosts",
     "query": "list the agents that provide a capability, and explain why others do not",
     "capabilities": "show and check the registry of capabilities",
+    "inventory": "show the hosts of the inventory, and check which of their addresses answer",
     "push": "send a bundle to all robots of its mission and activate it on all or none",
     "rollback": "activate the previous bundle on all robots or none",
     "status": "show bundle, version and mission of each robot, and why it refuses or waits",
@@ -72,7 +73,7 @@ _PACKAGES = {
         "forget",
         "recover",
     ),
-    "fleet": ("push", "rollback", "status", "stop", "service"),
+    "fleet": ("inventory", "push", "rollback", "status", "stop", "service"),
     "device": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of each subcommand.

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from lfield.cli.mission_argument import add_inventory
 from lfield.errors import KeysError, LfieldError, UsageError
-from lfield.text.suggestions import did_you_mean, listed
 from lfield.text.terminal_escape import escape_line
 
 if TYPE_CHECKING:
@@ -31,12 +31,7 @@ TIMEOUT = 8.0
 
 def add_desk(parser: argparse.ArgumentParser) -> None:
     """Declare the inventory, the keys, and --json."""
-    parser.add_argument(
-        "--inventory",
-        metavar="FILE",
-        type=Path,
-        help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
-    )
+    add_inventory(parser)
     parser.add_argument(
         "--keys",
         metavar="DIR",
@@ -66,11 +61,7 @@ class FleetDesk:
 
     def addresses(self, hosts: Sequence[str]) -> dict[str, str]:
         """The addresses of the services of some hosts. Raises UsageError for an unknown host."""
-        for host in hosts:
-            if host not in self.inventory.hosts:
-                hint = did_you_mean(host, self.hosts) or f"it has {listed(self.hosts)}"
-                raise UsageError(f"the inventory {self.inventory.path} has no host '{host}': {hint}")
-        return {host: self.inventory.hosts[host].service_address for host in hosts}
+        return {host: self.inventory.host(host).service_address for host in hosts}
 
     @property
     def user(self) -> str:
@@ -115,11 +106,9 @@ class FleetDesk:
         return dict(zip(addresses, answers, strict=True))
 
 
-def open_desk(args: argparse.Namespace) -> FleetDesk:
-    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
-    from lfield.authority import keystore
+def open_inventory(args: argparse.Namespace) -> Inventory:
+    """The inventory of a command. Raises UsageError without one."""
     from lfield.inventory.inventory_file import find_inventory
-    from lfield.operator.client import presented_crl
 
     inventory = find_inventory(args.inventory, os.environ)
     if inventory is None:
@@ -127,6 +116,15 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
             "no inventory: write the hosts and their addresses into ~/.config/lfield/inventory.yaml, or name "
             "the file with --inventory (lfield/docs/operations.md has an example)"
         )
+    return inventory
+
+
+def open_desk(args: argparse.Namespace) -> FleetDesk:
+    """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
+    from lfield.authority import keystore
+    from lfield.operator.client import presented_crl
+
+    inventory = open_inventory(args)
     folder = keystore.find_keys("person", keystore.OWN, args.keys, os.environ)
     if folder is None:
         raise KeysError(

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING
 
 from lfield import __version__
 from lfield.errors import KeysError, UsageError
-from lfield.text.suggestions import did_you_mean, listed
 
 if TYPE_CHECKING:
-    from lfield.inventory.inventory import Inventory, InventoryHost
+    from lfield.inventory.inventory import Inventory
 
 #: Options of `lfield up` for the mission's host: it ends with the mission, and waits for hosts that restart.
 UP_OPTIONS = ("--until-done", "--lost-after", "300")
@@ -55,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     inventory = find_inventory(args.inventory, os.environ)
     if inventory is None:
         raise UsageError("no inventory: 'lfield provision' puts it to /etc/lfield/inventory.yaml")
-    host = _own_entry(inventory, args.host)
+    host = inventory.host(args.host)
     found = keystore.find_keys("host", args.host, args.keys, os.environ)
     if found is None:
         raise KeysError(
@@ -72,19 +71,9 @@ def run(args: argparse.Namespace) -> int:
     return event_loop.run(run_service(options, credentials))
 
 
-def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
-    """The entry of this robot. Raises UsageError."""
-    if host not in inventory.hosts:
-        hint = did_you_mean(host, inventory.hosts) or f"it has {listed(list(inventory.hosts))}"
-        raise UsageError(f"the inventory {inventory.path} has no host '{host}': {hint}")
-    return inventory.hosts[host]
-
-
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
     """The options of the mission's host: where the others are, its keys, and its own devices file."""
-    found = [*UP_OPTIONS, f"--state={state}"]
-    for name, each in inventory.hosts.items():
-        found += ["--map", f"{name}={each.addresses[0]}"]
+    found = [*UP_OPTIONS, f"--state={state}", f"--inventory={inventory.path.absolute()}"]
     if args.keys is not None:
         found.append(f"--keys={args.keys}")
     devices = inventory.hosts[args.host].devices

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
@@ -24,7 +23,6 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument("--inventory", type=Path)
     parser.add_argument("--json", action="store_true", help="print one JSON object, for robots with services")
     parser.add_argument(
         "--without",
