@@ -65,13 +65,10 @@ async def _check_certificate(transport: Transport, address: str, host: str) -> P
         return PortCheck(address, "rejected", str(error))
     who = link.who
     link.close()
-    if who.kind != "host":
-        is_stranger = who.kind == "stranger"
-        return PortCheck(
-            address, "unverified" if is_stranger else "other-host", "" if is_stranger else str(who)
-        )
-    if who.name != host:
-        return PortCheck(address, "other-host", f"is host {who.name}, not {host}")
+    if who.kind == "stranger":
+        return PortCheck(address, "unverified")
+    if (who.kind, who.name) != ("host", host):
+        return PortCheck(address, "other-host", f"is {who}, not {host}")
     return PortCheck(address, "answers")
 
 
