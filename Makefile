@@ -51,6 +51,7 @@ SEEDS ?= 10000
 FIRST ?= 0
 simulate: $(VENV)/.tested
 	$(BIN)/python tests/simulate/simulate.py --seeds $(SEEDS) --first $(FIRST)
+	$(BIN)/python tests/simulate/simulate.py --pushes --seeds $(SEEDS) --first $(FIRST)
 	$(BIN)/python tests/planted/catalogue.py --run tests/simulate
 
 # Real processes that are killed, stopped, cut off and out of disk space, for SECONDS. Disks that are full are mounted in a
@@ -104,8 +105,10 @@ $(VENV)/.measured: $(VENV)/.tested deploy/locks/bench.txt
 	$(call LOCKED,bench)
 	touch $@
 
-LOCK = printf 'editables\nhatchling\n' | $(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 \
-	--generate-hashes --no-header --no-annotate --no-emit-index-url \
+# Robots get pip from run.txt: the Python of a vendor may have none.
+LOCK = printf 'editables\nhatchling\n$(if $(filter run,$(1)),pip\n)' | \
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
+	--no-header --no-annotate --no-emit-index-url \
 	$(addprefix --extra ,$(2) $(3) $(4) $(5)) --output-file deploy/locks/$(1).txt pyproject.toml -
 
 # Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.

@@ -398,3 +398,14 @@ class DeviceNotSetUp(DeviceError):
     """Parameters of a device differ from those that its binding requires; the reason names each."""
 
     code, remedy = "device-not-set-up", "`lfield setup MISSION` writes them"
+
+
+class ProvisionError(LfieldError):
+    """A robot cannot be provisioned: `host` (empty: none of them), `reason`, and `advice` on what to do."""
+
+    exit_status = exit_status.UNAVAILABLE
+    code, remedy = "provision", "follow the advice in the message, and run `lfield provision` again"
+
+    def __init__(self, host: str, reason: str, advice: str = "") -> None:
+        self.host, self.reason, self.advice = host, reason, advice
+        super().__init__((f"{host}: " if host else "") + reason + (f"; {advice}" if advice else ""))

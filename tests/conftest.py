@@ -106,15 +106,15 @@ FOREIGN = {
 }
 
 
-def on_radio(report: pytest.TestReport) -> bool:
-    """Whether it is of a test that needs what few computers offer (tests/radio)."""
-    return report.nodeid.startswith("tests/radio/")
+def needs_namespaces(report: pytest.TestReport) -> bool:
+    """Whether it is of a test that needs what few computers offer: namespaces, and tools for them."""
+    return report.nodeid.startswith(("tests/radio/", "tests/provision/"))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Why the emulated radio was not tried; with -s also how many uses of others' software were tried."""
+    """What was not tried here, and why; with -s also how many uses of others' software were tried."""
     for why in sorted(
-        {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if on_radio(skip)}
+        {skip.longrepr[2] for skip in terminalreporter.stats.get("skipped", []) if needs_namespaces(skip)}
     ):
         terminalreporter.write_line(f"NOT TESTED: {why.removeprefix('Skipped: ')}")
     if terminalreporter.config.option.capture != "no":

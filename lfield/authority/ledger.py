@@ -72,11 +72,7 @@ class Ledger:
 
     def make(self, holder: Holder, name: str, may: Iterable[Right], at: float, ends: float) -> LedgerKeys:
         """Make keys for a host or person without valid ones. Raises KeysError."""
-        if _NAME.fullmatch(name) is None:
-            raise KeysError(
-                f"'{name}' is not a valid name: it begins with a letter or digit, and has letters, digits, "
-                "'.', '_' and '-'"
-            )
+        require_name(name)
         if good := [row.who for row in self._rows_of(holder, name, at) if row.state == "good"]:
             raise KeysError(
                 f"{good[-1]} has keys until {format_time(good[-1].valid_until)}: 'lfield keys renew {holder} "
@@ -203,6 +199,15 @@ class Ledger:
         """The key folders that were made for copying, as far as they exist."""
         found = (self.folder / below for below in _FOLDERS.values())
         return sorted(path for below in found if below.is_dir() for path in below.iterdir() if path.is_dir())
+
+
+def require_name(name: str) -> None:
+    """Refuse a name that is none of a host or person. Raises KeysError."""
+    if _NAME.fullmatch(name) is None:
+        raise KeysError(
+            f"'{name}' is not a valid name: it begins with a letter or digit, and has letters, digits, "
+            "'.', '_' and '-'"
+        )
 
 
 def issued_hosts(folder: Path) -> frozenset[str]:

@@ -39,6 +39,7 @@ COMMANDS = {
     "query": "list the agents that provide a capability, and explain why others do not",
     "capabilities": "show and check the registry of capabilities",
     "inventory": "show the hosts of the inventory, and check which of their addresses answer",
+    "provision": "install lfield on the robots of the inventory, over ssh",
     "push": "send a bundle to all robots of its mission and activate it on all or none",
     "rollback": "activate the previous bundle on all robots or none",
     "status": "show bundle, version and mission of each robot, and why it refuses or waits",
@@ -73,7 +74,7 @@ _PACKAGES = {
         "forget",
         "recover",
     ),
-    "fleet": ("inventory", "push", "rollback", "status", "stop", "service"),
+    "fleet": ("inventory", "provision", "push", "rollback", "status", "stop", "service"),
     "device": ("doctor", "driver", "setup", "kit", "sim"),
 }
 #: The module of each subcommand.
@@ -94,6 +95,7 @@ INTERRUPTIBLE = {
     "test": ("mission.loader",),
     "kit": ("devices.conformance_run", "mission.device_selection"),
     "sim": ("driver.sims",),
+    "provision": ("provision.host_provisioning", "provision.team_keys"),
 }
 _LONE_SURROGATE = re.compile(r"\\u(d[89a-f][0-9a-f]{2})")
 #: The option that may be empty: an emergency stop needs no reason.

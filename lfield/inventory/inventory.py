@@ -7,9 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from lfield.errors import UsageError
 from lfield.net.transport import join_address, split_address
-from lfield.text.suggestions import did_you_mean, listed
 
 #: Default port of the service of a robot.
 SERVICE_PORT = 8182
@@ -68,10 +66,3 @@ class Inventory:
 
     path: Path
     hosts: Mapping[str, InventoryHost] = field(default_factory=dict)
-
-    def host(self, name: str) -> InventoryHost:
-        """The host with a name. Raises UsageError for an unknown one."""
-        if name not in self.hosts:
-            hint = did_you_mean(name, self.hosts) or f"it has {listed(list(self.hosts))}"
-            raise UsageError(f"the inventory {self.path} has no host '{name}': {hint}")
-        return self.hosts[name]

@@ -20,7 +20,6 @@ from lfield.wire.observer_messages import (
     with_epoch,
 )
 from lfield.wire.order_messages import HOLDS, UNKNOWN_EPOCH, Epochs
-from lfield.wire.service_messages import ServiceMessage
 from lfield.wire.subscription_messages import EventBatch
 
 if TYPE_CHECKING:
@@ -28,15 +27,7 @@ if TYPE_CHECKING:
     from lfield.net.transport import Link, Transport
     from lfield.wire.coordinator_messages import Transfer
 
-T = TypeVar(
-    "T",
-    bound=EventBatch
-    | EmergencyStopResult
-    | ForgetResponse
-    | RecoverResponse
-    | StartResponse
-    | ServiceMessage,
-)
+T = TypeVar("T", bound=EventBatch | EmergencyStopResult | ForgetResponse | RecoverResponse | StartResponse)
 
 #: Seconds between two attempts.
 RETRY_DELAY = 0.1

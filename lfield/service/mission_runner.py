@@ -10,6 +10,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple, Protocol
 
+from msgspec.structs import replace
+
 from lfield import exit_status
 from lfield.clock import Clock
 from lfield.errors import LfieldError, OutputFileError
@@ -132,8 +134,11 @@ class MissionRunner:
             self._set_phase("waiting", "it has ended while no service ran", record.bundle)
             self._supervision = spawn(self._supervise_ended(process))
 
-    async def stop(self, reason: str) -> None:
-        """End the host in order: its devices come to rest first. Returns when it has ended."""
+    async def stop(self, reason: str, checked: str = "") -> None:
+        """End the host in order: its devices come to rest first. Returns when it has ended.
+
+        `checked` is the `unsafe` of the record that the operator knew: its vehicles are at rest now.
+        """
         self._is_stopping = True
         try:
             if self._process is not None:
@@ -145,6 +150,8 @@ class MissionRunner:
                 await self._cancel_restart()
         finally:
             self._is_stopping = False
+        if self._record.unsafe == checked:
+            self._keep(RunRecord())
         self._forget()
         self._set_phase("stopped", reason)
 
@@ -184,10 +191,14 @@ class MissionRunner:
         verdict = judge(end.status, end.reason, self._restarts, now)
         short = short_digest(bundle)
         self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
+        if end.status < 0 or end.status == exit_status.UNSAFE:
+            # Its vehicles may still move. The next host observes them, or an operator says that they rest.
+            self._keep(replace(self._record, unsafe=truncate(verdict.reason)))
         if self._is_stopping:
             return False
         if not verdict.restarts or (refusal := self._refusal(bundle)):
-            self._end(verdict.reason if not verdict.restarts else refusal, bundle, end.status)
+            self._forget()
+            self._set_phase("ended", verdict.reason if not verdict.restarts else refusal, bundle, end.status)
             return False
         self._set_phase("waiting", verdict.reason, bundle, end.status)
         self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
@@ -205,11 +216,12 @@ class MissionRunner:
 
     def _launch(self, bundle: bytes) -> None:
         """Store that the host should run, then start it. Raises LfieldError."""
-        self._set_record(RunRecord(bundle, self._processes.boot))
+        before = RunRecord(unsafe=self._record.unsafe)
+        self._set_record(RunRecord(bundle, self._processes.boot, unsafe=before.unsafe))
         try:
             self._process = self._processes.start(bundle)
         except BaseException:
-            self._forget()
+            self._keep(before)
             raise
         self._record_process(self._process)
         self._set_phase("running", "", bundle)
@@ -217,14 +229,7 @@ class MissionRunner:
 
     def _record_process(self, process: ProcessId) -> None:
         """Store the number of the process; without it the next service finds the process by its bundle."""
-        with suppress(OutputFileError):
-            self._set_record(RunRecord(self._record.bundle, self._record.boot, *process))
-
-    def _end(self, reason: str, bundle: bytes, status: int) -> None:
-        """The host has ended for good. After a kill its vehicles may still move: that is stored."""
-        is_unsafe = status < 0 or status == exit_status.UNSAFE
-        self._forget(truncate(reason) if is_unsafe else "")
-        self._set_phase("ended", reason, bundle, status)
+        self._keep(RunRecord(self._record.bundle, self._record.boot, *process))
 
     def _interrupt(self, reason: str) -> None:
         bundle = self._record.bundle
@@ -232,9 +237,13 @@ class MissionRunner:
         self._set_phase("interrupted", reason, bundle)
         self.note(messages.HOST_INTERRUPTED.line(reason=reason))
 
-    def _forget(self, unsafe: str = "") -> None:
-        """Nothing should run. On a full disk an old record stays: its process is then found to have ended."""
-        record = RunRecord(unsafe=unsafe)
+    def _forget(self) -> None:
+        """Nothing should run."""
+        self._keep(RunRecord(unsafe=self._record.unsafe))
+
+    def _keep(self, record: RunRecord) -> None:
+        """Store a record that is true in any case. On a full disk an older one stays, and the next service
+        finds that its process has ended."""
         with suppress(OutputFileError):
             if self._record != record:
                 self._set_record(record)

@@ -144,8 +144,10 @@ class Service:
                 return ballots.answer(self._activation, self._host, message.id)
             case MissionCommand():
                 self.note(messages.COMMAND.line(action=message.action, operator=operator))
+                # What ends the host from now on was not known to the operator.
+                unsafe = self._runner.record.unsafe
                 async with self._lock:
-                    return await self._on_command(message, operator)
+                    return await self._on_command(message, operator, unsafe)
         raise WireError(f"{type(message).__name__} is not a request to a service")
 
     async def status(self) -> ServiceStatus:
@@ -268,18 +270,18 @@ class Service:
         return ""
 
     async def resolve(self, ask: AskPeer) -> None:
-        """Every few seconds: ask the other hosts of an open ballot, or complete what a result requires.
+        """At once and every few seconds: ask the other hosts of an open ballot, or complete a result.
 
         Does not return. On a full disk the next round tries again.
         """
         while True:
-            await asyncio.sleep(RESOLVE_EVERY)
             with suppress(OutputFileError):
                 bound = self._activation.open_ballot
                 if bound is None:
                     await self.settle()
                 else:
                     await self._ask_for_votes(bound, ask)
+            await asyncio.sleep(RESOLVE_EVERY)
 
     async def _ask_for_votes(self, bound: BallotState, ask: AskPeer) -> None:
         since = self._bound_since
@@ -305,13 +307,13 @@ class Service:
 
     # --- commands -------------------------------------------------------------------------------------
 
-    async def _on_command(self, command: MissionCommand, operator: str) -> CommandResult:
+    async def _on_command(self, command: MissionCommand, operator: str, unsafe: str) -> CommandResult:
         if command.action == "stop":
-            await self._runner.stop(f"stopped by {operator}")
+            await self._runner.stop(f"stopped by {operator}", unsafe)
             gone = await self._probe.discard() if command.discards else []
             if gone:
                 self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
-            return CommandResult(self._runner.info, discarded=gone[:MAX_UNFINISHED])
+            return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED])
         active = self._activation.active
         refusal = self._start_refusal(active)
         if not refusal and command.digest not in (b"", active):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import random
 import secrets
-from collections.abc import Awaitable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from lfield.host.logbook import JsonLogbook, Logbook
 from lfield.host.process.credentials import HostCredentials, admission_for
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
 from lfield.net.tcp_transport import TcpTransport
-from lfield.operator.observer_link import Request, ask_with_retries
+from lfield.operator.fleet.service_link import open_service_link
 from lfield.service import messages
 from lfield.service.bundle_receiver import BundleVerifier, vehicles_of
 from lfield.service.bundle_store import BundleStore
@@ -82,9 +82,8 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     address = await server.listen(options.listen)
     active = short_digest(service.activation.active) or "none"
     service.note(messages.LISTENING.line(host=host, address=address, bundle=active))
-    await service.settle()
     tasks = [
-        spawn(service.resolve(partial(_ask_peer, transport, options.peers))),
+        spawn(service.resolve(partial(ask_peer, transport, options.peers))),
         spawn(_reauthorise(server)),
     ]
     await signals.first_requested.wait()
@@ -96,13 +95,17 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     return 0
 
 
-def _ask_peer(
+async def ask_peer(
     transport: TcpTransport, peers: Mapping[str, str], host: str, query: VoteQuery
-) -> Awaitable[BallotState]:
+) -> BallotState:
     """The answer of the service of another host. Raises LfieldError."""
     if host not in peers:
         raise AddressError(host, "the inventory of this robot does not have it")
-    return ask_with_retries(transport, peers[host], Request(query, BallotState, PEER_TIMEOUT), host, None)
+    link = await open_service_link(transport, peers[host], host, None)
+    try:
+        return await link.ask(query, BallotState, PEER_TIMEOUT)
+    finally:
+        link.close()
 
 
 async def _reauthorise(server: ServiceServer) -> None:

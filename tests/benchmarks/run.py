@@ -54,6 +54,7 @@ FIGURES = {
     "missions": "team.tested_missions",
     "watch": "page.watched",
     "radio": "radio.poor_radio",
+    "push": "radio.pushes",
 }
 
 #: What the picture of the README shows, in this order.

@@ -74,7 +74,7 @@ IN_A_TURN = [
     (ReferenceEngine, "run"), (ReferenceEngine, "complete"), (ReferenceEngine, "throw"),
     (Scheduler, "complete"), (Scheduler, "run_with_collection"), (Scheduler, "open"),
     (Scheduler, "throw"), (Scheduler, "instruction_of"), (Block, "new_thread"), (Scheduler, "flush"),
-    (Scheduler, "forget"), (Scheduler, "release_monitor"), (Scheduler, "uncaught"), (Agent, "freeze"),
+    (Scheduler, "forget"), (Scheduler, "release_monitor"), (Scheduler, "uncaught"), (Agent, "depart_for"),
     (HostCallDispatcher, "dispatch"), (HostCallDispatcher, "_yield"), (HostCallDispatcher, "_sleep"),
     (HostCallDispatcher, "_now"),
     (HostCallDispatcher, "_random"), (HostCallDispatcher, "_random_int"), (HostCallDispatcher, "_find"),

@@ -14,6 +14,7 @@ from network_callers import Network
 from planted_holes import HOLES, ROOT, noticed
 from portal_rules import Portals
 from security_table import PAGE, Cell, cells, page, ways
+from service_callers import Services
 from socket_users import Users
 
 from lfield.mission import bundle
@@ -70,6 +71,12 @@ def test_over_the_network(network, cell):
 @pytest.mark.parametrize("cell", of("door"))
 def test_at_the_door(network, users, cell):
     is_as_told(cell, network.tried_at_socket(users, cell.who, cell.what))
+
+
+@pytest.mark.few(60)
+@pytest.mark.parametrize("cell", of("service"))
+def test_at_the_service_of_a_robot(network, cell):
+    is_as_told(cell, Services(network).tried(cell.who, cell.what))
 
 
 @pytest.mark.few(40)

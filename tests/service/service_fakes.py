@@ -50,6 +50,8 @@ class FakeProcesses:
         #: Raised by the next starts.
         self.trouble: Exception | None = None
         self.terminated: list[int] = []
+        #: Whether a process ends when it is asked to.
+        self.obeys = True
 
     def start(self, bundle: bytes) -> ProcessId:
         if self.trouble is not None:
@@ -71,7 +73,8 @@ class FakeProcesses:
 
     def terminate(self, process: ProcessId) -> None:
         self.terminated.append(process.pid)
-        self.end(0, "", process.pid)
+        if process.pid in self.alive and self.obeys:
+            self.end(0, "", process.pid)
 
     def end(self, status: int, reason: str = "", pid: int = 0) -> None:
         """The process, or the only one, ends."""

@@ -243,7 +243,9 @@ def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
         await asyncio.sleep(SOON)
         assert computer.processes.started == [OLD]
         assert computer.runner.info.phase == "stopped"
-        assert computer.disk == RunRecord()
+        assert computer.disk.bundle == b""
+        # Whatever it flew when it was killed may still fly.
+        assert bool(computer.disk.unsafe) is (status < 0)
 
     run_jumping(story())
 
@@ -257,8 +259,23 @@ def test_a_stop_forgets_that_vehicles_may_move() -> None:
         computer.boot()
         computer.runner.adopt()
         assert computer.runner.info.phase == "ended"
-        await computer.runner.stop("stopped by anna")
+        await computer.runner.stop("stopped by anna", checked=computer.disk.unsafe)
         assert computer.disk == RunRecord()
+
+    run_jumping(story())
+
+
+def test_a_host_that_is_killed_while_it_stops_may_have_left_its_vehicles_in_motion() -> None:
+    async def story() -> None:
+        computer = Computer()
+        computer.processes.obeys = False
+        await computer.runner.start(OLD)
+        stopping = asyncio.create_task(computer.runner.stop("stopped by anna"))
+        await asyncio.sleep(1.0)
+        assert computer.runner.info.phase == "stopping"
+        computer.processes.end(-9)
+        await stopping
+        assert (computer.disk.bundle, bool(computer.disk.unsafe)) == (b"", True)
 
     run_jumping(story())
 

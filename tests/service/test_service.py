@@ -307,6 +307,25 @@ def test_a_start_names_the_bundle_that_must_be_active() -> None:
     run_jumping(story())
 
 
+def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_vehicles_rest() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        voting = asyncio.create_task(robot.propose())
+        stopping = asyncio.create_task(robot.command(MissionCommand("stop")))
+        await asyncio.sleep(0.05)
+        robot.processes.end(-9)
+        assert (await stopping).trouble
+        await voting
+        await robot.service.on_votes(ballot().id, {"bravo": "no"})
+        assert (await robot.propose(ballot(2))).votes == {"alpha": "no"}
+        # The next one is sent by an operator who has read that.
+        assert not (await robot.command(MissionCommand("stop"))).trouble
+        assert (await robot.propose(ballot(3))).votes == {"alpha": "yes"}
+
+    run_jumping(story())
+
+
 def test_a_stop_with_discard_ends_what_is_parked() -> None:
     async def story() -> None:
         robot = Robot()

@@ -27,6 +27,7 @@ NAMESAKES = ("conftest.py", "run.py")
 TABLES: dict[str, str] = {
     "lfield/lang/messages.py": "what the front end can say, by its codes",
     "lfield/text/log_messages.py": "the log lines of hosts and guards, by their codes",
+    "lfield/errors.py": "the exceptions of all packages, one tree",
     "lfield/lang/tree.py": "the nodes of the checked tree, all of which name one another",
 }
 #: Shorter than others, each one idea that nothing else is about.

@@ -28,9 +28,7 @@ _MAX_PAGE_DAYS = 398
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
-    init = actions.add_parser("init", **action_help("create the certificate authority of a team"))
-    init.add_argument("folder", metavar="DIR", nargs="?", type=Path, help=_AUTHORITY_HELP)
-    _add_days(init, _AUTHORITY_DAYS)
+    _add_init(actions.add_parser("init", **action_help("create the certificate authority of a team")))
     host = actions.add_parser(
         "host", **action_help("create the keys of hosts, with the names that they have in the deployment")
     )
@@ -85,6 +83,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         )
 
 
+def _add_init(init: argparse.ArgumentParser) -> None:
+    init.add_argument("folder", metavar="DIR", nargs="?", type=Path, help=_AUTHORITY_HELP)
+    init.add_argument(
+        "--person",
+        metavar="NAME",
+        help="also create keys with the rights operate and command, as your keys on this computer",
+    )
+    _add_days(init, _AUTHORITY_DAYS)
+
+
 def _add_days(parser: argparse.ArgumentParser, default: int, most: int = _MAX_DAYS) -> None:
     parser.add_argument(
         "--days",
@@ -130,13 +138,49 @@ def _init(args: argparse.Namespace) -> int:
     from lfield.authority.ledger import KEY, create_ledger
     from lfield.authority.peer_verification import format_time
 
+    if args.person is not None:
+        _require_new_person(args.person)
     at = time.time()
     ledger = create_ledger(_authority(args.folder), at, _ends(args, at, _AUTHORITY_DAYS))
     made = ledger.authority
     print(f"{ledger.folder}: the authority {made.fingerprint[:12]}, until {format_time(made.valid_until)}")
     print(f"{KEY} can issue keys with every right: keep its directory private, and back it up")
+    if args.person is not None:
+        _make_own_keys(ledger.folder, args.person, at)
+        print("next: 'lfield provision' makes the keys of the hosts in the inventory, and installs them")
+        return 0
     print("next: 'lfield keys host NAME ...' for the hosts, 'lfield keys person NAME --may ...' for yourself")
     return 0
+
+
+def _own_folder() -> Path:
+    from lfield.authority.keystore import OWN
+    from lfield.text.user_dirs import config_dir
+
+    return config_dir() / "keys" / OWN
+
+
+def _require_new_person(name: str) -> None:
+    """Refuse before an authority is made: keys of another team would be lost. Raises KeysError."""
+    from lfield.authority.ledger import require_name
+
+    require_name(name)
+    if (_own_folder() / "person.key").exists():
+        raise KeysError(f"{_own_folder()} has keys already: move them away, or leave out --person")
+
+
+def _make_own_keys(authority: Path, name: str, at: float) -> None:
+    """Make the keys of this user, with all rights of a person, where commands find them."""
+    from lfield.authority.identity import Right, sorted_rights
+    from lfield.authority.keystore import read_keys, write_keys
+    from lfield.authority.ledger import open_ledger
+    from lfield.authority.peer_verification import format_time
+
+    with open_ledger(authority) as ledger:
+        who, folder = ledger.make("person", name, (Right.OPERATE, Right.COMMAND), at, at + _DAYS * 86400.0)
+    write_keys(_own_folder(), read_keys(folder, "person"))
+    until = format_time(who.valid_until)
+    print(f"{_own_folder()}: your keys, {who}: until {until}, may {sorted_rights(who.may)}")
 
 
 def _make(args: argparse.Namespace) -> int:

@@ -56,7 +56,7 @@ class PushReport:
         if self._bars is not None:
             self._bars.stop()
         self._data["sent"] = {
-            host: {"bytes": each.sent, "links": each.links, "refusal": each.refusal, "code": each.code}
+            host: {"bytes": each.sent, "links": each.attempts, "refusal": each.refusal, "code": each.code}
             for host, each in sent.items()
         }
         self._data["size"] = size

@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, TypeVar
 
 from lfield.cli.mission_argument import add_inventory
 from lfield.errors import KeysError, LfieldError, UsageError
+from lfield.text.suggestions import did_you_mean, listed
 from lfield.text.terminal_escape import escape_line
 
 if TYPE_CHECKING:
     from lfield.authority.key_material import Keys
     from lfield.inventory.inventory import Inventory
-    from lfield.net.tcp_transport import TcpTransport
+    from lfield.operator.fleet.service_link import ServiceLinks
     from lfield.operator.observer_link import PresentedCrl
     from lfield.wire.service_messages import ServiceMessage, ServiceStatus
 
@@ -61,7 +62,8 @@ class FleetDesk:
 
     def addresses(self, hosts: Sequence[str]) -> dict[str, str]:
         """The addresses of the services of some hosts. Raises UsageError for an unknown host."""
-        return {host: self.inventory.host(host).service_address for host in hosts}
+        require_hosts(self.inventory, hosts)
+        return {host: self.inventory.hosts[host].service_address for host in hosts}
 
     @property
     def user(self) -> str:
@@ -70,11 +72,13 @@ class FleetDesk:
 
         return str(verify_keys(self.keys))
 
-    def transport(self) -> TcpTransport:
-        """A transport with the keys, in the running loop."""
+    def links(self, hosts: Sequence[str]) -> ServiceLinks:
+        """Links to the services of some hosts, in the running loop. Raises UsageError for an unknown host."""
         from lfield.operator.client import observer_transport
+        from lfield.operator.fleet.service_link import ServiceLinks
 
-        return observer_transport(self.keys, connect_timeout=TIMEOUT)
+        transport = observer_transport(self.keys, connect_timeout=TIMEOUT)
+        return ServiceLinks(transport, self.addresses(hosts), self.crl)
 
     def statuses(self, hosts: Sequence[str]) -> dict[str, ServiceStatus | LfieldError]:
         """The state of the services of some hosts."""
@@ -83,31 +87,46 @@ class FleetDesk:
         return self.ask(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
 
     def ask(
-        self, hosts: Sequence[str], message: ServiceMessage, answer: type[A], timeout: float
+        self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
     ) -> dict[str, A | LfieldError]:
         """The answers of the services of some hosts, or why there is none."""
-        return asyncio.run(self._ask(self.addresses(hosts), message, answer, timeout))
 
-    async def _ask(
-        self, addresses: Mapping[str, str], message: ServiceMessage, answer: type[A], timeout: float
-    ) -> dict[str, A | LfieldError]:
-        from lfield.operator.observer_link import Request, ask_with_retries
-
-        transport = self.transport()
-        request = Request(message, answer, timeout, is_retried=True)
-
-        async def one(host: str, address: str) -> A | LfieldError:
+        async def work() -> dict[str, A | LfieldError]:
+            links = self.links(hosts)
             try:
-                return await ask_with_retries(transport, address, request, host, self.crl)
-            except LfieldError as error:
-                return error
+                return await ask_all_services(links, message, kind, timeout)
+            finally:
+                links.close()
 
-        answers = await asyncio.gather(*(one(host, address) for host, address in addresses.items()))
-        return dict(zip(addresses, answers, strict=True))
+        return asyncio.run(work())
+
+
+async def ask_all_services(
+    links: ServiceLinks, message: ServiceMessage, kind: type[A], timeout: float
+) -> dict[str, A | LfieldError]:
+    """The answers of all services, or why there is none."""
+
+    async def one(host: str) -> A | LfieldError:
+        try:
+            return await links.ask(host, message, kind, timeout, timeout)
+        except LfieldError as error:
+            return error
+
+    answers = await asyncio.gather(*map(one, links.addresses))
+    return dict(zip(links.addresses, answers, strict=True))
+
+
+def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:
+    """Check that the inventory has some hosts. Raises UsageError."""
+    known = list(inventory.hosts)
+    for host in hosts:
+        if host not in known:
+            hint = did_you_mean(host, known) or f"it has {listed(known)}"
+            raise UsageError(f"the inventory {inventory.path} has no host '{host}': {hint}")
 
 
 def open_inventory(args: argparse.Namespace) -> Inventory:
-    """The inventory of a command. Raises UsageError without one."""
+    """The inventory of a command. Raises UsageError without one, ProgramError, InputFileError."""
     from lfield.inventory.inventory_file import find_inventory
 
     inventory = find_inventory(args.inventory, os.environ)
@@ -119,19 +138,25 @@ def open_inventory(args: argparse.Namespace) -> Inventory:
     return inventory
 
 
+def find_own_keys(args: argparse.Namespace) -> Keys | None:
+    """The keys of the user, None without any. Raises KeysError."""
+    from lfield.authority import keystore
+
+    folder = keystore.find_keys("person", keystore.OWN, args.keys, os.environ)
+    return None if folder is None else keystore.read_keys(folder, "person")
+
+
 def open_desk(args: argparse.Namespace) -> FleetDesk:
     """The desk of a command. Raises UsageError without an inventory, KeysError without keys."""
-    from lfield.authority import keystore
     from lfield.operator.client import presented_crl
 
     inventory = open_inventory(args)
-    folder = keystore.find_keys("person", keystore.OWN, args.keys, os.environ)
-    if folder is None:
+    keys = find_own_keys(args)
+    if keys is None:
         raise KeysError(
             "there are no keys of yours here: 'lfield keys init --person NAME' makes them, and --keys names "
             "their directory"
         )
-    keys = keystore.read_keys(folder, "person")
     return FleetDesk(inventory, keys, presented_crl(keys))
 
 

@@ -5,121 +5,160 @@ from __future__ import annotations
 import argparse
 import asyncio
 import json
-import os
-from collections.abc import Mapping
-from dataclasses import asdict
-from pathlib import Path
+import sys
+from collections.abc import Mapping, Sequence
+from itertools import starmap
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.action_help import action_help
-from lfield.cli.fleet.desk import add_desk, open_inventory
+from lfield.cli.fleet.desk import add_desk, find_own_keys, open_inventory, require_hosts
 from lfield.cli.mission_argument import add_inventory
+from lfield.errors import AddressError
+from lfield.net.transport import split_address
+from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 
 if TYPE_CHECKING:
+    from lfield.authority.key_material import Keys
     from lfield.inventory.inventory import Inventory, InventoryHost
-    from lfield.net.transport import Transport
-    from lfield.operator.fleet.address_check import HostCheck, PortCheck
+    from lfield.operator.fleet.address_check import Endpoint, EndpointState, Purpose
 
-#: Seconds for an answer.
-TIMEOUT = 3.0
-#: The default port of ssh.
-SSH_PORT = 22
+#: The result of a check by endpoint.
+States = Mapping["Endpoint", "EndpointState"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     actions = parser.add_subparsers(dest="action", metavar="ACTION", required=True)
     check = actions.add_parser(
-        "check", **action_help("check which addresses answer, and whether the right host answers there")
+        "check", **action_help("check which addresses answer, and which host answers there")
     )
-    check.add_argument("hosts", metavar="HOST", nargs="*", help="hosts (default: all of the inventory)")
+    show = actions.add_parser("show", **action_help("show the hosts of the inventory"))
+    for each in (check, show):
+        each.add_argument("hosts", metavar="HOST", nargs="*", help="hosts (default: all of the inventory)")
     add_desk(check)
-    show = actions.add_parser("show", **action_help("print the hosts with all addresses and defaults"))
     add_inventory(show)
     show.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; for check 69 when a host has no address that answers."""
+    """0; `check` gives 69 if a host answers at none of its addresses, or another host at one."""
     inventory = open_inventory(args)
+    require_hosts(inventory, args.hosts)
+    hosts = [inventory.hosts[name] for name in dict.fromkeys(args.hosts or inventory.hosts)]
     if args.action == "show":
-        _show(inventory, as_json=args.json)
-        return exit_status.DONE
-    hosts = [inventory.host(name) for name in args.hosts or inventory.hosts]
-    checks = asyncio.run(_check(hosts, args.keys))
-    if args.json:
-        print(
-            json.dumps({name: {"answers": found.answers, **asdict(found)} for name, found in checks.items()})
-        )
-    else:
-        _print_checks(checks)
-    return exit_status.DONE if all(found.answers for found in checks.values()) else exit_status.UNAVAILABLE
+        return _show(inventory, hosts, as_json=args.json)
+    return _check(hosts, find_own_keys(args), as_json=args.json)
 
 
-async def _check(hosts: list[InventoryHost], keys: Path | None) -> Mapping[str, HostCheck]:
-    from lfield.authority import keystore
-    from lfield.operator.client import observer_transport
-
-    folder = keystore.find_keys("person", keystore.OWN, keys, os.environ)
-    own = keystore.read_keys(folder, "person") if folder is not None else None
-    transport = observer_transport(own, connect_timeout=TIMEOUT)
-    found = await asyncio.gather(*(_check_host(transport, host) for host in hosts))
-    return {host.name: check for host, check in zip(hosts, found, strict=True)}
+# --- show -------------------------------------------------------------------------------------------------
 
 
-async def _check_host(transport: Transport, host: InventoryHost) -> HostCheck:
-    from lfield.net.transport import join_address
-    from lfield.operator.fleet.address_check import HostCheck, check_tcp, check_tls
-
-    ssh = [join_address(name, host.ssh_port or SSH_PORT) for name in host.ssh_hosts]
-    return HostCheck(
-        *await asyncio.gather(
-            check_tls(transport, host.addresses, host.name),
-            check_tls(transport, host.service_addresses, host.name),
-            check_tcp(ssh, TIMEOUT),
-        )
-    )
-
-
-def _print_checks(checks: Mapping[str, HostCheck]) -> None:
-    from lfield.cli.views.team_state_view import new_table
-    from lfield.cli.views.trees import plain_console
-
-    table = new_table("host", "port", "address", "state")
-    for name, found in checks.items():
-        for kind, ports in (("mission", found.mission), ("service", found.service), ("ssh", found.ssh)):
-            for port in ports:
-                table.add_row(*map(escape_line, (name, kind, port.address, _state(port))))
-    console = plain_console()
-    console.print(table)
-    for name, found in checks.items():
-        if not found.answers:
-            console.print(escape_line(f"{name}: NO ADDRESS ANSWERS"))
-
-
-def _state(port: PortCheck) -> str:
-    if port.state == "unverified":
-        return "answers; not verified, since there are no keys of yours here"
-    return port.text or port.state
-
-
-def _show(inventory: Inventory, *, as_json: bool) -> None:
-    from lfield.cli.views.team_state_view import new_table
-    from lfield.cli.views.trees import plain_console
-
+def _show(inventory: Inventory, hosts: Sequence[InventoryHost], *, as_json: bool) -> int:
     if as_json:
-        hosts = {name: asdict(host) for name, host in inventory.hosts.items()}
-        print(json.dumps({"file": str(inventory.path), "hosts": hosts}, default=str))
-        return
-    table = new_table("host", "mission", "service", "ssh", "arch", "python")
-    for name, host in inventory.hosts.items():
-        user = f"{host.user}@" if host.user else ""
-        port = f" port {host.ssh_port}" if host.ssh_port else ""
-        ssh = f"{user}{' '.join(host.ssh_hosts)}{port}"
-        row = (name, " ".join(host.addresses), " ".join(host.service_addresses), ssh, host.arch, host.python)
-        table.add_row(*map(escape_line, row))
+        shown = {host.name: _host_data(host) for host in hosts}
+        print(json.dumps({"inventory": str(inventory.path), "hosts": shown}))
+        return exit_status.DONE
+    from lfield.cli.views.team_state_view import add_row, new_table
+    from lfield.cli.views.trees import plain_console
+
+    table = new_table("HOST", "ADDRESSES", "SERVICE", "SSH", "ARCH", "PYTHON", "GROUPS", "DEVICES")
+    for host in hosts:
+        ssh = f"{host.user}@" * bool(host.user) + host.ssh_hosts[0]
+        ssh += f" port {host.ssh_port}" if host.ssh_port else ""
+        cells = (", ".join(host.addresses), str(host.service_port), ssh, host.arch, host.python)
+        devices = "" if host.devices is None else str(host.devices)
+        add_row(table, host.name, *cells, ", ".join(host.groups), devices)
     console = plain_console()
     console.print(escape_line(str(inventory.path)))
     console.print(table)
+    return exit_status.DONE
+
+
+def _host_data(host: InventoryHost) -> dict[str, object]:
+    """A host as JSON data."""
+    return {
+        "addresses": host.addresses,
+        "service_addresses": host.service_addresses,
+        "user": host.user,
+        "ssh_hosts": host.ssh_hosts,
+        "ssh_port": host.ssh_port or None,
+        "arch": host.arch,
+        "python": host.python,
+        "groups": host.groups,
+        "devices": None if host.devices is None else str(host.devices),
+    }
+
+
+# --- check ------------------------------------------------------------------------------------------------
+
+
+def _check(hosts: Sequence[InventoryHost], keys: Keys | None, *, as_json: bool) -> int:
+    from lfield.operator.fleet.address_check import endpoints_of, is_reached
+
+    states = asyncio.run(_states([each for host in hosts for each in endpoints_of(host)], keys))
+    found = {host.name: {e: state for e, state in states.items() if e.host == host.name} for host in hosts}
+    reached = {host: is_reached(each.values()) for host, each in found.items()}
+    if as_json:
+        data = {
+            host: {"reached": reached[host], "addresses": [_state_data(*each) for each in own.items()]}
+            for host, own in found.items()
+        }
+        print(json.dumps(data))
+    else:
+        _print_states(states, has_keys=keys is not None)
+        if missing := [host for host, is_there in reached.items() if not is_there]:
+            print(escape_line(f"lfield: not reached: {listed(missing)}"), file=sys.stderr)
+    return exit_status.DONE if all(reached.values()) else exit_status.UNAVAILABLE
+
+
+async def _states(endpoints: Sequence[Endpoint], keys: Keys | None) -> dict[Endpoint, EndpointState]:
+    from lfield.operator.client import observer_transport, presented_crl
+    from lfield.operator.fleet.address_check import TIMEOUT, check_endpoints
+
+    transport = None if keys is None else observer_transport(keys, connect_timeout=TIMEOUT)
+    return await check_endpoints(endpoints, transport, presented_crl(keys))
+
+
+def _state_data(endpoint: Endpoint, state: EndpointState) -> dict[str, object]:
+    """An address as JSON data."""
+    error = {} if state.error is None else state.error.as_data()
+    return {
+        "for": endpoint.purpose,
+        "address": endpoint.address,
+        "state": state.outcome,
+        "certificate": state.name,
+        **error,
+    }
+
+
+def _print_states(states: States, *, has_keys: bool) -> None:
+    """A row for each address, then a line for each that is not as it should be."""
+    from lfield.cli.views.team_state_view import add_row, new_table
+    from lfield.cli.views.trees import plain_console
+
+    rows: dict[tuple[str, str], dict[Purpose, str]] = {}
+    for endpoint, state in states.items():
+        cells = rows.setdefault((endpoint.host, split_address(endpoint.address)[0]), {})
+        port = split_address(endpoint.address)[1]
+        text = f"is {state.name}" if state.outcome == "other-host" else state.outcome
+        cells[endpoint.purpose] = f"{port} {text}"
+    table = new_table("HOST", "ADDRESS", "SERVICE", "MISSION", "SSH")
+    for (host, address), cells in rows.items():
+        add_row(table, host, address, *(cells.get(each, "") for each in ("service", "mission", "ssh")))
+    console = plain_console()
+    console.print(table)
+    for line in dict.fromkeys(filter(None, starmap(_finding, states.items()))):
+        console.print(escape_line(line))
+    if not has_keys:
+        print("lfield: certificates were not checked: there are no keys of yours here", file=sys.stderr)
+
+
+def _finding(endpoint: Endpoint, state: EndpointState) -> str:
+    """The line about an address that is not as it should be; one for all ports that cannot be reached."""
+    if state.outcome == "other-host":
+        return f"{endpoint.host}: {endpoint.address} is an address of {state.name}: correct the inventory"
+    if state.outcome == "unreachable" and isinstance(state.error, AddressError):
+        return f"{endpoint.host}: {split_address(endpoint.address)[0]}: {state.error.reason}"
+    return f"{endpoint.host}: {endpoint.address}: {state.error}" if state.outcome == "refused" else ""

@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import argparse
 import asyncio
-from collections.abc import Callable
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import FleetDesk, add_desk, add_without, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import (
+    FleetDesk,
+    add_desk,
+    add_without,
+    ask_all_services,
+    open_desk,
+    report_unreached,
+    split_answers,
+)
 from lfield.cli.mission_argument import add_bindings, add_program
 from lfield.errors import BundleError, LfieldError, UsageError
 from lfield.text.number_arguments import real_above_0
@@ -19,11 +27,12 @@ from lfield.wire.fields import short_digest
 
 if TYPE_CHECKING:
     from lfield.cli.fleet.ballot_report import PushReport
-    from lfield.operator.fleet.activation import BallotResult
     from lfield.operator.fleet.bundle_upload import Upload, UploadProgress
+    from lfield.operator.fleet.service_link import ServiceLinks
+    from lfield.wire.service_messages import ServiceStatus
 
-#: Default of --patience (s).
-PATIENCE = 60.0
+#: Default of --patience (s), and seconds in which a host must answer first.
+PATIENCE, FIRST_CONTACT = 60.0, 15.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,74 +78,71 @@ def run(args: argparse.Namespace) -> int:
     what = Upload.of(data)
     report = PushReport(what.digest, as_json=args.json)
     report.start(f"{mission.name}: bundle {short_digest(what.digest)}, {byte_count_text(what.size)}")
-    return _push(desk, what, [host for host in team if host not in args.without], args, report)
+    hosts = [host for host in team if host not in args.without]
+    return asyncio.run(_push(desk, what, hosts, args, report))
 
 
-def _push(
+async def _push(
     desk: FleetDesk, what: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport
 ) -> int:
-    """Send the bundle, then vote."""
-    # A host that is off is not waited for, but named.
-    _, silent = split_answers(desk.statuses(hosts))
-    reached = [host for host in hosts if host not in silent]
-    sending = _upload_all(desk, what, reached, args.patience, report.on_progress)
-    sent, failed = split_answers(asyncio.run(sending))
-    failed |= silent
-    report.on_sent(sent, what.size)
-    refused = [host for host, progress in sent.items() if progress.refusal]
-    if failed or refused:
-        report_unreached(failed, "")
-        hint = "".join(f" --without {host}" for host in (*failed, *refused))
-        report.finish("staged", failed, f"nothing was activated; repeat it, or activate without them:{hint}")
-        return exit_status.FAILED if refused else exit_status.UNAVAILABLE
-    if args.stage:
-        report.finish("staged", {}, f"stored on {listed(hosts)}, not active")
-        return exit_status.DONE
-    return vote(desk, what.digest, hosts, args.without, report)
+    """Send the bundle, then have the hosts vote, over one link to each."""
+    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
+
+    links = desk.links(hosts)
+    try:
+        # A host that is off is not waited for, but named.
+        answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, FIRST_CONTACT)
+        statuses, silent = split_answers(answers)
+        sent, failed = split_answers(await _upload_all(links, what, list(statuses), args.patience, report))
+        failed |= silent
+        report.on_sent(sent, what.size)
+        refused = [host for host, progress in sent.items() if progress.refusal]
+        if failed or refused:
+            report_unreached(failed, "")
+            hint = "".join(f" --without {host}" for host in (*failed, *refused))
+            why = f"nothing was activated; repeat it, or activate without them:{hint}"
+            report.finish("staged", failed, why)
+            return exit_status.FAILED if refused else exit_status.UNAVAILABLE
+        if args.stage:
+            report.finish("staged", {}, f"stored on {listed(hosts)}, not active")
+            return exit_status.DONE
+        return await vote(desk, links, what.digest, statuses, args.without, report)
+    finally:
+        links.close()
 
 
-def vote(desk: FleetDesk, digest: bytes, hosts: list[str], without: list[str], report: PushReport) -> int:
-    """Have hosts vote about the activation of a bundle that all have stored; returns the exit status."""
+async def vote(
+    desk: FleetDesk,
+    links: ServiceLinks,
+    digest: bytes,
+    statuses: Mapping[str, ServiceStatus],
+    without: list[str],
+    report: PushReport,
+) -> int:
+    """Have hosts vote about the activation of a bundle that all have stored; returns the exit status.
+
+    `statuses` are those of a moment ago.
+    """
     from lfield.operator.fleet.activation import activate, new_ballot
 
-    statuses, failed = split_answers(desk.statuses(hosts))
-    if failed:
-        report_unreached(failed, "")
-        report.finish("staged", failed, "nothing was activated: not all hosts answered before the vote")
-        return exit_status.UNAVAILABLE
+    hosts = list(statuses)
     if all(status.active == digest for status in statuses.values()):
         report.finish("activated", {}, f"already active on {listed(hosts)}")
         return exit_status.DONE
-    ballot = new_ballot(digest, hosts, without, desk.user)
-
-    async def ask() -> BallotResult:
-        return await activate(desk.transport(), desk.addresses(hosts), ballot, desk.crl)
-
-    return report.on_result(asyncio.run(ask()))
+    return report.on_result(await activate(links, new_ballot(digest, hosts, without, desk.user)))
 
 
 async def _upload_all(
-    desk: FleetDesk,
-    what: Upload,
-    hosts: list[str],
-    patience: float,
-    on_progress: Callable[[str, UploadProgress], None],
+    links: ServiceLinks, what: Upload, hosts: list[str], patience: float, report: PushReport
 ) -> dict[str, UploadProgress | LfieldError]:
     from lfield.operator.fleet.bundle_upload import upload
 
-    transport, addresses = desk.transport(), desk.addresses(hosts)
-
     async def one(host: str) -> UploadProgress | LfieldError:
+        def on_progress(progress: UploadProgress) -> None:
+            report.on_progress(host, progress)
+
         try:
-            return await upload(
-                transport,
-                addresses[host],
-                host,
-                what,
-                patience=patience,
-                crl=desk.crl,
-                on_progress=lambda progress: on_progress(host, progress),
-            )
+            return await upload(links, host, what, patience=patience, on_progress=on_progress)
         except LfieldError as error:
             return error
 

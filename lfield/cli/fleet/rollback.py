@@ -1,14 +1,26 @@
-"""`lfield rollback`: activates the previous bundle on all robots or none."""
+"""`lfield rollback`: activates the previous bundle on all robots or none, or ends an undecided activation."""
 
 from __future__ import annotations
 
 import argparse
+import asyncio
+import json
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import add_desk, add_without, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import (
+    TIMEOUT,
+    FleetDesk,
+    add_desk,
+    add_without,
+    ask_all_services,
+    open_desk,
+    report_unreached,
+    split_answers,
+)
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
+from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import short_digest
 
 if TYPE_CHECKING:
@@ -20,25 +32,43 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_without(parser, "leave out this host, which cannot join until it has the bundle")
+    parser.add_argument(
+        "--lost",
+        metavar="HOST",
+        default="",
+        help="instead: abort an undecided activation; HOST, whose vote is unknown, is lost for good",
+    )
     add_desk(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """0 when the previous bundle is active on all hosts; else as `lfield push`."""
+    desk = open_desk(args)
+    desk.addresses([*args.without, *([args.lost] if args.lost else [])])
+    if args.lost:
+        return _abort(desk, args)
+    hosts = [host for host in desk.hosts if host not in args.without]
+    return asyncio.run(_rollback(desk, hosts, args))
+
+
+async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace) -> int:
     from lfield.cli.fleet.ballot_report import PushReport
     from lfield.cli.fleet.push import vote
+    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
-    desk = open_desk(args)
-    desk.addresses(args.without)
-    hosts = [host for host in desk.hosts if host not in args.without]
-    statuses, failed = split_answers(desk.statuses(hosts))
-    if failed:
-        report_unreached(failed, "; nothing was changed")
-        return exit_status.UNAVAILABLE
-    digest = _common_previous(statuses)
-    report = PushReport(digest, as_json=args.json)
-    report.start(f"bundle {short_digest(digest)}")
-    return vote(desk, digest, hosts, args.without, report)
+    links = desk.links(hosts)
+    try:
+        answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, TIMEOUT)
+        statuses, failed = split_answers(answers)
+        if failed:
+            report_unreached(failed, "; nothing was changed")
+            return exit_status.UNAVAILABLE
+        digest = _common_previous(statuses)
+        report = PushReport(digest, as_json=args.json)
+        report.start(f"bundle {short_digest(digest)}")
+        return await vote(desk, links, digest, statuses, args.without, report)
+    finally:
+        links.close()
 
 
 def _common_previous(statuses: Mapping[str, ServiceStatus]) -> bytes:
@@ -51,3 +81,33 @@ def _common_previous(statuses: Mapping[str, ServiceStatus]) -> bytes:
     if not digest:
         raise UsageError("no host has had another bundle: there is nothing to go back to")
     return digest
+
+
+def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:
+    """Report a vote against the activation for the lost host; returns the exit status."""
+    from lfield.wire.service_messages import BallotState, VoteReport
+
+    others = [host for host in desk.hosts if host != args.lost and host not in args.without]
+    statuses, failed = split_answers(desk.statuses(others))
+    open_ballots = {
+        host: status.ballot
+        for host, status in statuses.items()
+        if status.ballot is not None
+        and status.ballot.outcome == "open"
+        and args.lost not in status.ballot.votes
+    }
+    if not open_ballots:
+        raise UsageError(f"no reachable host waits for the vote of {args.lost}: 'lfield status' shows votes")
+    ended = []
+    for host, ballot in open_ballots.items():
+        report = VoteReport(ballot.id, {args.lost: "no"})
+        answers, refused = split_answers(desk.ask([host], report, BallotState, TIMEOUT))
+        failed |= refused
+        ended += [host for answer in answers.values() if answer.outcome == "aborted"]
+    report_unreached(failed, "")
+    if args.json:
+        errors = {host: error.as_data() for host, error in failed.items()}
+        print(json.dumps({"aborted": ended, "errors": errors}))
+    elif ended:
+        print(escape_line(f"activation aborted on {listed(ended)}"))
+    return exit_status.UNAVAILABLE if failed else exit_status.DONE

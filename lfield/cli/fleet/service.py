@@ -8,11 +8,13 @@ import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield import __version__
+from lfield import __version__, exit_status
 from lfield.errors import KeysError, UsageError
+from lfield.text.suggestions import did_you_mean, listed
+from lfield.text.terminal_escape import escape_line
 
 if TYPE_CHECKING:
-    from lfield.inventory.inventory import Inventory
+    from lfield.inventory.inventory import Inventory, InventoryHost
 
 #: Options of `lfield up` for the mission's host: it ends with the mission, and waits for hosts that restart.
 UP_OPTIONS = ("--until-done", "--lost-after", "300")
@@ -33,6 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object per log line")
     parser.add_argument(
+        "--check",
+        action="store_true",
+        help="only print what forbids an update of lfield: unfinished coordinators, an open vote",
+    )
+    parser.add_argument(
         "--up-options",
         metavar="OPTIONS",
         default=os.environ.get("LFIELD_UP_OPTIONS", ""),
@@ -42,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run until it is stopped; 0, or 69 when it cannot listen."""
+    """Run until it is stopped; 0, or 69 when it cannot listen. With --check 1 when an update is forbidden."""
     from lfield import event_loop
     from lfield.authority import keystore
     from lfield.host.process.credentials import HostCredentials
@@ -51,10 +58,12 @@ def run(args: argparse.Namespace) -> int:
     from lfield.service.version_state import versioned_state
     from lfield.text.user_dirs import state_dir
 
+    if args.check:
+        return _check(args)
     inventory = find_inventory(args.inventory, os.environ)
     if inventory is None:
         raise UsageError("no inventory: 'lfield provision' puts it to /etc/lfield/inventory.yaml")
-    host = inventory.host(args.host)
+    host = _own_entry(inventory, args.host)
     found = keystore.find_keys("host", args.host, args.keys, os.environ)
     if found is None:
         raise KeysError(
@@ -69,6 +78,36 @@ def run(args: argparse.Namespace) -> int:
     )
     credentials = HostCredentials(keystore.read_keys(found, "host"), folders)
     return event_loop.run(run_service(options, credentials))
+
+
+def _check(args: argparse.Namespace) -> int:
+    """Print what forbids an update of lfield; returns the exit status."""
+    import asyncio
+
+    from lfield.clock import SystemClock
+    from lfield.service.bundle_store import BundleStore
+    from lfield.service.mission_probe import LocalProbe
+    from lfield.service.version_state import versioned_state
+    from lfield.text.user_dirs import state_dir
+
+    state = versioned_state(args.state or state_dir(), __version__)
+    bound = BundleStore(state / "service").load().activation.open_ballot
+    if bound is not None:
+        missing = [host for host in bound.ballot.hosts if host not in bound.votes] if bound.ballot else []
+        print(escape_line(f"an activation is not decided: the votes of {listed(missing)} are unknown"))
+    probe = LocalProbe(args.host, state, lambda: 0, list, SystemClock())
+    unfinished = asyncio.run(probe.unfinished())
+    for one in unfinished:
+        print(escape_line(f"coordinator {one.agent} of {one.mission} has not ended: {one.state}"))
+    return exit_status.FAILED if unfinished or bound is not None else exit_status.DONE
+
+
+def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
+    """The entry of this robot. Raises UsageError."""
+    if host not in inventory.hosts:
+        hint = did_you_mean(host, inventory.hosts) or f"it has {listed(list(inventory.hosts))}"
+        raise UsageError(f"the inventory {inventory.path} has no host '{host}': {hint}")
+    return inventory.hosts[host]
 
 
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:

@@ -7,11 +7,10 @@ from __future__ import annotations
 
 import asyncio
 import secrets
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
-from lfield.errors import AddressError, LfieldError
-from lfield.operator.fleet.service_link import open_service_link
+from lfield.errors import LfieldError
+from lfield.operator.fleet.service_link import ServiceLinks
 from lfield.wire.service_messages import (
     Ballot,
     BallotOutcome,
@@ -23,14 +22,10 @@ from lfield.wire.service_messages import (
     VoteReport,
 )
 
-if TYPE_CHECKING:
-    from lfield.net.transport import Transport
-    from lfield.operator.observer_link import PresentedCrl
-
 #: Bytes of the id of a ballot.
 ID_SIZE = 16
-#: Seconds for all votes; then the hosts that have not voted are asked to vote no. Seconds between two links.
-VOTE_TIMEOUT, RETRY_DELAY = 25.0, 0.3
+#: Seconds for all votes; then the hosts that have not voted are asked to vote no.
+VOTE_TIMEOUT = 25.0
 #: Seconds for one vote: a host pauses its mission before it votes.
 ANSWER_TIMEOUT = 15.0
 #: Seconds for which a result is reported to a host that does not answer.
@@ -76,35 +71,20 @@ def new_ballot(
 
 
 async def activate(
-    transport: Transport,
-    addresses: Mapping[str, str],
-    ballot: Ballot,
-    crl: PresentedCrl | None = None,
-    on_change: Callable[[BallotResult], None] = lambda result: None,
+    links: ServiceLinks, ballot: Ballot, on_change: Callable[[BallotResult], None] = lambda result: None
 ) -> BallotResult:
-    """The result of a ballot among the services at `addresses`.
+    """The result of a ballot among services.
 
     It is open if hosts could not be reached: then those settle it that have voted yes, when they meet.
     """
     result = BallotResult(ballot)
 
     async def ask(host: str, message: ServiceMessage, within: float) -> None:
-        """Send a message, again after broken links, until it is answered."""
         try:
-            async with asyncio.timeout(within):
-                while True:
-                    try:
-                        async with open_service_link(transport, addresses[host], host, crl) as link:
-                            result.add(host, await link.ask(message, BallotState, ANSWER_TIMEOUT))
-                        on_change(result)
-                        return
-                    except AddressError as error:
-                        result.unreached[host] = error
-                    await asyncio.sleep(RETRY_DELAY)
-        except TimeoutError:
-            result.unreached.setdefault(host, AddressError(addresses[host], f"no vote within {within:g} s"))
+            result.add(host, await links.ask(host, message, BallotState, within, ANSWER_TIMEOUT))
         except LfieldError as error:
             result.unreached[host] = error
+        on_change(result)
 
     tasks = [asyncio.ensure_future(ask(host, Proposal(ballot), VOTE_TIMEOUT)) for host in ballot.hosts]
     await _until_decided(result, tasks)
@@ -118,11 +98,10 @@ async def activate(
     return result
 
 
-async def _until_decided(result: BallotResult, requests: Iterable[asyncio.Future[None]]) -> None:
+async def _until_decided(result: BallotResult, requests: Sequence[asyncio.Future[None]]) -> None:
     """Wait for the requests for votes until all have ended, or one host has voted no."""
-    tasks = set(requests)
-    while tasks and result.outcome == "open":
-        _, tasks = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
+    while result.outcome == "open" and (pending := [each for each in requests if not each.done()]):
+        await asyncio.wait(pending, return_when=asyncio.FIRST_COMPLETED)
+    for each in requests:
+        each.cancel()
+    await asyncio.gather(*requests, return_exceptions=True)

@@ -1,102 +1,124 @@
-"""Checks which addresses of hosts answer, and that the answering host is the right one."""
+"""Which addresses of an inventory answer, and which host answers there."""
 
 from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from lfield.address_race import first_connected
 from lfield.errors import AddressError, LfieldError, NoListener
 from lfield.net.connections.resolver import ResolvedAddress, resolve
 from lfield.net.connections.socket_errors import describe
-from lfield.net.transport import Link, Transport, split_address
-from lfield.operator.observer_link import ObserverLink
-from lfield.wire.messages import Message
+from lfield.net.transport import join_address, split_address
+from lfield.operator.fleet.service_link import ServiceLink
 
-#: "answers" is the right host, "unverified" one that was not authenticated since there are no keys.
-PortState = Literal["answers", "unverified", "other-host", "rejected", "no-listener", "unreachable"]
-#: States of a port at which the host can be used.
-USABLE: tuple[PortState, ...] = ("answers", "unverified")
+if TYPE_CHECKING:
+    from lfield.inventory.inventory import InventoryHost
+    from lfield.net.transport import Transport
+    from lfield.operator.observer_link import PresentedCrl
+
+#: Seconds for one address, and the maximum number of addresses that are checked at the same time.
+TIMEOUT, MAX_AT_ONCE = 5.0, 64
+#: Port of ssh without `ssh_port`.
+SSH_PORT = 22
+
+#: What listens at an address: the service, the mission's host, or the ssh server.
+Purpose = Literal["service", "mission", "ssh"]
+#: "refused": something listens, and is no host of this team or does not accept the keys.
+Outcome = Literal["answers", "other-host", "refused", "closed", "unreachable"]
 
 
 @dataclass(frozen=True, slots=True)
-class PortCheck:
-    """What answers at an address; `text` is the reason if it is not the host."""
+class Endpoint:
+    """An address of a host, for one purpose."""
 
+    host: str
+    purpose: Purpose
     address: str
-    state: PortState
-    text: str = ""
-
-    @property
-    def is_usable(self) -> bool:
-        """Whether the host can be reached there."""
-        return self.state in USABLE
 
 
 @dataclass(frozen=True, slots=True)
-class HostCheck:
-    """The ports of a host: those of the mission's host, of the service and of ssh."""
+class EndpointState:
+    """What was found at an address; `name` is the host in the certificate, '' without one."""
 
-    mission: tuple[PortCheck, ...]
-    service: tuple[PortCheck, ...]
-    ssh: tuple[PortCheck, ...]
-
-    @property
-    def answers(self) -> bool:
-        """Whether at least one port answers."""
-        return any(port.is_usable for port in (*self.mission, *self.service, *self.ssh))
+    outcome: Outcome
+    name: str = ""
+    error: LfieldError | None = None
 
 
-async def check_tls(transport: Transport, addresses: Iterable[str], host: str) -> tuple[PortCheck, ...]:
-    """The state of ports at which a host authenticates itself by its certificate."""
-    return tuple(await asyncio.gather(*(_check_certificate(transport, each, host) for each in addresses)))
+def endpoints_of(host: InventoryHost) -> list[Endpoint]:
+    """All addresses of a host."""
+    ssh = [join_address(name, host.ssh_port or SSH_PORT) for name in host.ssh_hosts]
+    stated: tuple[tuple[Purpose, Iterable[str]], ...] = (
+        ("service", host.service_addresses),
+        ("mission", host.addresses),
+        ("ssh", ssh),
+    )
+    return [Endpoint(host.name, purpose, address) for purpose, found in stated for address in found]
 
 
-async def _check_certificate(transport: Transport, address: str, host: str) -> PortCheck:
+def is_reached(states: Iterable[EndpointState]) -> bool:
+    """Whether a host answers at one of its addresses, and no other host at any."""
+    outcomes = {state.outcome for state in states}
+    return "answers" in outcomes and "other-host" not in outcomes
+
+
+async def check_endpoints(
+    endpoints: Iterable[Endpoint], transport: Transport | None, crl: PresentedCrl | None
+) -> dict[Endpoint, EndpointState]:
+    """The state of each address. Without a `transport` (no keys), only whether a connection is accepted."""
+    slots = asyncio.Semaphore(MAX_AT_ONCE)
+
+    async def one(endpoint: Endpoint) -> EndpointState:
+        async with slots:
+            try:
+                if transport is None or endpoint.purpose == "ssh":
+                    return await _connect(endpoint)
+                return await _authenticate(endpoint, transport, crl)
+            except NoListener as error:
+                return EndpointState("closed", error=error)
+            except AddressError as error:
+                return EndpointState("unreachable", error=error)
+            except LfieldError as error:
+                return EndpointState("refused", error=error)
+
+    checked = list(endpoints)
+    return dict(zip(checked, await asyncio.gather(*map(one, checked)), strict=True))
+
+
+async def _authenticate(endpoint: Endpoint, transport: Transport, crl: PresentedCrl | None) -> EndpointState:
+    """Compare the certificate of the host, then exchange the handshake. Raises LfieldError."""
+    handler = ServiceLink(endpoint.host, crl)
+    link = await transport.connect(endpoint.address, handler)
     try:
-        link = await transport.connect(address, _ProbeLink())
-    except NoListener as error:
-        return PortCheck(address, "no-listener", error.reason)
-    except AddressError as error:
-        return PortCheck(address, "unreachable", error.reason)
-    except LfieldError as error:
-        return PortCheck(address, "rejected", str(error))
-    who = link.who
-    link.close()
-    if who.kind == "stranger":
-        return PortCheck(address, "unverified")
-    if (who.kind, who.name) != ("host", host):
-        return PortCheck(address, "other-host", f"is {who}, not {host}")
-    return PortCheck(address, "answers")
+        if link.who.kind != "host":
+            return EndpointState("refused", error=AddressError(endpoint.address, "no certificate of a host"))
+        if link.who.name != endpoint.host:
+            return EndpointState("other-host", link.who.name)
+        handler.greet(link)
+        await handler.wait_greeted()
+        return EndpointState("answers", link.who.name)
+    except TimeoutError:
+        raise AddressError(endpoint.address, "connection accepted, and then no answer") from None
+    finally:
+        handler.give_up()
+        link.close()
 
 
-async def check_tcp(addresses: Iterable[str], timeout: float) -> tuple[PortCheck, ...]:
-    """The state of ports that accept connections; `timeout` in seconds."""
-    return tuple(await asyncio.gather(*(_check_connection(each, timeout) for each in addresses)))
-
-
-async def _check_connection(address: str, timeout: float) -> PortCheck:
+async def _connect(endpoint: Endpoint) -> EndpointState:
+    """Connect by TCP alone. Raises AddressError."""
     failures: dict[ResolvedAddress, Exception] = {}
     try:
-        async with asyncio.timeout(timeout):
-            made, _ = await first_connected(await resolve(*split_address(address)), failures)
+        async with asyncio.timeout(TIMEOUT):
+            found = await resolve(*split_address(endpoint.address))
+            made, _ = await first_connected(found, failures)
     except TimeoutError:
-        return PortCheck(address, "unreachable", f"no answer within {timeout:g} s")
-    except ConnectionRefusedError as error:
-        return PortCheck(address, "no-listener", describe(error))
+        raise AddressError(endpoint.address, f"no answer within {TIMEOUT:g} s") from None
+    except ConnectionRefusedError:
+        raise NoListener(endpoint.address) from None
     except (OSError, UnicodeError) as error:
-        return PortCheck(address, "unreachable", describe(error))
+        raise AddressError(endpoint.address, describe(error)) from None
     made.close()
-    return PortCheck(address, "answers")
-
-
-class _ProbeLink(ObserverLink):
-    """The handler of a link that is closed after the authentication."""
-
-    def on_message(self, link: Link, message: Message) -> None:
-        """Nothing is asked."""
-
-    def on_closed(self, link: Link, error: LfieldError | None) -> None:
-        """Closed by this side, or by the host."""
+    return EndpointState("answers")

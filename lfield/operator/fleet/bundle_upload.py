@@ -10,11 +10,10 @@ import asyncio
 from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
-from typing import TYPE_CHECKING
 
 from lfield.errors import AddressError
 from lfield.mission import bundle
-from lfield.operator.fleet.service_link import ServiceLink, open_service_link
+from lfield.operator.fleet.service_link import RETRY_DELAY, ServiceLink, ServiceLinks
 from lfield.wire.bundle_pieces import compress, piece_of, split
 from lfield.wire.service_messages import (
     MAX_OFFER,
@@ -26,12 +25,8 @@ from lfield.wire.service_messages import (
     StageResult,
 )
 
-if TYPE_CHECKING:
-    from lfield.net.transport import Transport
-    from lfield.operator.observer_link import PresentedCrl
-
-#: Pieces that are sent before the first is confirmed, and seconds between two links.
-WINDOW, RETRY_DELAY = 8, 0.2
+#: Pieces that are sent before the first is confirmed.
+WINDOW = 8
 #: Seconds for a host to verify a bundle.
 STAGE_TIMEOUT = 30.0
 
@@ -65,19 +60,17 @@ class UploadProgress:
     stored: int = 0
     total: int = 0
     sent: int = 0
-    links: int = 0
+    attempts: int = 0
     refusal: str = ""
     code: str = ""
 
 
 async def upload(
-    transport: Transport,
-    address: str,
+    links: ServiceLinks,
     host: str,
     what: Upload,
     *,
     patience: float,
-    crl: PresentedCrl | None = None,
     on_progress: Callable[[UploadProgress], None] = lambda progress: None,
 ) -> UploadProgress:
     """Transfer a bundle to the service of `host`, and have it verified and stored there.
@@ -90,8 +83,8 @@ async def upload(
     last, stored = now(), 0
     while True:
         try:
-            async with open_service_link(transport, address, host, crl) as link:
-                progress.links += 1
+            async with links.link(host) as link:
+                progress.attempts += 1
                 await _send_missing(link, what, progress, on_progress)
                 if not progress.refusal:
                     request = StageRequest(what.digest, what.file)

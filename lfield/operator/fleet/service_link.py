@@ -1,13 +1,13 @@
-"""A link of a desk to the service of one host, for several requests."""
+"""Links of a desk to the services of robots, each for several requests."""
 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Mapping
 from contextlib import asynccontextmanager
 from typing import TYPE_CHECKING, TypeVar
 
-from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError
+from lfield.errors import AddressError, HandshakeError, KeysError, LfieldError, NoListener
 from lfield.net.handshake import Handshake
 from lfield.operator.observer_link import ObserverLink, PresentedCrl
 from lfield.wire.messages import HandshakeRefused, Hello, Message, RevocationUpdate
@@ -20,6 +20,8 @@ A = TypeVar("A", bound=ServiceMessage)
 
 #: Seconds for the handshake, and seconds without any message after which a link counts as broken.
 HANDSHAKE_TIMEOUT, SILENCE = 8.0, 8.0
+#: Seconds between two links.
+RETRY_DELAY = 0.2
 
 
 class ServiceLink(ObserverLink):
@@ -31,6 +33,7 @@ class ServiceLink(ObserverLink):
         self._answers: asyncio.Queue[ServiceMessage | LfieldError] = asyncio.Queue()
         self._greeted: asyncio.Future[None] = asyncio.get_running_loop().create_future()
         self._link: Link | None = None
+        self.is_closed = False
 
     def greet(self, link: Link) -> Handshake:
         """Start the handshake, once."""
@@ -61,6 +64,13 @@ class ServiceLink(ObserverLink):
         if not self._greeted.done():
             self._greeted.set_exception(end)
         self._answers.put_nowait(end)
+        self.is_closed = True
+
+    def close(self) -> None:
+        """Close the link."""
+        self.is_closed = True
+        if self._link is not None:
+            self._link.close()
 
     async def wait_greeted(self) -> None:
         """Return after the handshake. Raises LfieldError."""
@@ -98,10 +108,9 @@ class ServiceLink(ObserverLink):
         return await self.receive(kind, within)
 
 
-@asynccontextmanager
 async def open_service_link(
     transport: Transport, address: str, host: str, crl: PresentedCrl | None
-) -> AsyncIterator[ServiceLink]:
+) -> ServiceLink:
     """A link to the service of `host`. Raises AddressError, HandshakeError, KeysError."""
     handler = ServiceLink(host, crl)
     link = await transport.connect(address, handler, host)
@@ -112,12 +121,73 @@ async def open_service_link(
                 "makes them; --keys names their directory"
             )
         handler.greet(link)
-        try:
-            await handler.wait_greeted()
-        except TimeoutError:
-            raise AddressError(address, f"no handshake within {HANDSHAKE_TIMEOUT:g} s") from None
-        yield handler
+        await handler.wait_greeted()
+        return handler
+    except TimeoutError:
+        link.close()
+        raise AddressError(address, f"no handshake within {HANDSHAKE_TIMEOUT:g} s") from None
+    except BaseException:
+        link.close()
+        raise
     finally:
         # A failed handshake has no other reader.
         handler.give_up()
-        link.close()
+
+
+class ServiceLinks:
+    """The links of a desk to the services of some hosts: made when needed, and used again.
+
+    A link whose use has failed is closed, so no late answer is taken for that of another request. `close`
+    them at the end.
+    """
+
+    def __init__(
+        self, transport: Transport, addresses: Mapping[str, str], crl: PresentedCrl | None = None
+    ) -> None:
+        self._transport, self.addresses, self._crl = transport, addresses, crl
+        self._idle: dict[str, ServiceLink] = {}
+
+    @asynccontextmanager
+    async def link(self, host: str) -> AsyncIterator[ServiceLink]:
+        """A link to a host for the duration of a block. Raises AddressError, HandshakeError, KeysError."""
+        link = self._idle.pop(host, None)
+        if link is None or link.is_closed:
+            link = await open_service_link(self._transport, self.addresses[host], host, self._crl)
+        try:
+            yield link
+        except BaseException:
+            link.close()
+            raise
+        if host in self._idle:
+            link.close()
+        else:
+            self._idle[host] = link
+
+    async def ask(
+        self, host: str, message: ServiceMessage, kind: type[A], within: float, answered: float = SILENCE
+    ) -> A:
+        """The answer to a request that may be repeated: again after broken links, for `within` seconds.
+
+        Each answer may take `answered` seconds. Raises NoListener at once, else AddressError at the end;
+        HandshakeError, KeysError.
+        """
+        last: AddressError | None = None
+        try:
+            async with asyncio.timeout(within):
+                while True:
+                    try:
+                        async with self.link(host) as link:
+                            return await link.ask(message, kind, answered)
+                    except NoListener:
+                        raise
+                    except AddressError as error:
+                        last = error
+                    await asyncio.sleep(RETRY_DELAY)
+        except TimeoutError:
+            raise last or AddressError(self.addresses[host], f"no answer within {within:g} s") from None
+
+    def close(self) -> None:
+        """Close all links."""
+        for link in self._idle.values():
+            link.close()
+        self._idle.clear()

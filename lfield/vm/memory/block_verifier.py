@@ -173,6 +173,12 @@ class BlockVerifier:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
         if w[layout.W_TOP] != size // 8 or block.top < heap:
             raise BlockError("its size does not match its header", word=layout.W_TOP)
+        if not (
+            0 <= w[layout.W_GENERATION] < COUNT_LIMIT
+            and 0 <= w[layout.W_SEQUENCE] < COUNT_LIMIT
+            and 0 <= w[layout.W_HOPS] < COUNT_LIMIT
+        ):
+            raise BlockError("its counters are not valid", word=layout.W_GENERATION)
         if heap > layout.W_INTERVAL and not 0 <= w[layout.W_INTERVAL] <= layout.MAX_INTERVAL:
             raise BlockError("its heartbeat interval is not valid", word=layout.W_INTERVAL)
         if heap > layout.W_TICKETS and not (

@@ -71,9 +71,9 @@ class MessageSender:
                 return not pilot.flies and pilot.role in (Role.MANUAL, Role.HOLD)
             case dialect.MAVLINK_MSG_ID_FENCE_STATUS:
                 return not pilot.value(pilot.flavour.fence.enable)
-            case dialect.MAVLINK_MSG_ID_WIND:
-                # A rover needs a wind vane, and has none.
-                return not pilot.flies
+            case dialect.MAVLINK_MSG_ID_WIND if not pilot.flies:
+                # A rover needs a wind vane, and has none. A copter sends it from its first position on.
+                return True
             case dialect.MAVLINK_MSG_ID_WIND_COV if not pilot.value("EKF2_DRAG_CTRL"):
                 return True
         return kind in POSITIONS and not has_position(pilot)

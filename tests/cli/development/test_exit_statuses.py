@@ -31,6 +31,27 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("keys", 65): ("keys list --authority none", "none has no authority"),
     ("keys", 69): ("keys show .", "not found"),
     ("keys", 73): ("keys init mission.L", "cannot write mission.L: it is not a folder"),
+    ("provision", 65): ("provision --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("provision", 66): ("provision --inventory none.yaml", "cannot read none.yaml"),
+    ("provision", 69): ("provision --inventory away.yaml", "0 of 1 hosts done"),
+    ("push", 65): ("push latin.dL --inventory team.yaml", "latin.L:1:4: error["),
+    ("push", 66): ("push none.lfm --inventory team.yaml", "cannot read none.lfm"),
+    ("rollback", 65): ("rollback --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("rollback", 66): ("rollback --inventory none.yaml", "cannot read none.yaml"),
+    ("rollback", 69): ("rollback --inventory team.yaml", "NOT REACHED"),
+    ("status", 65): ("status --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("status", 66): ("status --inventory none.yaml", "cannot read none.yaml"),
+    ("status", 69): ("status --inventory team.yaml", "NOT REACHED"),
+    ("stop", 65): ("stop --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("stop", 66): ("stop --inventory none.yaml", "cannot read none.yaml"),
+    ("stop", 69): ("stop --inventory team.yaml", "NOT REACHED"),
+    ("service", 65): ("service --host alpha --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("service", 66): ("service --host alpha --inventory none.yaml", "cannot read none.yaml"),
+    ("service", 69): ("service --host alpha --inventory nowhere.yaml", "cannot use no.such.host"),
+    ("service", 73): (
+        "service --host alpha --inventory team.yaml --state mission.L",
+        "cannot write mission.L",
+    ),
     ("sign", 65): ("sign latin.lfm", "not a valid bundle"),
     ("sign", 66): ("sign none.lfm", "cannot read none.lfm"),
     ("disasm", 65): ("disasm latin.lb", "not a valid L program"),
@@ -58,6 +79,9 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("query", 69): ("query Lift", "no mission is running"),
     ("capabilities", 65): ("capabilities check latin.yaml", "latin.yaml:1:4: error["),
     ("capabilities", 66): ("capabilities check none.yaml", "cannot read none.yaml"),
+    ("inventory", 65): ("inventory show --inventory latin.yaml", "latin.yaml:1:4: error["),
+    ("inventory", 66): ("inventory show --inventory none.yaml", "cannot read none.yaml"),
+    ("inventory", 69): ("inventory check --inventory team.yaml --json", "127.0.0.1:1"),
     ("estop", 65): ("estop latin.dL", "latin.dL:1:4: error["),
     ("estop", 66): ("estop none.dL", "cannot read none."),
     ("estop", 69): ("estop", "no mission is running"),
@@ -93,6 +117,12 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
 }
 #: Where the others are tried.
 ELSEWHERE: dict[tuple[str, int], str] = {
+    ("push", 1): "fleet/test_push_and_start.py",
+    ("push", 4): "fleet/test_ballot_report.py",
+    ("push", 69): "fleet/test_push_and_start.py",
+    ("rollback", 1): "fleet/test_ballot_report.py",
+    ("rollback", 4): "fleet/test_ballot_report.py",
+    ("service", 1): "fleet/test_push_and_start.py",
     ("sign", 73): "development/test_keys_commands.py",
     ("test", 1): "../testing/test_pytest_plugin.py",
     ("test", 66): "../testing/test_pytest_plugin.py",
@@ -148,6 +178,9 @@ def files(lfield):
     lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
     bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:/none:57600'}}}}\n"
     lfield.write("sky.yaml", bound)
+    lfield.write("team.yaml", "hosts: {alpha: {addresses: ['127.0.0.1:1'], service_port: 2, ssh_port: 3}}\n")
+    lfield.write("nowhere.yaml", "hosts: {alpha: {addresses: [no.such.host.invalid]}}\n")
+    lfield.write("away.yaml", "hosts:\n  alpha:\n    addresses: [127.0.0.1]\n    ssh_port: 1\n")
     for ending in ("L", "dL", "lb", "lfm", "yaml", "block"):
         lfield.write(f"latin.{ending}", b"abc\xe9")
     return lfield

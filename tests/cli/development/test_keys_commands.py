@@ -57,6 +57,19 @@ def test_what_is_made_is_told_with_where_it_goes(here, own_settings: Path) -> No
     assert f"~/.config/lfield/keys/me, a copy of {own_settings}/authority/people/anna" in anna.out[1]
 
 
+def test_one_command_makes_an_authority_and_the_keys_of_its_operator(here, own_settings: Path) -> None:
+    assert here("keys", "init", "--person", "../x").status == 65
+    assert not own_settings.exists()
+    assert here("keys", "init", "--person", "anna").status == 0
+    me = own_settings / "keys" / "me"
+    found = verify_keys(folders.read_keys(me, "person"))
+    assert (found.name, found.may) == ("anna", {Right.OBSERVE, Right.STOP, Right.OPERATE, Right.COMMAND})
+    before = (me / "person.key").read_bytes()
+    assert here("keys", "init", "other", "--person", "bob").status == 65
+    assert not Path("other").exists()
+    assert (me / "person.key").read_bytes() == before
+
+
 def test_a_team_has_keys_renews_revokes_and_lists_them(here, team: Path) -> None:
     assert here("keys", "renew", "host", "alpha", "--days", "700").status == 0
     gone = here("keys", "revoke", "host", "bravo")

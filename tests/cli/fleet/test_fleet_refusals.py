@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import asyncio
 import os
+import time
+from collections.abc import Callable
 
 import pytest
 from robots import told
 
-from lfield.authority.identity import Right
+from lfield.authority.identity import ALL_RIGHTS, Right
 from lfield.authority.keystore import read_keys
 from lfield.operator.client import observer_transport
 from lfield.operator.fleet.activation import new_ballot
-from lfield.operator.fleet.service_link import open_service_link
-from lfield.wire.service_messages import BallotState, Proposal, VoteReport
+from lfield.operator.fleet.service_link import ServiceLinks
+from lfield.wire.service_messages import Ballot, BallotState, Proposal, ServiceMessage, VoteReport
 
 pytestmark = pytest.mark.process
 
@@ -74,28 +76,76 @@ def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team)
     assert "has no host 'bravo': did you mean 'brovo'?" in refused.err[0]
 
 
-def test_of_two_desks_at_once_the_second_is_refused_until_the_first_is_decided(lfield, here, team) -> None:
+def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
+    lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
+    time.sleep(1.5)
+    refused = here("status")
+    assert refused.status == 69
+    assert "expired" in " ".join(refused.err)
+
+
+def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lfield, here, team) -> None:
+    assert here("build", "mission.dL").status == 0
+    assert here("sign", "mission.lfm").status == 0
+    staged = told(here("push", "mission.lfm", "--stage", "--json"))
+    assert staged["outcome"] == "staged"
+    # Another push in between is none of its business.
+    team.mission(text="call")
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
+    later = told(here("push", "mission.lfm", "--json"))
+    assert (later["outcome"], later["bundle"]) == ("activated", staged["bundle"])
+    assert [each["bytes"] for each in later["sent"].values()] == [0, 0]
+
+
+@pytest.fixture
+def staged(lfield, here, team) -> Callable[[], Ballot]:
+    """`staged()`: a ballot about a bundle that both robots have stored."""
     assert here("push", "mission.dL", "--stage").status == 0
     digest = bytes.fromhex(told(here("status", "--json"))["alpha"]["stored"][0])
+    return lambda: new_ballot(digest, ["alpha", "bravo"], [], "anna")
+
+
+@pytest.fixture
+def send(lfield, team) -> Callable[[str, ServiceMessage], BallotState]:
+    """`send(host, message)`: what another desk sends, and the answer."""
     keys = read_keys(lfield.folder / "config/lfield/keys/me", "person")
-    ballot = new_ballot(digest, ["alpha", "bravo"], [], "anna")
 
-    async def send(host: str, message) -> BallotState:
-        address = f"127.0.0.1:{team.ports[host][1]}"
-        async with open_service_link(observer_transport(keys), address, host, None) as link:
-            return await link.ask(message, BallotState)
+    async def ask(host: str, message: ServiceMessage) -> BallotState:
+        links = ServiceLinks(observer_transport(keys), {host: f"127.0.0.1:{team.ports[host][1]}"})
+        try:
+            return await links.ask(host, message, BallotState, 8.0)
+        finally:
+            links.close()
 
-    assert asyncio.run(send("alpha", Proposal(ballot))).votes == {"alpha": "yes"}
+    return lambda host, message: asyncio.run(ask(host, message))
+
+
+def test_of_two_desks_at_once_the_second_is_refused_until_the_first_is_decided(
+    here, team, staged, send
+) -> None:
+    ballot = staged()
+    assert send("alpha", Proposal(ballot)).votes == {"alpha": "yes"}
     second = here("push", "mission.dL", "--json")
     assert (second.status, told(second)["outcome"]) == (1, "aborted")
     assert "by anna" in told(second)["reasons"]["alpha"]
     # Bound by the first ballot, it starts nothing.
     assert here("start").status == 1
-    assert asyncio.run(send("bravo", Proposal(ballot))).votes == {"bravo": "yes"}
+    assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "open"
+    assert send("bravo", Proposal(ballot)).votes == {"bravo": "yes"}
     # The two settle it among themselves, without the desk.
     team.services["alpha"].wait_for("active, decided by the votes of alpha and bravo")
     team.services["bravo"].wait_for("active, decided by the votes of alpha and bravo")
-    assert asyncio.run(send("alpha", VoteReport(ballot.id, {}))).outcome == "activated"
+    assert send("alpha", VoteReport(ballot.id, {})).outcome == "activated"
+
+
+def test_an_activation_is_aborted_by_command_if_a_robot_is_lost_for_good(here, team, staged, send) -> None:
+    ballot = staged()
+    team.kill("bravo")
+    send("alpha", Proposal(ballot))
+    assert here("start", "--without", "bravo").status == 1
+    assert told(here("rollback", "--lost", "bravo", "--json"))["aborted"] == ["alpha"]
+    assert told(here("status", "--json"))["alpha"]["ballot"]["outcome"] == "aborted"
+    assert here("rollback", "--lost", "bravo").status == 64
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may mount a small disk")

@@ -78,11 +78,14 @@ def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_di
     unfinished = [each["unfinished"] for each in told(here("status", "--json")).values()]
     assert {one["agent"] for found in unfinished for one in found} == {"tom"}
     assert here("push", "mission.dL").status == 1
+    checked = here("service", "--host", "alpha", "--state", "state-alpha", "--check")
+    assert (checked.status, checked.out) == (1, ["coordinator tom of mission has not ended: moved"])
     # It continues where it was, until it is discarded.
     assert here("start").status == 0
     team.services["bravo"].wait_for("restarted")
     gone = told(here("stop", "--discard", "--json"))
     assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
+    assert here("service", "--host", "alpha", "--state", "state-alpha", "--check").status == 0
     assert here("push", "mission.dL").status == 0
 
 

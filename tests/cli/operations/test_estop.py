@@ -145,7 +145,7 @@ def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down
     looking.signal(signal.SIGINT)
     assert looking.wait() in (3, 130), looking.said
     told = "\n".join(looking.err)
-    assert "no longer looking, and nothing else has changed: 'lfield ps' shows how the devices are" in told
+    assert "stopped watching; the order is unchanged: 'lfield ps' shows the devices" in told
     assert re.search("bravo: wing.fc: NOT .*; last seen ", told)
     assert "lead.fc" not in told
     looking = lfield("estop", env=own)

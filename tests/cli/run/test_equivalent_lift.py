@@ -43,4 +43,4 @@ def test_the_best_then_the_equivalent_then_the_composed_then_none(lfield, alone)
     assert "composed: grip-and-climb of Grip (hand), Climb (arm)" in runs[2]
     explanation = runs[3].partition("no agent can lift the parcel\n")[2]
     assert re.search(r"crane: axis: no message for \d", explanation), runs[3]
-    assert re.search(r"sky: battery 0\.1\d* < 0\.3", explanation), runs[3]
+    assert re.search(r"sky: battery 0\.1\d* \(measured \d+\.\d s ago\) < 0\.3", explanation), runs[3]

@@ -113,7 +113,7 @@ def test_a_killed_host_leaves_its_guard_until_the_vehicle_is_down(lfield, flight
         time.sleep(0.05)
     assert guard not in lfield.left()
     flown.host.popen.wait()
-    flown.host.wait_for("lead.fc in safe state: ")
+    flown.host.wait_for("lead.fc in safe state 'land': the host is gone")
 
 
 @pytest.mark.few(0)

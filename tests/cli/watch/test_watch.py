@@ -94,7 +94,7 @@ def test_two_copters_move_and_stop_and_a_host_dies(browser, lfield, team):
     page.signal(signal.SIGINT)
     assert page.wait() == 130, page.said
     assert page.err == []
-    browser.says("trouble", "what it shows is old")
+    browser.says("trouble", "No connection to the server of this page; last known values: ")
 
 
 @pytest.mark.few(0)

@@ -70,7 +70,7 @@ def _declared(body: list[ProgramPiece]) -> list[ProgramPiece]:
     found: list[ProgramPiece] = []
     for kind, name, value in reversed(_LOCALS + RESULTS):
         if re.search(rf"\b{name}\b", text):
-            text += value
+            text += f" {value}"
             found.insert(0, ProgramPiece("", [f"{kind} {name} = {value};"]))
     return found
 

@@ -1,6 +1,7 @@
 """Deterministic simulation testing from the command line.
 
 `python tests/simulate/simulate.py --seeds 1000` runs and checks the scenarios of 1,000 seeds.
+`python tests/simulate/simulate.py --pushes --seeds 1000` does that with pushes to the services of robots.
 `python tests/simulate/simulate.py MISSION.dL --seed 7 --faults cut=5 kill=20` runs a mission in virtual time.
 
 Hosts and guards are the real ones. Whatever devices the mission has do what their manifests say, and nothing
@@ -25,6 +26,8 @@ from simulation_testing.scenarios.scenario_drawing import KINDS, draw_scenario
 from simulation_testing.scenarios.scenario_run import run_scenario
 from simulation_testing.scenarios.scenario_shrinker import COMMAND
 from simulation_testing.seed_runner import IN_A_LINE, lines_of, run_seeds
+from simulation_testing.services.push_runner import run_push_seeds
+from simulation_testing.services.push_story import draw_push_story, run_push_story
 
 #: What can go wrong.
 FAULTS = [field.name for field in fields(FaultRates)]
@@ -34,6 +37,8 @@ def main() -> int:
     """Run it and print what was said; returns the exit status."""
     parser = _parser()
     args = parser.parse_args()
+    if args.pushes:
+        return _pushes(parser, args)
     if args.seeds is not None:
         return _seeds(parser, args)
     if args.story is not None:
@@ -50,6 +55,7 @@ def _parser() -> argparse.ArgumentParser:
     many.add_argument("--seeds", type=_count, metavar="N", help="tell and judge the stories of N seeds")
     many.add_argument("--first", type=int, default=0, metavar="SEED", help="the first of them")
     many.add_argument("--processes", type=_count, default=0, metavar="N", help="one for each core")
+    many.add_argument("--pushes", action="store_true", help="stories with pushes to the services of robots")
     many.add_argument("--outcomes", type=Path, metavar="FILE", help="write what came of each, as digests")
     many.add_argument("--story", type=int, metavar="SEED", help="tell one again, as it is or smaller:")
     for name in ("hosts", "walkers", "arms"):
@@ -72,6 +78,21 @@ def _seeds(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
     if args.outcomes:
         args.outcomes.write_text("\n".join([*lines_of(tally.outcomes), ""]), encoding="utf-8")
     return 1 if tally.broken else 0
+
+
+def _pushes(parser: argparse.ArgumentParser, args: argparse.Namespace) -> int:
+    if args.seeds is not None:
+        seeds = range(args.first, args.first + args.seeds)
+        return 1 if run_push_seeds(seeds, args.processes) else 0
+    if args.story is None:
+        parser.error("give --seeds N or --story SEED with --pushes")
+    verdict = run_push_story(draw_push_story(args.story), keep_log=True)
+    if not args.quiet:
+        _print(verdict.log, ())
+    for breach in verdict.breaches:
+        print(breach)
+    print(f"{verdict.counts} in {verdict.seconds:g} s; digest {verdict.digest}")
+    return 1 if verdict.breaches else 0
 
 
 def _run_scenarios(args: argparse.Namespace) -> int:

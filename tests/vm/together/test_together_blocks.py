@@ -180,6 +180,19 @@ def test_hostile_togethers_are_refused_or_harmless(data: st.DataObject) -> None:
     assert "bug in lfield" not in agent.report
 
 
+@pytest.mark.parametrize("word", [layout.W_GENERATION, layout.W_SEQUENCE, layout.W_HOPS])
+@pytest.mark.parametrize("value", [-1, layout.COUNT_LIMIT])
+def test_a_counter_that_no_host_counts_to_is_refused(word: int, value: int) -> None:
+    """Before there is a ticket: its number would be refused at the next host, when calls are under way."""
+    target, sound = images()[0]
+    image = bytearray(sound)
+    image[8 * word : 8 * word + 8] = value.to_bytes(8, "little", signed=True)
+    joined = JoinedHosts(program(), 3)
+    joined.machines[0].agents.pop("boss").ended = "dropped"
+    with pytest.raises(BlockError):
+        joined.machines[target].inject(joined.team[3], bytes(image), AgentLimits())
+
+
 def test_a_block_of_the_version_before_goes_on() -> None:
     """It has no clock and no tickets in its header: two words less before everything."""
     target, image = images()[0]

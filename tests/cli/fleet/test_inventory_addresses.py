@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 
@@ -129,40 +128,3 @@ def test_the_own_host_is_found_by_its_address(team) -> None:
     team.lfield.mission("coordinator Walker { init(string[] arg) { } }", "//Walker:tom@alpha\n")
     alpha = team.lfield.start("up", team.deployment, "--first-start", "--volatile")
     alpha.wait_for(f"alpha listening on 127.0.0.2:{team.ports['alpha']}")
-
-
-def test_a_check_says_what_answers_at_each_address(team) -> None:
-    # The file gives the address of bravo to alpha too.
-    team.inventory(alpha="'127.0.0.2:{alpha}', '127.0.0.3:{bravo}'", bravo="'127.0.0.3:{bravo}'")
-    assert team.here("inventory", "check").status == 65
-    team.inventory(alpha="'127.0.0.2:{alpha}'", bravo="'127.0.0.3:{bravo}'")
-    alpha, _ = team.up("alpha", "bravo")
-    alpha.wait_for("listening on")
-    team.inventory(alpha="'127.0.0.9:{alpha}', '127.0.0.2:{alpha}'", bravo="'127.0.0.3:{bravo}'")
-    found = told(team.here("inventory", "check", "--json"))
-    assert [port["state"] for port in found["alpha"]["mission"]] == ["no-listener", "answers"]
-    assert {port["state"] for port in found["alpha"]["service"]} == {"no-listener"}
-    assert found["alpha"]["answers"]
-    team.inventory(bravo="'127.0.0.2:{alpha}'")
-    wrong = told(team.here("inventory", "check", "bravo", "--json"))
-    assert [port["state"] for port in wrong["bravo"]["mission"]] == ["other-host"]
-    shown = team.here("inventory", "check")
-    assert shown.status == (0 if wrong["bravo"]["answers"] else 69)
-    assert any("is host alpha, not bravo" in line for line in shown.out)
-    assert team.here("inventory", "check", "brava").status == 64
-
-
-def test_an_inventory_is_shown_as_it_was_understood(team) -> None:
-    team.lfield.write(
-        "config/lfield/inventory.yaml",
-        "hosts: {alpha: {addresses: [10.0.0.1, 'FD00::1'], user: pi, arch: aarch64, devices: a.yaml}}\n",
-    )
-    shown = team.here("inventory", "show", "--json")
-    assert shown.status == 0
-    alpha = json.loads(shown.out[0])["hosts"]["alpha"]
-    assert alpha["addresses"] == ["10.0.0.1:8181", "[fd00::1]:8181"]
-    assert alpha["devices"] == str(team.lfield.folder / "config/lfield/a.yaml")
-    assert any("pi@10.0.0.1 fd00::1" in line for line in team.here("inventory", "show").out)
-    team.lfield.write("config/lfield/inventory.yaml", "hosts: {}\n")
-    assert team.here("inventory", "show").status == 65
-    assert team.here("inventory", "show", "--inventory", "none.yaml").status != 0

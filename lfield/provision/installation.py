@@ -1,0 +1,113 @@
+"""What a robot shall have: an environment with its wheels, settings, keys and the unit of the service."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from lfield.provision.lock_file import Wheel, text_digest
+from lfield.provision.robot_facts import KEYS, SERVICE_USER, SETTINGS, UNIT
+
+#: The mode of a private key.
+PRIVATE = "600"
+#: Access to serial ports; the inventory adds more.
+BASE_GROUPS = ("dialout",)
+
+
+@dataclass(frozen=True, slots=True)
+class RobotFile:
+    """A small file of a robot with its mode (`640`) and owner (`root:lfield`)."""
+
+    path: str
+    #: Not in repr(): it may be a private key.
+    data: bytes = field(repr=False)
+    mode: str
+    owner: str
+
+    @property
+    def sha256(self) -> str:
+        """The digest of its contents, in hex."""
+        return hashlib.sha256(self.data).hexdigest()
+
+    @property
+    def access(self) -> str:
+        """Mode and owner as the facts of a robot have them."""
+        return f"{self.mode}:{self.owner}"
+
+
+@dataclass(frozen=True, slots=True)
+class StandalonePython:
+    """A Python that the desk brings: its version, and its archive with SHA-256 and size in bytes."""
+
+    version: str
+    archive: Path
+    sha256: str
+    size: int
+
+
+@dataclass(frozen=True, slots=True)
+class Payload:
+    """What the desk has collected for a platform: wheels, their folder, and a Python if one is needed."""
+
+    version: str
+    wheels: tuple[Wheel, ...]
+    folder: Path
+    #: lfield's own wheel, which is made on the desk and is not in the folder.
+    own: Path
+    python: StandalonePython | None = None
+
+    @property
+    def lock(self) -> str:
+        """The lock file for the robot, which accepts exactly these wheels."""
+        return "".join(f"{wheel.requirement}\n" for wheel in sorted(self.wheels, key=lambda w: w.file))
+
+    @property
+    def environment(self) -> str:
+        """The name of the environment: the version of lfield, and a digest of all that is in it."""
+        return f"{self.version}-{text_digest(self.lock)}"
+
+    def path(self, wheel: Wheel) -> Path:
+        """The file of a wheel on the desk."""
+        return self.own if wheel.file == self.own.name else self.folder / wheel.file
+
+
+@dataclass(frozen=True, slots=True)
+class Installation:
+    """What host `host` of a team shall have."""
+
+    host: str
+    payload: Payload
+    groups: frozenset[str]
+    settings: tuple[RobotFile, ...]
+    unit: RobotFile
+    #: Empty where the authority is not on this desk; then those of the robot stay.
+    keys: tuple[RobotFile, ...]
+    keys_folder: str
+
+    @property
+    def configuration(self) -> str:
+        """The digest of all that the service reads when it starts."""
+        files = (*self.settings, *self.keys, self.unit)
+        named = sorted(f"{file.path} {file.sha256}\n" for file in files)
+        return text_digest(self.payload.environment + "\n" + "".join(named))
+
+
+def settings_file(name: str, data: bytes) -> RobotFile:
+    """A file in /etc/lfield, readable by all."""
+    return RobotFile(f"{SETTINGS}/{name}", data, "644", "root:root")
+
+
+def unit_file(data: bytes) -> RobotFile:
+    """The unit of the service."""
+    return RobotFile(UNIT, data, "644", "root:root")
+
+
+def key_files(folder: str, files: Iterable[tuple[str, bytes, bool]]) -> tuple[RobotFile, ...]:
+    """The keys of a host: name, contents, and whether it is the private key, of each file."""
+    owner = f"{SERVICE_USER}:{SERVICE_USER}"
+    return tuple(
+        RobotFile(f"{KEYS}/{folder}/{name}", data, PRIVATE if is_private else "644", owner)
+        for name, data, is_private in files
+    )

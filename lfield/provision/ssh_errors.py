@@ -1,0 +1,101 @@
+"""What the messages of ssh, sudo and the commands on a robot mean, as errors with the remedy. Pure."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from lfield.errors import ProvisionError
+from lfield.provision.robot_facts import LoginAccess
+from lfield.provision.robot_scripts import BUSY, LOCK_TIMEOUT
+
+
+@dataclass(frozen=True, slots=True)
+class SshDestination:
+    """How ssh reaches a robot: a name or address, and what the inventory says of user and port."""
+
+    address: str
+    user: str = ""
+    port: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.user}@{self.address}" if self.user else self.address
+
+    def options(self) -> list[str]:
+        """The options of ssh."""
+        user = ["-l", self.user] if self.user else []
+        return [*user, *(["-p", str(self.port)] if self.port else [])]
+
+    def command(self, program: str = "ssh") -> str:
+        """The command line for a person, of ssh or ssh-copy-id."""
+        port = f"-p {self.port} " if self.port else ""
+        return f"{program} {port}{self}"
+
+
+#: Messages after which another address of the same robot may succeed.
+_UNREACHABLE = re.compile(
+    r"Connection (?:timed out|refused|reset)|Operation timed out|No route to host|Network is unreachable"
+    r"|Could not resolve hostname|Name or service not known|Connection closed|not responding|Broken pipe"
+    r"|kex_exchange_identification|banner exchange",
+)
+
+
+def is_unreachable(message: str) -> bool:
+    """Whether a message of ssh says that the robot was not reached at that address."""
+    return _UNREACHABLE.search(message) is not None
+
+
+def connection_error(host: str, destination: SshDestination, message: str) -> ProvisionError:
+    """The error of a connection that ssh could not make or has lost."""
+    if "REMOTE HOST IDENTIFICATION HAS CHANGED" in message:
+        remedy = f"ssh-keygen -R {destination.address}; then '{destination.command()}' once"
+        return _error(host, "its host key has changed", f"if the robot was installed again: {remedy}")
+    if "Host key verification failed" in message:
+        return _error(host, "its host key is unknown", f"run '{destination.command()}' once, and confirm it")
+    if "Permission denied" in message or "Too many authentication failures" in message:
+        user = destination.user or "the user of ssh"
+        remedy = f"run '{destination.command('ssh-copy-id')}', or load the key with ssh-add"
+        return _error(host, f"no key of this desk is accepted for {user}", remedy)
+    if is_unreachable(message):
+        reason = f"{destination} is unreachable: {_last_line(message)}"
+        return _error(host, reason, "switch the robot on, or correct its addresses in the inventory")
+    return _error(
+        host, f"ssh to {destination} failed: {_last_line(message)}", f"try '{destination.command()}'"
+    )
+
+
+def access_error(host: str, destination: SshDestination, access: LoginAccess) -> ProvisionError:
+    """The error of a user who cannot become root without a password."""
+    if access.sudo == "missing":
+        return _error(
+            host, f"there is no sudo, and {access.user} is not root", "set `user: root`, or install sudo"
+        )
+    line = f"{access.user} ALL=(root) NOPASSWD: ALL"
+    command = destination.command("ssh -t")
+    file = "/etc/sudoers.d/lfield-provision"
+    remedy = f"{command} \"echo '{line}' | sudo tee {file}\"; remove that file when the robots are installed"
+    return _error(host, f"sudo of {access.user} requires a password", remedy)
+
+
+def command_error(host: str, step: str, status: int, message: str) -> ProvisionError:
+    """The error of a command that has failed on the robot."""
+    if "No space left on device" in message or "Disk quota exceeded" in message:
+        remedy = "free disk space on the robot (sudo apt-get clean), and run provision again"
+        return _error(host, f"{step}: the disk is full", remedy)
+    if "Read-only file system" in message:
+        remedy = "check its card (dmesg), and run provision again"
+        return _error(host, f"{step}: the disk is read-only", remedy)
+    if status == BUSY and not message.strip():
+        reason = f"{step}: another provision has been running on the robot for {LOCK_TIMEOUT} s"
+        return _error(host, reason, "wait for it, or end it there, and run provision again")
+    reason = _last_line(message) or f"exit status {status}"
+    return _error(host, f"{step}: {reason}", "correct it, and run provision again: it continues")
+
+
+def _error(host: str, reason: str, advice: str) -> ProvisionError:
+    return ProvisionError(host, reason, advice)
+
+
+def _last_line(message: str) -> str:
+    lines = [line.strip() for line in message.splitlines() if line.strip()]
+    return lines[-1] if lines else ""

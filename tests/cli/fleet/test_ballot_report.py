@@ -1,0 +1,49 @@
+"""What a push or a rollback reports of its vote, and with which status it ends."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from lfield import exit_status
+from lfield.cli.fleet.ballot_report import PushReport
+from lfield.operator.fleet.activation import BallotResult, new_ballot
+from lfield.wire.service_messages import BallotState, Vote
+
+DIGEST = bytes(range(32))
+
+
+def result(**votes: Vote) -> BallotResult:
+    """The result of a ballot of alpha and bravo, as told by those that have voted."""
+    found = BallotResult(new_ballot(DIGEST, ["alpha", "bravo"], [], "anna", bytes))
+    for host, vote in votes.items():
+        reasons = {host: "lead.fc is off the ground"} if vote == "no" else {}
+        found.add(host, BallotState(found.ballot.id, found.ballot, {host: vote}, reasons, "open"))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("votes", "status", "outcome"),
+    [
+        ({"alpha": "yes", "bravo": "yes"}, exit_status.DONE, "activated"),
+        ({"alpha": "yes", "bravo": "no"}, exit_status.FAILED, "aborted"),
+        ({"bravo": "no"}, exit_status.FAILED, "aborted"),
+        ({"alpha": "yes"}, exit_status.UNKNOWN_OUTCOME, "open"),
+        ({}, exit_status.UNKNOWN_OUTCOME, "open"),
+    ],
+)
+def test_the_status_is_that_of_the_votes(capsys, votes: dict[str, Vote], status: int, outcome: str) -> None:
+    assert PushReport(DIGEST, as_json=True).on_result(result(**votes)) == status
+    told = json.loads(capsys.readouterr().out)
+    assert (told["outcome"], told["votes"], told["bundle"]) == (outcome, votes, DIGEST.hex())
+
+
+def test_each_vote_against_it_is_printed_with_its_reason(capsys) -> None:
+    PushReport(DIGEST, as_json=False).on_result(result(alpha="yes", bravo="no"))
+    assert "bravo: votes no: lead.fc is off the ground" in capsys.readouterr().err
+
+
+def test_hosts_that_do_not_know_the_result_are_named(capsys) -> None:
+    PushReport(DIGEST, as_json=False).on_result(result(alpha="yes", bravo="yes"))
+    assert "will learn it from the others" in capsys.readouterr().out

@@ -1,0 +1,111 @@
+"""`lfield inventory`: what the file says, and which addresses answer."""
+
+from __future__ import annotations
+
+import shutil
+import socket
+
+import pytest
+from robots import told
+
+from lfield.testing.keyring import Keyring
+
+pytestmark = pytest.mark.process
+
+
+def state_of(said, host: str, purpose: str) -> tuple[str, str]:
+    """The state of the only address of a host for a purpose, and the name in the certificate."""
+    (found,) = [each for each in told(said)[host]["addresses"] if each["for"] == purpose]
+    return found["state"], found["certificate"]
+
+
+def test_each_address_is_checked_and_a_host_without_an_answer_is_named(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo")
+    team.up("alpha")
+    with socket.create_server(("127.0.0.1", 0)) as ssh:
+        extra = f", ssh_port: {ssh.getsockname()[1]}}}"
+        team.inventory.write_text(team.inventory.read_text().replace("}", extra, 1))
+        said = here("inventory", "check", "--json")
+        assert said.status == 69
+        assert state_of(said, "alpha", "service") == ("answers", "alpha")
+        assert state_of(said, "alpha", "mission") == ("closed", "")
+        assert state_of(said, "alpha", "ssh") == ("answers", "")
+        assert state_of(said, "bravo", "service") == ("closed", "")
+        assert [each["reached"] for each in told(said).values()] == [True, False]
+        assert here("inventory", "check", "alpha").status == 0
+    shown = here("inventory", "check")
+    assert (shown.status, shown.err) == (69, ["lfield: not reached: bravo"])
+    _, service = team.ports["alpha"]
+    assert shown.out[1].split()[:4] == ["alpha", "127.0.0.1", str(service), "answers"]
+
+
+def test_an_address_of_another_robot_is_named_by_its_certificate(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    ports = {host: service for host, (_, service) in team.ports.items()}
+    text = team.inventory.read_text()
+    text = text.replace(f"service_port: {ports['alpha']}", "service_port: S")
+    text = text.replace(f"service_port: {ports['bravo']}", f"service_port: {ports['alpha']}")
+    team.inventory.write_text(text.replace("S", str(ports["bravo"])))
+    said = here("inventory", "check", "--json")
+    assert said.status == 69
+    assert state_of(said, "alpha", "service") == ("other-host", "bravo")
+    assert state_of(said, "bravo", "service") == ("other-host", "alpha")
+    assert not any(each["reached"] for each in told(said).values())
+    assert any(
+        f"127.0.0.1:{ports['bravo']} is an address of bravo" in line
+        for line in here("inventory", "check").out
+    )
+
+
+def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
+    team = robots("alpha")
+    team.up()
+    other = Keyring(lfield.folder / "other").give("alpha") / "me"
+    said = here("inventory", "check", "--keys", other, "--json")
+    assert said.status == 69
+    assert state_of(said, "alpha", "service") == ("refused", "")
+
+
+def test_a_program_that_is_no_host_is_not_reached(lfield, here, robots) -> None:
+    team = robots("alpha")
+    with socket.create_server(("127.0.0.1", team.ports["alpha"][0])):
+        said = here("inventory", "check", "--json")
+    assert state_of(said, "alpha", "mission") == ("unreachable", "")
+    assert told(said)["alpha"]["reached"] is False
+
+
+def test_without_keys_only_connections_are_tried(lfield, here, robots) -> None:
+    team = robots("alpha")
+    team.up()
+    shutil.rmtree(lfield.folder / "config/lfield/keys/me")
+    said = here("inventory", "check", "--json")
+    assert said.status == 0
+    assert state_of(said, "alpha", "service") == ("answers", "")
+
+
+def test_the_file_is_shown_as_it_was_understood(lfield, here) -> None:
+    lfield.write(
+        "team.yaml",
+        'hosts: {alpha: {addresses: ["fe80::1%wlan0", robot.lan:9000], user: pi, arch: aarch64,\n'
+        '  python: "3.11", groups: [gpio], devices: a.yaml}, bravo: {addresses: [10.0.0.2]}}\n',
+    )
+    said = here("inventory", "show", "--inventory", "team.yaml", "--json")
+    assert said.status == 0
+    alpha = told(said)["hosts"]["alpha"]
+    assert alpha["addresses"] == ["[fe80::1%wlan0]:8181", "robot.lan:9000"]
+    assert alpha["service_addresses"] == ["[fe80::1%wlan0]:8182", "robot.lan:8182"]
+    assert (alpha["user"], alpha["arch"], alpha["python"]) == ("pi", "aarch64", "3.11")
+    assert alpha["devices"] == str(lfield.folder / "a.yaml")
+    assert list(told(here("inventory", "show", "bravo", "--inventory", "team.yaml", "--json"))["hosts"]) == [
+        "bravo"
+    ]
+    shown = here("inventory", "show", "--inventory", "team.yaml")
+    assert shown.out[0] == "team.yaml"
+    assert any(line.split()[:2] == ["bravo", "10.0.0.2:8181"] for line in shown.out)
+
+
+def test_an_unknown_host_and_a_missing_inventory_are_usage_errors(lfield, here) -> None:
+    lfield.write("team.yaml", "hosts: {alpha: {addresses: [10.0.0.1]}}\n")
+    assert here("inventory", "show", "alhpa", "--inventory", "team.yaml").status == 64
+    assert here("inventory", "show").status == 64

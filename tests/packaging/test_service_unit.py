@@ -1,0 +1,65 @@
+"""The unit of the permanent service: systemd loads it, it has few rights, and its crash ends no host."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from lfield.provision.robot_facts import CURRENT, SETTINGS
+
+UNIT = Path(__file__).parents[2] / "deploy" / "lfield.service"
+#: What `systemd-analyze security` calls it at most.
+MAX_EXPOSURE = 2.5
+
+needs_analyze = pytest.mark.skipif(
+    not shutil.which("systemd-analyze"), reason="there is no systemd-analyze here"
+)
+
+
+@pytest.fixture(scope="module")
+def settings() -> dict[str, list[str]]:
+    """The values of every key, in their order."""
+    found: dict[str, list[str]] = {}
+    for line in UNIT.read_text(encoding="utf-8").splitlines():
+        if match := re.fullmatch(r"([A-Za-z]+)=(.*)", line):
+            found.setdefault(match[1], []).append(match[2])
+    return found
+
+
+def analyze(*arguments: object) -> subprocess.CompletedProcess[str]:
+    command = ["systemd-analyze", "--no-pager", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+
+
+@needs_analyze
+def test_systemd_can_load_it(tmp_path):
+    """With a program that exists here: verify reports one that does not."""
+    text = UNIT.read_text(encoding="utf-8").replace(f"{CURRENT}/bin/lfield", "/bin/true")
+    (tmp_path / UNIT.name).write_text(text, encoding="utf-8")
+    done = analyze("verify", tmp_path / UNIT.name)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs_analyze
+def test_systemd_calls_it_little_exposed():
+    done = analyze("security", "--offline=yes", UNIT)
+    (level,) = re.findall(r"exposure level for .*: ([0-9.]+) ", done.stdout)
+    print(f"systemd-analyze security: {level}")
+    assert float(level) < MAX_EXPOSURE
+
+
+def test_it_runs_what_provision_installs(settings):
+    assert settings["ExecStart"] == [f"{CURRENT}/bin/lfield service --host ${{LFIELD_HOST}}"]
+    assert settings["EnvironmentFile"] == [f"{SETTINGS}/service.env", f"-{SETTINGS}/local.env"]
+
+
+def test_a_crash_of_the_service_does_not_end_the_host(settings):
+    assert settings["KillMode"] == ["process"]
+    assert settings["Restart"] == ["always"]
+    assert settings["OOMPolicy"] == ["continue"]
+    assert settings["RuntimeDirectoryPreserve"] == ["yes"]
+    assert settings["StartLimitIntervalSec"] == ["0"]

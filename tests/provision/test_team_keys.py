@@ -1,0 +1,94 @@
+"""The keys of hosts as provision installs them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from lfield.authority.ledger import create_ledger, open_ledger
+from lfield.errors import KeysError
+from lfield.provision.plan import needs_new_key
+from lfield.provision.robot_facts import RobotFacts, parse_facts
+from lfield.provision.team_keys import (
+    RENEWAL,
+    VALIDITY,
+    has_authority,
+    planned_keys,
+    replaced_keys,
+    team_keys,
+)
+
+NOW = 1_800_000_000.0
+FACTS = parse_facts("time\t0\nmachine\taarch64\n")
+
+
+@pytest.fixture
+def authority(tmp_path) -> Path:
+    folder = tmp_path / "authority"
+    create_ledger(folder, NOW, NOW + 20 * VALIDITY)
+    return folder
+
+
+def files(keys) -> dict[str, bytes]:
+    return {file.path.rpartition("/")[2]: file.data for file in keys}
+
+
+def robot_with(keys) -> RobotFacts:
+    return replace(FACTS, files={file.path: file.sha256 for file in keys})
+
+
+def test_keys_are_made_once(authority):
+    first = team_keys(authority, ["alpha", "bravo"], NOW)
+    assert set(files(first["alpha"])) == {"authority.pem", "host.pem", "host.key", "revoked.crl"}
+    assert {file.mode for file in first["alpha"] if file.path.endswith(".key")} == {"600"}
+    assert {file.owner for file in first["alpha"]} == {"lfield:lfield"}
+    assert team_keys(authority, ["alpha", "bravo"], NOW + 1) == first
+
+
+def test_keys_are_renewed_before_they_end_and_after(authority):
+    first = files(team_keys(authority, ["alpha"], NOW)["alpha"])
+    assert files(team_keys(authority, ["alpha"], NOW + VALIDITY - RENEWAL - 1)["alpha"]) == first
+    for later in (NOW + VALIDITY - RENEWAL, NOW + 3 * VALIDITY):
+        renewed = files(team_keys(authority, ["alpha"], later)["alpha"])
+        assert renewed["host.pem"] != first["host.pem"]
+        assert renewed["host.key"] == first["host.key"]
+
+
+def test_revoked_keys_are_not_replaced_silently(authority):
+    team_keys(authority, ["alpha"], NOW)
+    with open_ledger(authority) as ledger:
+        ledger.revoke("host", "alpha", NOW)
+    with pytest.raises(KeysError, match="revoked"):
+        team_keys(authority, ["alpha"], NOW)
+
+
+def test_a_list_of_revocations_is_installed_with_the_keys(authority):
+    first = files(team_keys(authority, ["alpha", "bravo"], NOW)["alpha"])
+    with open_ledger(authority) as ledger:
+        ledger.revoke("host", "bravo", NOW)
+    assert files(team_keys(authority, ["alpha"], NOW)["alpha"])["revoked.crl"] != first["revoked.crl"]
+
+
+def test_a_private_key_that_only_the_robot_has_stays_there(authority):
+    whole = team_keys(authority, ["alpha"], NOW)["alpha"]
+    (authority / "hosts/alpha/host.key").unlink()
+    rest = team_keys(authority, ["alpha"], NOW)["alpha"]
+    assert set(files(rest)) == set(files(whole)) - {"host.key"}
+    assert not needs_new_key(robot_with(whole), rest)
+    assert needs_new_key(FACTS, rest)
+    assert not needs_new_key(FACTS, whole)
+    assert not needs_new_key(FACTS, ())
+    made = replaced_keys(authority, "alpha", NOW + 1)
+    assert files(made)["host.key"] != files(whole)["host.key"]
+
+
+def test_a_dry_run_makes_no_keys(authority):
+    planned = planned_keys(authority, ["alpha"])["alpha"]
+    assert "host.pem" in files(planned)
+    assert not (authority / "hosts").exists()
+    made = team_keys(authority, ["alpha"], NOW)
+    assert planned_keys(authority, ["alpha"]) == made
+    assert has_authority(authority)
+    assert not has_authority(authority / "other")

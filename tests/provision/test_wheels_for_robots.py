@@ -1,0 +1,290 @@
+"""Wheels for robots: which a platform needs, how they are collected, and lfield's own."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import subprocess
+import sys
+import zipfile
+from importlib.metadata import distribution
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from lfield.errors import DamagedFileError, ProvisionError
+from lfield.provision import standalone_python, wheel_cache
+from lfield.provision.lock_file import Pin, Wheel, needed_pins, pip_lock, read_lock, text_digest
+from lfield.provision.own_wheel import deployment_file, describe_wheel, make_own_wheel, repack
+from lfield.provision.standalone_python import collect_python
+from lfield.provision.wheel_cache import LOCK, WheelCache, WheelCollection
+from lfield.provision.wheel_target import ARCHITECTURES, PYTHONS, WheelTarget
+
+PI = WheelTarget("aarch64", "3.11")
+PINS = read_lock(deployment_file(LOCK).decode(), LOCK)
+
+
+def names(pins: list[Pin]) -> set[str]:
+    return {pin.name for pin in pins}
+
+
+# --- the lock file ------------------------------------------------------------------------------------------
+
+
+def test_the_lock_has_hashes_and_pip():
+    assert "pip" in names(PINS)
+    assert all(pin.hashes for pin in PINS)
+
+
+@pytest.mark.parametrize(("arch", "has_engine"), [("aarch64", True), ("x86_64", True), ("armv7l", False)])
+def test_markers_are_those_of_the_robot_and_not_of_the_desk(arch, has_engine):
+    found = names(needed_pins(PINS, WheelTarget(arch, "3.11")))
+    assert ("wasmtime" in found) is has_engine
+    assert {"lxml", "pymavlink", "uvloop"} <= found
+
+
+def test_a_lock_line_without_a_version_is_refused():
+    with pytest.raises(DamagedFileError):
+        read_lock("rich>=13\n", "lock.txt")
+
+
+def test_pip_reads_what_is_left_of_the_lock():
+    pins = [Pin("a", "1.0", "", frozenset({"0" * 64, "f" * 64}))]
+    assert pip_lock(pins) == f"a==1.0 --hash=sha256:{'0' * 64} --hash=sha256:{'f' * 64}\n"
+    assert read_lock(pip_lock(pins), "") == pins
+
+
+# --- platforms ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("file", "expected"),
+    [
+        ("cffi-2.1.1-cp311-cp311-manylinux_2_17_aarch64.manylinux2014_aarch64.whl", True),
+        ("cffi-2.1.1-cp311-cp311-linux_aarch64.whl", True),
+        ("cryptography-50.0.2-cp39-abi3-manylinux_2_28_aarch64.whl", True),
+        ("cryptography-50.0.2-cp312-abi3-manylinux_2_28_aarch64.whl", False),
+        ("rich-15.0.0-py3-none-any.whl", True),
+        ("pyserial-3.5-py2.py3-none-any.whl", True),
+        ("cffi-2.1.1-cp312-cp312-linux_aarch64.whl", False),
+        ("cffi-2.1.1-cp311-cp311-linux_armv7l.whl", False),
+        ("notes.txt", False),
+    ],
+)
+def test_wheels_made_by_hand_must_be_for_the_platform(file, expected):
+    assert PI.accepts(file) is expected
+
+
+def test_the_options_of_pip_name_the_platform():
+    options = list(PI.pip_options())
+    assert "manylinux_2_28_aarch64" in options
+    assert "manylinux_2_39_aarch64" not in options
+    assert options[-6:] == ["--abi", "cp311", "--abi", "abi3", "--abi", "none"]
+
+
+def test_uv_knows_every_architecture():
+    assert set(ARCHITECTURES) == {"aarch64", "armv7l", "x86_64"}
+    assert standalone_python.ARCHITECTURES is ARCHITECTURES
+    assert PYTHONS == ("3.13", "3.12", "3.11")
+
+
+# --- the cache ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch) -> WheelCache:
+    """A cache whose pip finds every wheel except those that `missing` names."""
+
+    async def own(folder: Path) -> Path:
+        path = folder / "lfield-0.4.0-py3-none-any.whl"
+        path.write_bytes(b"lfield")
+        return path
+
+    monkeypatch.setattr(wheel_cache, "make_own_wheel", own)
+    made = WheelCache(tmp_path / "cache", tmp_path / "handmade")
+    yield made
+    made.close()
+
+
+class Index:
+    """Stands in for `pip download`: what was asked, and what it does not have."""
+
+    def __init__(self, *missing: str) -> None:
+        self.missing, self.asked = set(missing), 0
+
+    async def download(self, *words: str, what: str) -> None:
+        self.asked += 1
+        folder, lock = Path(words[words.index("-d") + 1]), Path(words[words.index("-r") + 1])
+        pins = read_lock(lock.read_text(), "")
+        if names(pins) & self.missing:
+            raise ProvisionError("", f"{what}: no matching distribution")
+        for pin in pins:
+            (folder / f"{pin.name.replace('-', '_')}-{pin.version}-py3-none-any.whl").write_text(pin.name)
+
+
+def collect(cache: WheelCache, target: WheelTarget = PI):
+    async def both():
+        # Two robots of one platform ask at the same time.
+        return await asyncio.gather(*(cache.payload(target, brings_python=False) for _ in range(2)))
+
+    first, second = asyncio.run(both())
+    assert first is second
+    return first
+
+
+def test_each_platform_is_collected_once(cache, monkeypatch, tmp_path):
+    index = Index()
+    monkeypatch.setattr(wheel_cache, "run_pip", index.download)
+    payload = collect(cache)
+    assert index.asked == 1
+    assert len(payload.wheels) == len(needed_pins(PINS, PI)) + 1
+    assert payload.lock.count("--hash=sha256:") == len(payload.wheels)
+    assert all(describe_wheel(payload.path(wheel)) == wheel for wheel in payload.wheels)
+    again = WheelCache(tmp_path / "cache")
+    assert collect(again).environment == payload.environment
+    assert index.asked == 1
+    again.close()
+
+
+def test_a_damaged_wheel_is_collected_again(cache, monkeypatch, tmp_path):
+    index = Index()
+    monkeypatch.setattr(wheel_cache, "run_pip", index.download)
+    payload = collect(cache)
+    (payload.folder / "rich-15.0.0-py3-none-any.whl").write_text("cut")
+    again = WheelCache(tmp_path / "cache")
+    assert collect(again).wheels == payload.wheels
+    assert index.asked == 2
+    again.close()
+
+
+def test_every_wheel_that_is_missing_is_named(cache, monkeypatch):
+    index = Index("cffi", "msgspec")
+    monkeypatch.setattr(wheel_cache, "run_pip", index.download)
+    with pytest.raises(ProvisionError) as found:
+        collect(cache, WheelTarget("armv7l", "3.11"))
+    assert "cffi==" in found.value.reason
+    assert "msgspec==" in found.value.reason
+    assert "--wheels" in found.value.advice
+
+
+def test_wheels_made_by_hand_fill_the_gaps(cache, monkeypatch, tmp_path):
+    index = Index("cffi")
+    monkeypatch.setattr(wheel_cache, "run_pip", index.download)
+    (version,) = (pin.version for pin in PINS if pin.name == "cffi")
+    (tmp_path / "handmade").mkdir()
+    file = f"cffi-{version}-cp311-cp311-linux_aarch64.whl"
+    (tmp_path / "handmade" / file).write_text("made on a robot")
+    (tmp_path / "handmade" / "cffi-0.1-cp311-cp311-linux_aarch64.whl").write_text("too old")
+    payload = collect(cache)
+    assert [wheel.file for wheel in payload.wheels if wheel.file.startswith("cffi")] == [file]
+
+
+def test_without_a_package_index_the_remedy_is_to_prepare(cache, monkeypatch):
+    index = Index(*names(PINS))
+    monkeypatch.setattr(wheel_cache, "run_pip", index.download)
+    with pytest.raises(ProvisionError) as found:
+        collect(cache)
+    assert "--prepare" in found.value.advice
+
+
+# --- lfield's own wheel -------------------------------------------------------------------------------------
+
+
+@pytest.mark.process
+def test_an_installed_lfield_makes_the_wheel_from_which_it_was_installed(tmp_path):
+    made, installed, again = tmp_path / "made", tmp_path / "installed", tmp_path / "again"
+    for folder in (made, again):
+        folder.mkdir()
+    wheel = asyncio.run(make_own_wheel(made))
+    assert describe_wheel(asyncio.run(make_own_wheel(again))).sha256 == describe_wheel(wheel).sha256
+    (again / wheel.name).unlink()
+    words = ["-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--target", installed, wheel]
+    subprocess.run([sys.executable, *map(str, words)], check=True, timeout=110)
+    # The installed lfield has neither sources nor a checkout around it.
+    script = (
+        "import asyncio, pathlib, sys; "
+        "from lfield.provision.own_wheel import make_own_wheel, deployment_file; "
+        "print(asyncio.run(make_own_wheel(pathlib.Path(sys.argv[1])))); "
+        "print(deployment_file('lfield.service') and deployment_file('locks/run.txt') and 'complete')"
+    )
+    environment = {**os.environ, "PYTHONPATH": str(installed)}
+    words = [sys.executable, "-P", "-c", script, str(again)]
+    done = subprocess.run(
+        words, env=environment, cwd=tmp_path, check=True, timeout=60, capture_output=True, text=True
+    )
+    path, complete = done.stdout.splitlines()
+    assert (Path(path).name, complete) == (wheel.name, "complete")
+    first, second = (zipfile.ZipFile(name) for name in (wheel, path))
+    assert sorted(first.namelist()) == sorted(second.namelist())
+    assert all(
+        first.read(name) == second.read(name) for name in first.namelist() if not name.endswith("/RECORD")
+    )
+
+
+def test_a_changed_file_of_an_installed_package_is_refused(tmp_path):
+    folder = tmp_path / "thing-1.0.dist-info"
+    folder.mkdir()
+    (tmp_path / "thing.py").write_text("changed")
+    (folder / "METADATA").write_text("Metadata-Version: 2.1\nName: thing\nVersion: 1.0\n")
+    (folder / "WHEEL").write_text("Wheel-Version: 1.0\nTag: py3-none-any\n")
+    (folder / "RECORD").write_text("thing.py,sha256=AAAA,7\nthing-1.0.dist-info/METADATA,,\n")
+    from importlib.metadata import PathDistribution
+
+    with pytest.raises(ProvisionError, match="was changed"):
+        repack(PathDistribution(folder), tmp_path)
+    (folder / "RECORD").write_text("thing.py,,\ngone.py,,\n")
+    with pytest.raises(ProvisionError, match="is missing"):
+        repack(PathDistribution(folder), tmp_path)
+
+
+def test_a_repacked_dependency_can_be_read(tmp_path):
+    path = repack(distribution("rich"), tmp_path)
+    assert path.name == f"rich-{distribution('rich').version}-py3-none-any.whl"
+    listed = zipfile.ZipFile(path).namelist()
+    assert "rich/console.py" in listed
+    assert not [name for name in listed if "__pycache__" in name or name.endswith("/INSTALLER")]
+
+
+# --- a Python for the robot ---------------------------------------------------------------------------------
+
+
+def _uv(folder: Path, body: str) -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / "uv").write_text(f"#!/bin/sh\n{body}\n")
+    (folder / "uv").chmod(0o755)
+
+
+def test_a_standalone_python_is_collected_through_uv_once(tmp_path, monkeypatch):
+    _uv(
+        tmp_path / "bin",
+        'echo "$*" >>"$(dirname "$0")/calls"; build=cpython-3.12.9-linux-aarch64-gnu; '
+        'mkdir -p "$6/$build/bin"; echo binary >"$6/$build/bin/python3.12"; ln -s $build "$6/cpython-3.12"',
+    )
+    monkeypatch.setattr(standalone_python, "_uv", lambda: str(tmp_path / "bin/uv"))
+    target = WheelTarget("aarch64", "3.12")
+    found = asyncio.run(collect_python(tmp_path / "python", target))
+    assert found.version == "3.12.9"
+    assert found.archive.name == "aarch64-3.12.9.tar.gz"
+    assert asyncio.run(collect_python(tmp_path / "python", target)) == found
+    (call,) = (tmp_path / "bin/calls").read_text().splitlines()
+    assert call.endswith("cpython-3.12-linux-aarch64-gnu")
+    assert [path.name for path in (tmp_path / "python").iterdir()] == [found.archive.name]
+
+
+def test_what_uv_refuses_is_said_with_the_remedy(tmp_path, monkeypatch):
+    _uv(tmp_path / "bin", "echo 'error: no network' >&2; exit 1")
+    monkeypatch.setattr(standalone_python, "_uv", lambda: str(tmp_path / "bin/uv"))
+    with pytest.raises(ProvisionError) as found:
+        asyncio.run(collect_python(tmp_path / "python", WheelTarget("aarch64", "3.12")))
+    assert "no network" in found.value.reason
+    assert "UV_PYTHON_INSTALL_MIRROR" in found.value.advice
+
+
+def test_the_index_of_a_collection_is_named_after_its_lock(tmp_path):
+    """Another lock file is another collection in the same folder."""
+    pins = needed_pins(PINS, PI)
+    assert text_digest(pip_lock(pins)) != text_digest(pip_lock(pins[1:]))
+    wheel = Wheel("a-1.0-py3-none-any.whl", "0" * 64, 1)
+    data = msgspec.json.encode(WheelCollection((wheel,)))
+    assert msgspec.json.decode(data, type=WheelCollection).wheels == (wheel,)

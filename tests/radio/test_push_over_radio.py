@@ -1,0 +1,86 @@
+"""Pushes over a radio that loses packets and breaks every few seconds, by desks that are killed."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from emulator.cells import Cell, Link
+from emulator.radio import Radio
+from emulator.tun import missing
+from radio_fleet import DESK, HOSTS, RadioFleet, result_of
+
+pytestmark = [pytest.mark.skipif(bool(why := missing()), reason=why), pytest.mark.process]
+
+
+@contextmanager
+def breaking(radio: Radio, every: float, lasting: float) -> Iterator[None]:
+    """The radio of the desk is gone for `lasting` seconds, every so many seconds."""
+    ended = threading.Event()
+
+    def work() -> None:
+        while not ended.wait(every):
+            radio.cut(lasting, DESK)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+        radio.mend()
+
+
+def test_a_push_ends_on_a_radio_that_breaks_and_a_killed_desk_loses_nothing(tmp_path: Path) -> None:
+    with Radio(*HOSTS, DESK) as radio:
+        fleet = RadioFleet(radio, tmp_path)
+        fleet.up()
+        radio.set(Cell(Link(delay=0.02, loss=0.2)))
+        mission = fleet.mission(lines=150)
+        with breaking(radio, every=2.0, lasting=1.0):
+            desk = fleet.desk("push", mission, "--json")
+            time.sleep(3.0)
+            desk.kill()
+            desk.wait()
+            done = result_of(fleet.desk("push", mission, "--json"), 120)
+        assert done["outcome"] == "activated"
+        # What had arrived before the desk was killed was not sent again.
+        assert all(each["bytes"] < done["size"] for each in done["sent"].values())
+
+        radio.set(Cell())
+        fleet.mission(lines=150, last="changed")
+        changed = result_of(fleet.desk("push", mission, "--json"), 60)
+        assert changed["outcome"] == "activated"
+        assert all(0 < each["bytes"] < done["size"] / 5 for each in changed["sent"].values())
+        states = result_of(fleet.desk("status", "--json"), 60)
+        assert {state["bundle"] for state in states.values()} == {changed["bundle"]}
+
+
+@pytest.mark.few(0)
+@pytest.mark.parametrize("seconds", [0.3, 0.6, 0.9, 1.2, 1.6, 2.0])
+def test_a_desk_that_is_killed_in_any_phase_leaves_one_bundle_active(tmp_path: Path, seconds: float) -> None:
+    with Radio(*HOSTS, DESK) as radio:
+        fleet = RadioFleet(radio, tmp_path)
+        fleet.up()
+        radio.set(Cell(Link(delay=0.1, loss=0.05)))
+        mission = fleet.mission(lines=40)
+        desk = fleet.desk("push", mission)
+        time.sleep(seconds)
+        desk.kill()
+        desk.wait()
+        radio.set(Cell())
+        end = time.monotonic() + 90
+        while True:
+            states = result_of(fleet.desk("status", "--json"), 60)
+            ballots = [state["ballot"] for state in states.values()]
+            if not any(ballot is not None and ballot["outcome"] == "open" for ballot in ballots):
+                break
+            assert time.monotonic() < end
+            time.sleep(0.5)
+        assert len({state["bundle"] for state in states.values()}) == 1
+        assert result_of(fleet.desk("push", mission, "--json"), 60)["outcome"] == "activated"

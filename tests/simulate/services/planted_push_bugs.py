@@ -1,0 +1,263 @@
+"""Bugs that the service had, or might well have, as patches of the real code: the judge must find each."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+
+import pytest
+from msgspec.structs import replace
+
+from lfield.errors import OutputFileError
+from lfield.service import ballots, service
+from lfield.service.ballots import ActivationState
+from lfield.service.mission_runner import MissionRunner
+from lfield.service.service import Service
+from lfield.wire.service_messages import BallotOutcome, BallotState, Vote
+
+Patch = pytest.MonkeyPatch
+
+
+@dataclass(frozen=True)
+class PushBug:
+    """A bug: how it is planted, what is broken, by which breaches it may be found, and a seed that does.
+
+    When `seed` finds it no more, the `within` stories from 0 on are searched.
+    """
+
+    plant: Callable[[Patch], None]
+    broken: str
+    breaches: frozenset[str]
+    seed: int
+    within: int = 300
+
+    @property
+    def name(self) -> str:
+        return self.plant.__name__
+
+
+def a_vote_is_sent_before_it_is_stored(patch: Patch) -> None:
+    def store(self: Service, changed: ActivationState) -> None:
+        if changed == self._activation:
+            return
+        self._bound_since = None if changed.open_ballot is None else self._clock.monotonic()
+        self._activation = changed
+
+        def save() -> None:
+            with suppress(OutputFileError):
+                self._store_run()
+
+        asyncio.get_running_loop().call_later(0.5, save)
+
+    patch.setattr(Service, "_store_activation", store)
+
+
+def a_bound_host_restarts_its_mission(patch: Patch) -> None:
+    patch.setattr(Service, "_start_refusal", lambda self, bundle: "")
+
+
+def a_query_that_closes_a_ballot_changes_the_vote(patch: Patch) -> None:
+    def close(state: ActivationState, id: bytes) -> ActivationState:
+        if state.ballot is not None and state.ballot.id == id and state.ballot.outcome == "open":
+            state = replace(state, ballot=None)
+        return replace(state, closed=(*state.closed, id)) if id not in state.closed else state
+
+    patch.setattr(ballots, "close", close)
+
+
+def a_majority_activates(patch: Patch) -> None:
+    def outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
+        every = list(hosts)
+        if "no" in votes.values():
+            return "aborted"
+        return "activated" if 2 * sum(vote == "yes" for vote in votes.values()) > len(every) else "open"
+
+    patch.setattr(ballots, "outcome", outcome)
+
+
+def unknown_votes_count_as_yes(patch: Patch) -> None:
+    def outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
+        return "aborted" if "no" in votes.values() else "activated"
+
+    patch.setattr(ballots, "outcome", outcome)
+
+
+def a_paused_host_is_not_released(patch: Patch) -> None:
+    async def release(self: Service) -> None:
+        self._set_held(False)
+
+    patch.setattr(Service, "_release", release)
+
+
+def a_pause_is_released_for_a_running_host_only(patch: Patch) -> None:
+    async def release(self: Service) -> None:
+        if self._held:
+            if self._runner.is_running:
+                await self._probe.release()
+            self._set_held(False)
+
+    patch.setattr(Service, "_release", release)
+
+
+def votes_of_earlier_ballots_are_forgotten(patch: Patch) -> None:
+    def known(state: ActivationState, id: bytes) -> BallotState | None:
+        return state.ballot if state.ballot is not None and state.ballot.id == id else None
+
+    patch.setattr(ballots, "_known", known)
+
+
+def a_host_is_not_paused_for_its_vote(patch: Patch) -> None:
+    async def hold(self: Service) -> str:
+        return ""
+
+    patch.setattr(Service, "_hold", hold)
+
+
+def a_host_votes_without_a_check_after_its_pause(patch: Patch) -> None:
+    refusal = Service._refusal
+
+    async def once(self: Service, digest: bytes | None) -> str:
+        if digest is not None and self._held:
+            return ""
+        return await refusal(self, digest)
+
+    patch.setattr(Service, "_refusal", once)
+
+
+def a_crashed_host_counts_as_at_rest(patch: Patch) -> None:
+    async def motion(self: Service) -> str:
+        return await self._probe.vehicles() if self._runner.is_running else ""
+
+    patch.setattr(Service, "_motion", motion)
+
+
+def an_old_bundle_is_restarted_after_an_activation(patch: Patch) -> None:
+    refusal = Service._start_refusal
+    end = Service._end_other_bundle
+
+    async def end_running(self: Service) -> None:
+        if self._runner.is_running:
+            await end(self)
+
+    patch.setattr(Service, "_end_other_bundle", end_running)
+    patch.setattr(Service, "_start_refusal", lambda self, bundle: refusal(self, self._activation.active))
+
+
+def a_host_whose_number_was_not_stored_is_forgotten(patch: Patch) -> None:
+    adopt = MissionRunner.adopt
+
+    def adopt_known(self: MissionRunner) -> None:
+        if self._record.bundle and not self._record.pid:
+            self._interrupt("the service has ended while it started the host")
+        else:
+            adopt(self)
+
+    patch.setattr(MissionRunner, "adopt", adopt_known)
+
+
+def an_open_ballot_is_never_closed(patch: Patch) -> None:
+    patch.setattr(service, "CLOSE_AFTER", math.inf)
+
+
+def a_result_is_not_carried_out_after_a_restart(patch: Patch) -> None:
+    async def settle(self: Service) -> None:
+        """Nothing."""
+
+    patch.setattr(Service, "settle", settle)
+
+
+PUSH_BUGS = (
+    PushBug(
+        a_vote_is_sent_before_it_is_stored,
+        "a vote is sent before it is on disk: a killed service votes again, and differently",
+        frozenset({"activated without a yes", "two outcomes"}),
+        0,
+    ),
+    PushBug(
+        a_bound_host_restarts_its_mission,
+        "a host starts its mission although the result of its ballot is unknown",
+        frozenset({"start while bound", "start of another bundle"}),
+        0,
+    ),
+    PushBug(
+        a_query_that_closes_a_ballot_changes_the_vote,
+        "a query with `closes` replaces a vote that was stored",
+        frozenset({"vote changed", "outcome changed", "two outcomes", "activated without a yes"}),
+        0,
+    ),
+    PushBug(
+        a_majority_activates,
+        "a majority of votes activates a bundle",
+        frozenset({"activated without a yes", "two outcomes"}),
+        0,
+    ),
+    PushBug(
+        unknown_votes_count_as_yes,
+        "a host activates a bundle without the votes of the other hosts",
+        frozenset({"activated without a yes", "two outcomes"}),
+        0,
+    ),
+    PushBug(
+        a_paused_host_is_not_released,
+        "a host that was paused for a ballot stays paused after its result",
+        frozenset({"still paused"}),
+        0,
+    ),
+    PushBug(
+        a_pause_is_released_for_a_running_host_only,
+        "a host that crashed while it was paused for a ballot starts paused",
+        frozenset({"still paused"}),
+        0,
+    ),
+    PushBug(
+        votes_of_earlier_ballots_are_forgotten,
+        "a host closes an earlier ballot on whose proposal it has voted yes",
+        frozenset({"vote changed", "outcome changed", "two outcomes", "activated without a yes"}),
+        0,
+    ),
+    PushBug(
+        a_host_is_not_paused_for_its_vote,
+        "a host votes yes and can start coordinators until the result",
+        frozenset({"yes without pause", "yes without rest"}),
+        0,
+    ),
+    PushBug(
+        a_host_votes_without_a_check_after_its_pause,
+        "a vehicle takes off between the check and the pause of a vote",
+        frozenset({"yes without rest"}),
+        0,
+    ),
+    PushBug(
+        a_crashed_host_counts_as_at_rest,
+        "a host without a process votes yes while its vehicle is in the air",
+        frozenset({"yes without rest", "yes without pause"}),
+        0,
+    ),
+    PushBug(
+        an_old_bundle_is_restarted_after_an_activation,
+        "a restart after a crash runs a bundle that is not active any more",
+        frozenset({"start of another bundle"}),
+        0,
+    ),
+    PushBug(
+        a_host_whose_number_was_not_stored_is_forgotten,
+        "a service that was killed while it started a host does not find its process",
+        frozenset({"two hosts", "yes without pause", "yes without rest"}),
+        0,
+    ),
+    PushBug(
+        an_open_ballot_is_never_closed,
+        "hosts that have not voted are never asked to vote no",
+        frozenset({"no decision"}),
+        0,
+    ),
+    PushBug(
+        a_result_is_not_carried_out_after_a_restart,
+        "a service that was killed after it stored a result does not carry it out",
+        frozenset({"still paused", "old bundle runs"}),
+        0,
+    ),
+)

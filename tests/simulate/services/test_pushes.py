@@ -1,0 +1,71 @@
+"""Stories with pushes: several desks, faults in each phase, and a judge of what services promise."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from simulation_testing.services.push_runner import command, run_push_seed, shrink_push_story
+from simulation_testing.services.push_story import KINDS, PushStory, draw_push_story, run_push_story
+
+#: Seeds of a case.
+CASE = 6
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize("first", range(0, 120, CASE))
+def test_pushes_keep_every_promise(first: int) -> None:
+    counts = Counter[str]()
+    for seed in range(first, first + CASE):
+        verdict = run_push_seed(seed)
+        assert not verdict.breaches, f"{verdict.breaches[0]}: {command(verdict.story)}"
+        counts.update(verdict.counts)
+    assert min(counts["yes"], counts["no"], counts["activated"], counts["acts"]) > 3
+
+
+def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
+    stories = [draw_push_story(seed) for seed in range(60)]
+    assert {fault.kind for story in stories for fault in story.faults} == KINDS.keys()
+    steps = [step for story in stories for own in story.steps for step in own]
+    assert {step.action for step in steps} == {"push", "push without", "start", "stop", "discard"}
+    assert any(step.dies_after for step in steps)
+    assert {story.robots for story in stories} == {2, 3, 4}
+    assert {len(story.steps) for story in stories} == {1, 2, 3}
+
+
+def test_one_seed_is_one_run() -> None:
+    assert run_push_seed(3).digest == run_push_seed(3).digest
+    assert run_push_seed(3).digest != run_push_seed(4).digest
+
+
+@pytest.mark.few(0)
+def test_a_run_does_not_depend_on_the_process() -> None:
+    """Sets of strings have another order in every process."""
+    line = [sys.executable, str(Path(__file__).parents[1] / "simulate.py"), "--pushes", "--story", "5"]
+    runs = [
+        subprocess.run(
+            [*line, "--quiet"], env={"PYTHONHASHSEED": salt}, capture_output=True, text=True, check=True
+        ).stdout
+        for salt in ("1", "2")
+    ]
+    assert runs[0] == runs[1]
+    assert run_push_story(draw_push_story(5)).digest in runs[0]
+
+
+@pytest.mark.few(0)
+def test_a_story_with_a_breach_is_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
+    from planted_push_bugs import a_paused_host_is_not_released
+
+    a_paused_host_is_not_released(monkeypatch)
+    found = next(v for v in map(run_push_seed, range(30)) if v.breaches)
+    small = shrink_push_story(found, most=60)
+    assert small.breaches[0].name == found.breaches[0].name
+
+    def length(story: PushStory) -> int:
+        return len(story.faults) + sum(map(len, story.steps))
+
+    assert length(small.story) < length(found.story)

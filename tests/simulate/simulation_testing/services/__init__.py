@@ -1,0 +1,1 @@
+"""Teams of services on simulated computers: desks push bundles, and a judge checks what the services do."""

@@ -1,0 +1,275 @@
+"""A model of the mission of one robot: its vehicle, its journal, and the process of its host.
+
+The host flies its vehicle for coordinators that start here, move to other robots, and end. It is no real
+host: what the service observes and orders is modelled only. Vehicle and journal survive the processes.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import random
+from collections.abc import Callable, Mapping
+from functools import partial
+
+from lfield import exit_status
+from lfield.service.mission_runner import HostEnd, ProcessId
+from lfield.simulate.computers.process_loop import ProcessLoop
+from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
+from lfield.simulate.computers.simulated_network import SimulatedNetwork
+from lfield.wire.service_messages import UnfinishedCoordinator
+from simulation_testing.services.service_disk import ProcessKilled
+
+#: Seconds between two steps of a host, until it runs, and of a landing.
+STEP, STARTUP, LANDING = (0.2, 2.0), (0.1, 1.5), (0.5, 5.0)
+#: Seconds until a request to the host arrives, and again for its answer. One in so many answers is lost.
+LATENCY, LOST_ANSWERS = (0.005, 0.4), 30
+#: Seconds between two checks whether a process has ended.
+POLL = 0.25
+#: Parts of all steps in which a coordinator takes off, lands, moves to another robot, ends; ends in flight.
+TAKES_OFF, LANDS, MOVES, ENDS, LEFT_IN_THE_AIR = 0.4, 0.3, 0.15, 0.3, 0.15
+#: Parts of all starts with a new coordinator, and of all steps without one in which a host ends.
+NEW_COORDINATOR, LEAVES = 0.6, 0.02
+
+#: Called with a robot and a bundle: a coordinator acts there; a host is started there.
+OnAction = Callable[[str, bytes], None]
+
+
+class RobotMission:
+    """The mission of one robot. `team` has those of all robots by name, also of this one."""
+
+    def __init__(
+        self,
+        robot: str,
+        computer: SimulatedComputer,
+        team: Mapping[str, RobotMission],
+        on_act: OnAction,
+        on_start: OnAction,
+    ) -> None:
+        self.robot, self.computer, self._team = robot, computer, team
+        self.on_act, self.on_start = on_act, on_start
+        self.rng = random.Random(computer.machine.rng.random())
+        self.is_airborne = False
+        #: The journal: coordinators that have not ended as far as this robot knows, with their places, and
+        #: whether the mission is paused.
+        self.unfinished: dict[str, str] = {}
+        self.is_paused = False
+        #: Hosts that run, by process number; how others have ended.
+        self.hosts: dict[int, ModelHost] = {}
+        self.ends: dict[int, int] = {}
+        self.boots = self._coordinators = 0
+        self._numbers = itertools.count(1)
+
+    @property
+    def host(self) -> ModelHost | None:
+        """The host that runs."""
+        return next(iter(self.hosts.values()), None)
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the vehicle is on the ground and no coordinator is unaccounted for."""
+        return not self.is_airborne and not self.unfinished
+
+    def start_host(self, bundle: bytes) -> int:
+        """Start the host of a bundle; returns its process number."""
+        self.on_start(self.robot, bundle)
+        process = self.computer.start()
+        # Not its own number, which depends on the stories before.
+        number = next(self._numbers)
+        host = self.hosts[number] = ModelHost(self, bundle, process)
+        process.await_end(partial(self._on_end, number))
+        process.loop.soon(lambda: process.loop.create_task(host.run()), self.rng.uniform(*STARTUP))
+        return number
+
+    def on_power_off(self) -> None:
+        """The robot is without power: its vehicle too."""
+        self.hosts.clear()
+        self.is_airborne = False
+        self.boots += 1
+
+    def new_coordinator(self) -> None:
+        """A coordinator starts here."""
+        self._coordinators += 1
+        self.unfinished[f"walker {self.robot} {self._coordinators}"] = self.robot
+
+    def move(self, agent: str, bundle: bytes, network: SimulatedNetwork) -> None:
+        """A coordinator moves to another robot whose host runs and is not paused."""
+        there = self._team[self.rng.choice(sorted(self._team))]
+        reachable = not network.ways.silences(self.robot, there.robot) and there.computer.machine.on
+        host = there.host
+        if there is self or not reachable or there.is_paused or host is None or host.bundle != bundle:
+            return
+        there.unfinished[agent] = there.robot
+        self.unfinished[agent] = there.robot
+
+    def receive_ends(self, network: SimulatedNetwork) -> None:
+        """Other robots report which coordinators have ended there, or have come back here."""
+        for agent, place in list(self.unfinished.items()):
+            there = self._team[place]
+            if there is self or network.ways.silences(self.robot, place) or not there.computer.machine.on:
+                continue
+            if (known := there.unfinished.get(agent)) is None:
+                del self.unfinished[agent]
+            else:
+                self.unfinished[agent] = known
+
+    def _on_end(self, pid: int, status: int) -> None:
+        del self.hosts[pid]
+        self.ends[pid] = status
+        if self.is_airborne:
+            # Its guard lands it, unless a next host flies it.
+            self.computer.machine.timeline.after(self.rng.uniform(*LANDING), self._land_alone)
+
+    def _land_alone(self) -> None:
+        if not self.hosts:
+            self.is_airborne = False
+
+
+class ModelHost:
+    """One process of the host of a bundle."""
+
+    def __init__(self, mission: RobotMission, bundle: bytes, process: SimulatedProcess) -> None:
+        self._mission, self.bundle, self.process = mission, bundle, process
+        self.is_up = self.is_stopping = False
+
+    async def run(self) -> None:
+        """Fly until it is stopped or has nothing to do."""
+        mission, rng = self._mission, self._mission.rng
+        if not mission.unfinished and rng.random() < NEW_COORDINATOR:
+            mission.new_coordinator()
+        self.is_up = True
+        while True:
+            await asyncio.sleep(rng.uniform(*STEP))
+            if self.is_stopping or (not mission.unfinished and rng.random() < LEAVES):
+                await asyncio.sleep(rng.uniform(*LANDING) if mission.is_airborne else 0.0)
+                mission.is_airborne = False
+                self.process.exit(exit_status.DONE)
+                return
+            mission.receive_ends(self.process.computer.network)
+            here = [agent for agent, place in mission.unfinished.items() if place == mission.robot]
+            if mission.is_paused or not here:
+                mission.is_airborne = mission.is_airborne and rng.random() > LANDS
+            else:
+                self._act(rng.choice(here))
+
+    def _act(self, agent: str) -> None:
+        mission, chance = self._mission, self._mission.rng.random()
+        mission.on_act(mission.robot, self.bundle)
+        if mission.is_airborne:
+            mission.is_airborne = chance > LANDS
+            if chance > 1.0 - LEFT_IN_THE_AIR:
+                # Its coordinator has ended: the vehicle stays where it is for a while.
+                del mission.unfinished[agent]
+        elif chance < TAKES_OFF:
+            mission.is_airborne = True
+        elif chance < TAKES_OFF + MOVES:
+            mission.move(agent, self.bundle, self.process.computer.network)
+        elif chance < TAKES_OFF + MOVES + ENDS:
+            del mission.unfinished[agent]
+
+
+class ModelProcesses:
+    """See `HostProcesses`: hosts as the service in one process starts and observes them."""
+
+    def __init__(self, mission: RobotMission, loop: ProcessLoop) -> None:
+        self._mission, self._loop = mission, loop
+
+    @property
+    def boot(self) -> str:
+        """The id of this boot of the computer."""
+        return f"boot {self._mission.boots}"
+
+    def start(self, bundle: bytes) -> ProcessId:
+        """Start the host of a bundle."""
+        if self._loop.dead:
+            raise ProcessKilled
+        return ProcessId(self._mission.start_host(bundle), 1)
+
+    def find(self, bundle: bytes) -> ProcessId | None:
+        """The process of the host of a bundle."""
+        hosts = self._mission.hosts.items()
+        return next((ProcessId(pid, 1) for pid, host in hosts if host.bundle == bundle), None)
+
+    def is_alive(self, process: ProcessId) -> bool:
+        """Whether the process still runs."""
+        return process.pid in self._mission.hosts
+
+    async def ended(self, process: ProcessId) -> HostEnd:
+        """The end of a process, when it has ended."""
+        while self.is_alive(process):
+            await asyncio.sleep(POLL)
+        return HostEnd(self._mission.ends.get(process.pid, -9))
+
+    def terminate(self, process: ProcessId) -> None:
+        """Ask it to end in order."""
+        if not self._loop.dead and (host := self._mission.hosts.get(process.pid)) is not None:
+            host.is_stopping = True
+
+
+class ModelProbe:
+    """See `MissionProbe`: requests reach the host late, and some answers are lost."""
+
+    def __init__(self, mission: RobotMission, loop: ProcessLoop) -> None:
+        self._mission, self._loop = mission, loop
+
+    async def _request(self) -> str:
+        """Returns why the host does not answer; '' when the request has arrived."""
+        await asyncio.sleep(self._mission.rng.uniform(*LATENCY))
+        if self._loop.dead:
+            raise ProcessKilled
+        host = self._mission.host
+        return "" if host is not None and host.is_up else "the mission's host does not answer"
+
+    async def _answer(self, value: str) -> str:
+        await asyncio.sleep(self._mission.rng.uniform(*LATENCY))
+        return value if self._mission.rng.randrange(LOST_ANSWERS) else "no answer within 8 s"
+
+    async def vehicles(self) -> str:
+        """Why the vehicle is not at rest."""
+        if trouble := await self._request():
+            return trouble
+        return await self._answer("its vehicle is off the ground" if self._mission.is_airborne else "")
+
+    async def unfinished(self) -> list[UnfinishedCoordinator]:
+        """The coordinators in the journal."""
+        await self._request()
+        found = [
+            UnfinishedCoordinator(agent, "running" if place == self._mission.robot else "moved", place, "m")
+            for agent, place in self._mission.unfinished.items()
+        ]
+        await self._answer("")
+        return found
+
+    async def is_paused(self) -> bool:
+        """Whether the host is paused."""
+        await self._request()
+        return self._mission.is_paused
+
+    async def hold(self) -> str:
+        """Pause the host."""
+        return await self._pause(on=True)
+
+    async def release(self) -> str:
+        """Resume the host."""
+        return await self._pause(on=False)
+
+    async def _pause(self, *, on: bool) -> str:
+        if trouble := await self._request():
+            return trouble
+        self._mission.is_paused = on
+        return await self._answer("")
+
+    async def condition(self) -> str:
+        """Why the host waits."""
+        return ""
+
+    async def start_without(self, hosts: list[str]) -> str:
+        """The model waits for no other host."""
+        return ""
+
+    async def discard(self) -> list[str]:
+        """End the coordinators in the journal of a host that does not run."""
+        await self._request()
+        ended = list(self._mission.unfinished)
+        self._mission.unfinished.clear()
+        return ended
