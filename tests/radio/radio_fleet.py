@@ -33,8 +33,14 @@ class RadioFleet:
         config = folder / "config" / "lfield"
         Keyring(config / "keys").give(*HOSTS)
         hosts = "".join(f"  {host}: {{addresses: [{radio[host].address}]}}\n" for host in HOSTS)
-        (config / "inventory.yaml").write_text(f"hosts:\n{hosts}")
-        self._environment = {**os.environ, "XDG_CONFIG_HOME": str(folder / "config"), "LFIELD_RUNS": "here"}
+        inventory = config / "inventory.yaml"
+        inventory.write_text(f"hosts:\n{hosts}")
+        self._environment = {
+            **os.environ,
+            "XDG_CONFIG_HOME": str(folder / "config"),
+            "LFIELD_INVENTORY": str(inventory),
+            "LFIELD_RUNS": "here",
+        }
 
     def up(self) -> None:
         """Start the services, and wait until they answer."""
