@@ -33,14 +33,8 @@ class RadioFleet:
         config = folder / "config" / "lfield"
         Keyring(config / "keys").give(*HOSTS)
         hosts = "".join(f"  {host}: {{addresses: [{radio[host].address}]}}\n" for host in HOSTS)
-        inventory = config / "inventory.yaml"
-        inventory.write_text(f"hosts:\n{hosts}")
-        self._environment = {
-            **os.environ,
-            "XDG_CONFIG_HOME": str(folder / "config"),
-            "LFIELD_INVENTORY": str(inventory),
-            "LFIELD_RUNS": "here",
-        }
+        (config / "inventory.yaml").write_text(f"hosts:\n{hosts}")
+        self._environment = {**os.environ, "XDG_CONFIG_HOME": str(folder / "config"), "LFIELD_RUNS": "here"}
 
     def up(self) -> None:
         """Start the services, and wait until they answer."""
@@ -68,7 +62,11 @@ class RadioFleet:
     def _start(self, host: str, *words: str, **options: Any) -> subprocess.Popen[Any]:
         runtime = self.folder / f"run-{host}"
         runtime.mkdir(mode=0o700, exist_ok=True)
-        environment = {**self._environment, "XDG_RUNTIME_DIR": str(runtime)}
+        environment = {
+            **self._environment,
+            "XDG_RUNTIME_DIR": str(runtime),
+            "LFIELD_INVENTORY": str(self.folder / "config" / "lfield" / "inventory.yaml"),
+        }
         command = [sys.executable, "-m", "lfield", *words]
         return self.radio[host].start(command, env=environment, cwd=self.folder, **options)
 
