@@ -275,7 +275,7 @@ class AddressError(LfieldError):
     """An address cannot be bound or reached."""
 
     exit_status = exit_status.UNAVAILABLE
-    code, remedy = "address", "correct the address, or name it with --map HOST=ADDR:PORT"
+    code, remedy = "address", "correct the address in the inventory, or name it with --map HOST=ADDR:PORT"
 
     def __init__(self, address: str, reason: str) -> None:
         self.address, self.reason = address, reason

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +22,9 @@ def add_mission(parser: argparse.ArgumentParser, *, required: bool = True) -> No
     """Declare the mission: `lfield up mission.lfm`, or `lfield up --deploy mission.dL`."""
     named = parser.add_mutually_exclusive_group(required=required)
     what = "deployment (.dL) or bundle (.lfm)" + (
-        "" if required else " (default: all missions that run on this computer)"
+        ""
+        if required
+        else " (default: all missions that run on this computer, else the hosts of the inventory)"
     )
     # Positional arguments stand first in the help.
     named.add_argument("mission", metavar="MISSION", nargs="?", type=Path, help=what)
@@ -65,12 +69,35 @@ def add_addresses(parser: argparse.ArgumentParser) -> None:
         metavar="NAME=ADDR:PORT",
         action="append",
         default=[],
-        help="address of a host, instead of the one in the deployment (repeatable)",
+        help="address of a host, instead of the one in the inventory or deployment (repeatable)",
+    )
+    add_inventory(parser)
+
+
+def add_inventory(parser: argparse.ArgumentParser) -> None:
+    """Declare the inventory."""
+    parser.add_argument(
+        "--inventory",
+        metavar="FILE",
+        type=Path,
+        help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml, "
+        "/etc/lfield/inventory.yaml)",
     )
 
 
+def inventory_addresses(args: argparse.Namespace) -> Mapping[str, str]:
+    """The addresses of the hosts of the inventory, by name. Raises ProgramError, InputFileError."""
+    from lfield.inventory.inventory_file import find_inventory
+
+    inventory = find_inventory(args.inventory, os.environ)
+    return {} if inventory is None else {name: host.address for name, host in inventory.hosts.items()}
+
+
 def add_running_mission(parser: argparse.ArgumentParser) -> None:
-    """Declare the mission or the run, and the addresses of its hosts; default: all runs on this computer."""
+    """Declare the mission or the run, and the addresses of its hosts.
+
+    Default: all runs on this computer, and without one the hosts of the inventory.
+    """
     add_mission(parser, required=False)
     parser.add_argument(
         "--run", metavar="ID", default="", help="id of a run on this computer, as printed by 'lfield ps'"
@@ -114,22 +141,29 @@ def selected_runs(args: argparse.Namespace) -> list[Run]:
         return runs
     if args.map:
         raise UsageError("--map is for the hosts of a mission: name the mission too")
-    if not runs:
+    if not runs and not inventory_addresses(args):
         raise NoMissionRunning(f"no mission is running on this computer: {no_runs_hint()}")
     return runs
 
 
 def selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam]:
-    """The hosts of the named mission, or of all these runs. Raises UsageError."""
-    from lfield.operator.targets import open_team, targets_of_runs, targets_of_team
+    """The hosts of the named mission, or of all these runs. Raises UsageError.
+
+    Without a run of this user, and with --inventory, the hosts of the inventory.
+    """
+    from lfield.operator.targets import TargetTeam, open_team, targets_of_runs, targets_of_team
 
     path = named_mission(args)
     if path is None:
-        return targets_of_runs(runs)
+        parties = targets_of_runs(runs)
+        if not args.run and (args.inventory or all(run.user for run in runs)):
+            addresses = inventory_addresses(args)
+            parties = [TargetTeam((), addresses), *parties] if addresses else parties
+        return parties
     team = open_team(path)
     if args.run and runs[0].manifest.deployment != team.deployment.hex():
         raise UsageError(f"{runs[0].id} is not a run of {path}")
-    return targets_of_team(team, runs, args.map)
+    return targets_of_team(team, runs, args.map, lambda: inventory_addresses(args))
 
 
 def selected_team(args: argparse.Namespace) -> TargetTeam:

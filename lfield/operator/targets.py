@@ -1,7 +1,7 @@
 """Resolves the targets of a command: the hosts of local runs or of a mission, deduplicated, with addresses.
 
 The address of a host is, in this order: that of `--map`; the socket of a run on this computer; the address in
-the note of such a run; the address in the deployment.
+the note of such a run; those in the inventory; the address in the deployment.
 
 Runs of other users are not trusted: anyone can claim any mission. Their hosts are queried separately, and the
 answers count for that run only, unless the user names it with `--run`.
@@ -9,7 +9,7 @@ answers count for that run only, unless the user names it with `--run`.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -36,7 +36,10 @@ class HostRef(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class TargetTeam:
-    """The hosts of one team with the addresses of requests, and their runs on this computer."""
+    """The hosts of one team with the addresses of requests, and their runs on this computer.
+
+    A team without a run is a mission elsewhere, or all hosts of the inventory.
+    """
 
     runs: tuple[Run, ...]
     addresses: Mapping[str, str]
@@ -85,16 +88,21 @@ def open_team(mission: Path) -> Team:
     return team_of(deployment.rows, deployment.kinds, deployment.ports)
 
 
-def targets_of_team(team: Team, runs: Sequence[Run], maps: Sequence[str]) -> list[TargetTeam]:
+def targets_of_team(
+    team: Team,
+    runs: Sequence[Run],
+    maps: Sequence[str],
+    inventory: Callable[[], Mapping[str, str]] = dict,
+) -> list[TargetTeam]:
     """The runs of a team, else the team at its own addresses; `maps` are `NAME=ADDR:PORT`.
 
-    Raises UsageError.
+    `inventory` returns the addresses of hosts in the inventory. Raises UsageError.
     """
     mapped = parse_maps(maps, team)
     own = [run for run in runs if run.manifest.deployment == team.deployment.hex()]
     if any(not run.user for run in own):
         return targets_of_runs(own, mapped)
-    stated = team.at(mapped).addresses_by_host
+    stated = team.at({**inventory(), **mapped}).addresses_by_host
     claimed = {(team.deployment.hex(), host, address) for host, address in stated.items()}
     return [TargetTeam((), stated), *_foreign_targets(own, mapped, claimed)]
 
@@ -207,15 +215,21 @@ def display_names(parties: Sequence[TargetTeam]) -> dict[HostRef, str]:
     """The display name of each host: its name, with its run in front when there are several teams."""
     places = [place for party in parties for place in party.host_refs]
     alone = len(parties) == 1
-    return {place: escape_line(place.host if alone else f"{place.run}/{place.host}") for place in places}
+    return {
+        place: escape_line(place.host if alone or not place.run else f"{place.run}/{place.host}")
+        for place in places
+    }
 
 
 def running_mission(runs: Sequence[Run]) -> Path:
-    """The file of the only running mission. Raises UsageError for several, or when the file has changed.
+    """The file of the only running mission. Raises UsageError for several, or when the file has changed, and
+    NoMissionRunning for none.
 
     Also when only other users run any: what they name may be a fifo, say, and is not opened on their word.
     """
     believed = [run for run in runs if not run.is_foreign]
+    if not runs:
+        raise NoMissionRunning("no mission is running on this computer: name the file of the mission")
     if not believed:
         named = listed([f"{run.id} ({escape_line(truncate(run.manifest.mission, 200))})" for run in runs[:8]])
         raise UsageError(f"only other users run missions here, name one with its file and --run: {named}")

@@ -50,7 +50,7 @@ $limit runuser -u {SERVICE_USER} -- {CURRENT}/bin/lfield doctor --json || [ $? =
 """
 _MISSIONS = f"""
 cd /
-if [ -x {CURRENT}/bin/lfield ]; then {CURRENT}/bin/lfield ps --json 2>/dev/null; fi
+if [ -x {CURRENT}/bin/lfield ]; then LFIELD_INVENTORY= {CURRENT}/bin/lfield ps --json 2>/dev/null; fi
 printf '\\nprocesses\\t%s\\n' "$(pgrep -f '[l]field up ' | tr '\\n' ' ')"
 """
 #: Prints what forbids an update; nothing where the present version cannot say it.

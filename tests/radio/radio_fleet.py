@@ -65,7 +65,11 @@ class RadioFleet:
     def _start(self, host: str, *words: str, **options: Any) -> subprocess.Popen[Any]:
         runtime = self.folder / f"run-{host}"
         runtime.mkdir(mode=0o700, exist_ok=True)
-        environment = {**self._environment, "XDG_RUNTIME_DIR": str(runtime)}
+        environment = {
+            **self._environment,
+            "XDG_RUNTIME_DIR": str(runtime),
+            "LFIELD_INVENTORY": str(self.folder / "config" / "lfield" / "inventory.yaml"),
+        }
         command = [sys.executable, "-m", "lfield", *words]
         return self.radio[host].start(command, env=environment, cwd=self.folder, **options)
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from lfield.cli.mission_argument import add_inventory
 from lfield.errors import KeysError, LfieldError, UsageError
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.text.terminal_escape import escape_line
@@ -27,16 +28,6 @@ S = TypeVar("S")
 
 #: Seconds for an answer of a service.
 TIMEOUT = 8.0
-
-
-def add_inventory(parser: argparse.ArgumentParser) -> None:
-    """Declare the inventory."""
-    parser.add_argument(
-        "--inventory",
-        metavar="FILE",
-        type=Path,
-        help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
-    )
 
 
 def add_desk(parser: argparse.ArgumentParser) -> None:

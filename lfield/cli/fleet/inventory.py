@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.action_help import action_help
-from lfield.cli.fleet.desk import add_desk, add_inventory, find_own_keys, open_inventory, require_hosts
+from lfield.cli.fleet.desk import add_desk, find_own_keys, open_inventory, require_hosts
+from lfield.cli.mission_argument import add_inventory
 from lfield.errors import AddressError
 from lfield.net.transport import split_address
 from lfield.text.suggestions import listed

@@ -112,9 +112,7 @@ def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
 
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
     """The options of the mission's host: where the others are, its keys, and its own devices file."""
-    found = [*UP_OPTIONS, f"--state={state}"]
-    for name, each in inventory.hosts.items():
-        found += ["--map", f"{name}={each.addresses[0]}"]
+    found = [*UP_OPTIONS, f"--state={state}", f"--inventory={inventory.path.absolute()}"]
     if args.keys is not None:
         found.append(f"--keys={args.keys}")
     devices = inventory.hosts[args.host].devices

@@ -83,7 +83,14 @@ def _print_targets(parties: Sequence[TargetTeam], doing: str) -> None:
     from lfield.operator.run_dirs import unreadable_hint
 
     for party in parties:
-        print(truncate(escape_line(f"{doing} {party.id}: {', '.join(party.addresses)}"), _MAX_LINE))
+        print(
+            truncate(
+                escape_line(
+                    f"{doing} {party.id or 'the hosts of the inventory'}: {', '.join(party.addresses)}"
+                ),
+                _MAX_LINE,
+            )
+        )
     if unreadable_hint():
         _print(f"lfield: {unreadable_hint()}")
 

@@ -49,13 +49,14 @@ def run(args: argparse.Namespace) -> int:
         print(f"lfield: {unreadable_hint()}", file=sys.stderr)
     if args.json:
         named = {names[place]: host for place, host in hosts.items()}
-        print(team_status_view.as_json(named) if named_mission(args) else run_table.as_json(parties, hosts))
+        is_team = named_mission(args) is not None or not runs
+        print(team_status_view.as_json(named) if is_team else run_table.as_json(parties, hosts))
         return exit_status.UNAVAILABLE if silent else exit_status.DONE
-    if named_mission(args) is None:
+    if named_mission(args) is None and runs:
         run_table.show(runs)
     for party in parties:
-        if named_mission(args) is None or len(parties) > 1:
-            print(f"\n{party.id}")
+        if (named_mission(args) is None and runs) or len(parties) > 1:
+            print(f"\n{party.id}" if party.runs else "\nhosts of the inventory")
         shown = by_host(hosts, party)
         if party.user:
             shown = {name: host for name, host in shown.items() if host.linked}

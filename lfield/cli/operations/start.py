@@ -1,13 +1,12 @@
 """`lfield start`: starts the mission on all robots, or coordinators that wait without the missing hosts.
 
-Without a mission and a run, and with an inventory, it is for the services of the robots.
+Without a mission, without a run on this computer, and with an inventory it is for the services of the robots.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
@@ -24,12 +23,6 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument(
-        "--inventory",
-        metavar="FILE",
-        type=Path,
-        help="hosts and their addresses (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
-    )
     parser.add_argument("--json", action="store_true", help="print one JSON object, for robots with services")
     parser.add_argument(
         "--without",
@@ -45,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
 
     69 when a host did not answer that is not left out: coordinators may still wait there.
     """
-    if args.mission is None and args.deploy is None and not args.run:
+    from lfield.operator.runs import runs_here
+
+    if args.mission is None and args.deploy is None and not args.run and not runs_here():
         from lfield.cli.fleet.mission_start import start_on_robots
 
         if (status := start_on_robots(args)) is not None:

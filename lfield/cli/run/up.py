@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -19,6 +19,7 @@ from lfield.cli.mission_argument import (
     add_bindings,
     add_mission,
     add_program,
+    inventory_addresses,
     mission_path,
     setup_command,
 )
@@ -173,7 +174,9 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
     from lfield.mission.team import parse_maps
 
     mission = bundle.read(file)
-    team = mission.team.at(parse_maps(args.map, mission.team))
+    # The processes of --all are on loopback, each with the addresses of the others.
+    stated = {} if args.all or args.parent_pipe else inventory_addresses(args)
+    team = mission.team.at({**stated, **parse_maps(args.map, mission.team)})
     printed = () if built else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
     if not args.parent_pipe:
@@ -193,7 +196,7 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
         from lfield.cli.run.up_all import run_all
 
         return run_all(mission, file, args, print_line)
-    return _run_one(mission, args, built=built)
+    return _run_one(mission, args, stated, built=built)
 
 
 def _check_dump_folder(folder: Path) -> None:
@@ -204,7 +207,7 @@ def _check_dump_folder(folder: Path) -> None:
         raise OutputFileError(str(folder), "nothing may be written there")
 
 
-def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
+def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, str], *, built: bool) -> int:
     from lfield import event_loop
     from lfield.cli.run.host_keys import built_here, load_credentials
     from lfield.guard.messages import JSON_LOG_HOST
@@ -213,7 +216,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, *, built: bool) -> int:
     from lfield.net.local_addresses import own_host
 
     set_cloexec_on_all()
-    name = mission.team.find_host(args.host) if args.host else own_host(mission.team.hosts, {})
+    name = mission.team.find_host(args.host) if args.host else own_host(mission.team.hosts, stated)
     proof = load_credentials(name, args)
     if proof is not None and built:
         mission = built_here(mission, mission_path(args), args)
