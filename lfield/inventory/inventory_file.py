@@ -11,6 +11,7 @@ hosts:
     python: "3.11"               # on the robot, if wheels are prepared while it is off
     service_port: 8182
     groups: [gpio]               # more groups of the service, for ports
+    files: [motor.dbc]           # that its devices need; relative to this file
     devices: alpha.devices.yaml  # of this robot alone; relative to this file
 ```
 
@@ -114,6 +115,7 @@ class _Reader:
             port,
             groups,
             (self._path.parent / devices).absolute() if devices else None,
+            tuple((self._path.parent / file).absolute() for file in fields.texts("files")),
         )
         fields.report_unread()
         return host

@@ -308,15 +308,20 @@ def _fake(
     )
 
 
-def with_files(bindings: Bindings, drivers: DriverLookup, place: Callable[[str], str]) -> Bindings:
-    """The same with every file of an option replaced by `place`."""
+def with_files(
+    bindings: Bindings,
+    drivers: DriverLookup,
+    place: Callable[[str], str],
+    only: Collection[str] | None = None,
+) -> Bindings:
+    """The same with every file of an option replaced by `place`; `only` names devices, None for all."""
 
     def moved(device: DeviceBinding) -> DeviceBinding:
         options = drivers.by_driver[device.driver].manifests[device.type].options
         files = {
             o.name: place(str(device.options[o.name]))
             for o in options
-            if o.type == "path" and device.options.get(o.name)
+            if o.type == "path" and device.options.get(o.name) and (only is None or device.name in only)
         }
         return msgspec.structs.replace(device, options={**device.options, **files}) if files else device
 

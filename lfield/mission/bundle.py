@@ -226,8 +226,8 @@ def _access(data: memoryview) -> Access:
         raise BundleError(f"its access rules cannot be decoded ({error})") from None
 
 
-def read(path: Path) -> Mission:
-    """The mission in a file; paths of files in device options are relative to its folder.
+def read(path: Path, files: Path | None = None) -> Mission:
+    """The mission in a file; paths of files in device options are relative to its folder, or to `files`.
 
     Raises InputFileError, and BundleError that names the file.
     """
@@ -236,8 +236,9 @@ def read(path: Path) -> Mission:
         mission = decode(data)
     except BundleError as error:
         raise error.of(path) from None
+    folder = path.resolve().parent if files is None else files.resolve()
     return mission.with_bindings(
-        with_files(mission.bindings, mission.drivers, lambda file: str(path.resolve().parent / file))
+        with_files(mission.bindings, mission.drivers, lambda file: str(folder / file))
     )
 
 

@@ -30,16 +30,17 @@ def relocate(mission: Mission, folder: Path, devices: Path) -> Mission:
     return replace(mission, program=_with_names(mission.program, names), warnings=warnings, bindings=bindings)
 
 
-def companion_files(mission: Mission) -> list[str]:
-    """The files that must be copied with the bundle of a relocated mission."""
+def companion_files(mission: Mission, host: str = "") -> list[str]:
+    """The files that must be copied with the bundle of a relocated mission, for `host` or for all."""
     found: list[str] = []
+    own = {device.name for device in mission.devices_of(host)} if host else None
 
     def collect(file: str) -> str:
         if not Path(file).is_absolute():
             found.append(file)
         return file
 
-    with_files(mission.bindings, mission.drivers, collect)
+    with_files(mission.bindings, mission.drivers, collect, own)
     return sorted(set(found))
 
 

@@ -11,7 +11,14 @@ from pathlib import Path
 from typing import Any, Literal
 
 from lfield.errors import LfieldError, ProvisionError
-from lfield.provision.installation import BASE_GROUPS, Installation, RobotFile, settings_file, unit_file
+from lfield.provision.installation import (
+    BASE_GROUPS,
+    Installation,
+    RobotFile,
+    device_file,
+    settings_file,
+    unit_file,
+)
 from lfield.provision.own_wheel import deployment_file
 from lfield.provision.plan import (
     STANDALONE,
@@ -75,6 +82,8 @@ class Robot:
     groups: frozenset[str] = frozenset()
     #: Files in /etc/lfield: the inventory, and the robot's own devices file.
     settings: Mapping[str, bytes] = field(default_factory=dict)
+    #: Files there that devices need; one may be a key.
+    files: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,6 +219,7 @@ class HostProvisioning:
         name = self._robot.name
         environment = settings_file("service.env", f"LFIELD_HOST={name}\n".encode())
         settings = [settings_file(file, data) for file, data in self._robot.settings.items()]
+        settings += [device_file(file, data) for file, data in self._robot.files.items()]
         return Installation(
             name,
             payload,

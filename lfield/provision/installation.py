@@ -99,6 +99,11 @@ def settings_file(name: str, data: bytes) -> RobotFile:
     return RobotFile(f"{SETTINGS}/{name}", data, "644", "root:root")
 
 
+def device_file(name: str, data: bytes) -> RobotFile:
+    """A file in /etc/lfield that devices need, readable by the service only: it may be a key."""
+    return RobotFile(f"{SETTINGS}/{name}", data, "640", f"root:{SERVICE_USER}")
+
+
 def unit_file(data: bytes) -> RobotFile:
     """The unit of the service."""
     return RobotFile(UNIT, data, "644", "root:root")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from hashlib import sha256
+from pathlib import Path
 from typing import Protocol
 
 from lfield.authority.admission_policy import CertificateAdmission
@@ -11,8 +12,10 @@ from lfield.authority.key_material import Keys
 from lfield.errors import BundleError, LfieldError, OutputFileError, SignatureError, WireError
 from lfield.mission import bundle
 from lfield.mission.access.signed_bundle import accept_bundle
+from lfield.mission.relocation import companion_files
 from lfield.service import messages
 from lfield.text.log_messages import LogLine
+from lfield.text.suggestions import listed
 from lfield.wire.bundle_pieces import Piece, decompress
 from lfield.wire.fields import MAX_LABEL, short_digest, truncate
 from lfield.wire.service_messages import (
@@ -120,16 +123,24 @@ class BundleReceiver:
 
 
 class BundleVerifier:
-    """Checks format, digests, program and signature, and that `host` belongs to the mission."""
+    """Checks format, digests, program and signature, that `host` belongs to the mission, and its files.
 
-    def __init__(self, host: str, keys: Keys, admission: CertificateAdmission) -> None:
-        self._host, self._keys, self._admission = host, keys, admission
+    `folder` has the files that devices need, such as a DBC file.
+    """
+
+    def __init__(self, host: str, keys: Keys, admission: CertificateAdmission, folder: Path) -> None:
+        self._host, self._keys, self._admission, self._folder = host, keys, admission, folder
 
     def __call__(self, data: bytes) -> BundleInfo:
         """The bundle in some bytes. Raises BundleError, SignatureError."""
         mission = bundle.decode(data)
         if self._host not in mission.team.hosts:
             raise BundleError(f"its mission has no host {self._host}", "push it with --without this host")
+        if missing := [file for file in companion_files(mission, self._host) if not self._has(file)]:
+            raise BundleError(
+                f"its devices need {listed(missing)}, which {self._folder} does not have",
+                "name them in the inventory ('files'), and run 'lfield provision'",
+            )
         release = accept_bundle(
             mission.release,
             self._keys.authority,
@@ -139,6 +150,9 @@ class BundleVerifier:
         ).bundle
         self._admission.time.on_signature(release.at, f"the signature of bundle {release.short}")
         return BundleInfo(release.digest, truncate(mission.name, MAX_LABEL), release.by, release.at)
+
+    def _has(self, file: str) -> bool:
+        return (self._folder / file).is_file()
 
 
 def vehicles_of(data: bytes, host: str) -> list[str]:

@@ -36,13 +36,16 @@ MAX_BLOCK, PEER_TIMEOUT, REAUTHORISE_EVERY = 1 << 16, 8.0, 1.0
 
 @dataclass(frozen=True, slots=True)
 class ServiceOptions:
-    """`state` is the directory of the journals and of the service, `listen` the address of the service.
+    """`state` is the directory of the journals and of the service, `files` that of files which devices need.
+
+    `listen` is the address of the service.
 
     `peers` are the addresses of the services of other hosts by name. `up` are further options of `lfield up`.
     """
 
     host: str
     state: Path
+    files: Path
     listen: str
     peers: Mapping[str, str]
     up: Sequence[str]
@@ -70,7 +73,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
         lambda: vehicles_of(store.read(runner.record.bundle) or b"", host),
         clock,
     )
-    verifier = BundleVerifier(host, credentials.keys, admission)
+    verifier = BundleVerifier(host, credentials.keys, admission, options.files)
     service = Service(host, record, store, runner, probe, verifier, clock)
     transport.log_to(service.note)
     admission.serve(lambda: runner.is_running, lambda who: {}, service.note)

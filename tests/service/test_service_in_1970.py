@@ -34,7 +34,9 @@ def signed(folder: Path, keyring: Keyring) -> bytes:
 
 def verifier(keys: Keys) -> BundleVerifier:
     own = identity_in(keys.certificate, keys.authority)
-    return BundleVerifier("alpha", keys, CertificateAdmission(keys, own, TrustedClock(ManualClock(0.0))))
+    return BundleVerifier(
+        "alpha", keys, CertificateAdmission(keys, own, TrustedClock(ManualClock(0.0))), Path()
+    )
 
 
 def test_a_bundle_is_accepted_and_its_signature_moves_the_clock(tmp_path: Path) -> None:

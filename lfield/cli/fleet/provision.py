@@ -145,7 +145,8 @@ def _robot(inventory: Inventory, host: InventoryHost) -> Robot:
         if host.devices.parent != inventory.path.parent.absolute():
             raise UsageError(f"{host.name}: {host.devices} must be in the folder of {inventory.path}")
         settings[host.devices.name] = read_bytes(host.devices, _MAX_FILE)
-    return Robot(host.name, destinations, host.arch, host.python, frozenset(host.groups), settings)
+    files = {file.name: read_bytes(file, _MAX_FILE) for file in host.files}
+    return Robot(host.name, destinations, host.arch, host.python, frozenset(host.groups), settings, files)
 
 
 #: An inventory or devices file has fewer bytes.

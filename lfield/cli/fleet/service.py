@@ -73,9 +73,9 @@ def run(args: argparse.Namespace) -> int:
     state = versioned_state(args.state or state_dir(), __version__)
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
-    options = ServiceOptions(
-        args.host, state, host.service_address, peers, _up_options(args, inventory, state), args.json
-    )
+    files = inventory.path.absolute().parent
+    up_options = _up_options(args, inventory, state)
+    options = ServiceOptions(args.host, state, files, host.service_address, peers, up_options, args.json)
     credentials = HostCredentials(keystore.read_keys(found, "host"), folders)
     return event_loop.run(run_service(options, credentials))
 
@@ -112,7 +112,8 @@ def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
 
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
     """The options of the mission's host: where the others are, its keys, and its own devices file."""
-    found = [*UP_OPTIONS, f"--state={state}", f"--inventory={inventory.path.absolute()}"]
+    settings = inventory.path.absolute()
+    found = [*UP_OPTIONS, f"--state={state}", f"--inventory={settings}", f"--files={settings.parent}"]
     if args.keys is not None:
         found.append(f"--keys={args.keys}")
     devices = inventory.hosts[args.host].devices

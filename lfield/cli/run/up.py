@@ -54,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_program(parser)
     add_bindings(parser)
     parser.add_argument(
+        "--files",
+        metavar="DIR",
+        type=Path,
+        help="directory of the files that the devices of a bundle need (default: that of the bundle)",
+    )
+    parser.add_argument(
         "--sim", action="store_true", help="start a simulated device in place of each real one"
     )
     add_addresses(parser)
@@ -173,7 +179,7 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
     from lfield.mission import bundle
     from lfield.mission.team import parse_maps
 
-    mission = bundle.read(file)
+    mission = bundle.read(file, args.files)
     # The processes of --all are on loopback, each with the addresses of the others.
     stated = {} if args.all or args.parent_pipe else inventory_addresses(args)
     team = mission.team.at({**stated, **parse_maps(args.map, mission.team)})
