@@ -36,6 +36,7 @@ from lfield.provision.ssh_errors import SshDestination, access_error
 from lfield.provision.team_keys import keys_folder
 from lfield.provision.wheel_cache import WheelCache
 from lfield.provision.wheel_target import PYTHONS, WheelTarget
+from lfield.text.input_files import error_reason
 
 #: What is reported of a step: `running` precedes `changed` or `failed`; a dry run ends with `todo`.
 Progress = Literal["done", "running", "changed", "todo", "note", "refused", "failed"]
@@ -130,17 +131,22 @@ class HostProvisioning:
                 await self._collect(WheelTarget(self._robot.arch, self._robot.python))
                 return True
             return await self._provision()
-        except LfieldError as error:
+        except (LfieldError, OSError) as error:
             self._report_error(error)
             return False
         finally:
             await self._connection.close()
 
-    def _report_error(self, error: LfieldError) -> None:
-        if isinstance(error, ProvisionError):
-            self._report("failed", "failed", error.reason, error.advice)
-        else:
-            self._report("failed", "failed", str(error))
+    def _report_error(self, error: LfieldError | OSError) -> None:
+        match error:
+            case ProvisionError():
+                self._report("failed", "failed", error.reason, error.advice)
+            case OSError():
+                # Of the cache, or a process that cannot be started.
+                reason = f"{error.filename or 'this computer'}: {error_reason(error)}"
+                self._report("failed", "failed", reason, "correct it on the desk, and run provision again")
+            case _:
+                self._report("failed", "failed", str(error))
 
     def _report(
         self,

@@ -14,7 +14,7 @@ from typing import Literal
 from lfield.provision import robot_scripts as scripts
 from lfield.provision.installation import PRIVATE, Installation, RobotFile
 from lfield.provision.lock_file import Wheel
-from lfield.provision.robot_facts import ROOT, RobotFacts
+from lfield.provision.robot_facts import KEYS, ROOT, RobotFacts
 from lfield.provision.wheel_target import ARCHITECTURES, MIN_GLIBC, PYTHONS, WheelTarget
 
 StepState = Literal["done", "todo", "note", "refused"]
@@ -254,7 +254,11 @@ def needs_new_key(facts: RobotFacts, keys: Sequence[RobotFile]) -> bool:
 
 def _keys_step(facts: RobotFacts, installation: Installation) -> Step:
     if not installation.keys:
-        return Step("keys", "note", "no authority on this desk; the keys of the robot stay")
+        text = "there is no authority on this desk"
+        if f"{KEYS}/{installation.keys_folder}/host.key" not in facts.files:
+            advice = "lfield keys init --person NAME; or name its directory with --authority"
+            return Step("keys", "refused", text, advice)
+        return Step("keys", "note", f"{text}; the keys of the robot stay")
     outdated = _outdated(facts, installation.keys)
     if not outdated and facts.has_private_keys_folder:
         return Step("keys", "done", f"keys of {installation.host}")

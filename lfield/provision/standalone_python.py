@@ -41,15 +41,10 @@ def _described(archive: Path, target: WheelTarget) -> StandalonePython:
     return StandalonePython(version, archive, hashlib.sha256(data).hexdigest(), len(data))
 
 
-def _uv() -> str:
+def find_uv() -> str | None:
     """The path of uv: that of this environment, or of the user."""
     own = Path(sys.executable).with_name("uv")
-    found = str(own) if own.is_file() else shutil.which("uv")
-    if found is None:
-        raise ProvisionError(
-            "", "a robot needs a standalone Python, and there is no uv on this desk", "pip install uv"
-        )
-    return found
+    return str(own) if own.is_file() else shutil.which("uv")
 
 
 async def _install(folder: Path, target: WheelTarget) -> StandalonePython:
@@ -71,8 +66,12 @@ async def _install(folder: Path, target: WheelTarget) -> StandalonePython:
 
 async def _run_uv(key: str, folder: str) -> None:
     arguments = ("python", "install", "--no-config", "--no-bin", "--install-dir", folder, key)
+    uv = find_uv()
+    if uv is None:
+        reason = "a robot needs a standalone Python, and there is no uv on this desk"
+        raise ProvisionError("", reason, "pip install uv")
     process = await asyncio.create_subprocess_exec(
-        _uv(), *arguments, stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE, start_new_session=True
+        uv, *arguments, stdin=DEVNULL, stdout=DEVNULL, stderr=PIPE, start_new_session=True
     )
     try:
         _, errors = await process.communicate()

@@ -78,13 +78,14 @@ def close(state: ActivationState, id: bytes) -> ActivationState:
 
 
 def learn(state: ActivationState, host: str, id: bytes, votes: Mapping[str, Vote]) -> ActivationState:
-    """The state after the votes of other hosts. The vote of `host` itself is only cast by `propose`.
+    """The state after the votes of other hosts. A yes of `host` itself is only cast by `propose`.
 
-    A vote against a ballot whose proposal has not arrived closes it.
+    A no of `host` that others report was given for it by an operator, who took it for lost: then they have
+    aborted. A vote against a ballot whose proposal has not arrived closes it.
     """
     if state.ballot is None or state.ballot.id != id:
         return close(state, id) if "no" in votes.values() else state
-    return _with_votes(state, {name: vote for name, vote in votes.items() if name != host})
+    return _with_votes(state, {name: vote for name, vote in votes.items() if name != host or vote == "no"})
 
 
 def answer(state: ActivationState, host: str, id: bytes) -> BallotState:

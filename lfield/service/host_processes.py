@@ -13,7 +13,7 @@ from pathlib import Path
 
 import msgspec
 
-from lfield.errors import OutputFileError
+from lfield.errors import InputFileError, OutputFileError
 from lfield.host.process.run_result import MAX_RESULT, RunResult
 from lfield.service.mission_runner import KILLED, HostEnd, ProcessId
 
@@ -39,7 +39,7 @@ class LocalProcesses:
         return _BOOT.read_text().strip()
 
     def start(self, bundle: bytes) -> ProcessId:
-        """Start the host of a bundle. Raises OutputFileError."""
+        """Start the host of a bundle. Raises OutputFileError, InputFileError."""
         flags = os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC
         try:
             result = os.open(self._result, flags, 0o600)
@@ -52,6 +52,8 @@ class LocalProcesses:
             child = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, pass_fds=(result,), start_new_session=True
             )
+        except OSError as error:
+            raise InputFileError(sys.executable, error.strerror or str(error)) from None
         finally:
             os.close(result)
         self._children[child.pid] = child

@@ -7,6 +7,7 @@ so that simulations run it without any.
 from __future__ import annotations
 
 import asyncio
+import math
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import suppress
 from typing import Protocol
@@ -44,8 +45,9 @@ from lfield.wire.service_messages import (
     VoteReport,
 )
 
-#: Seconds between two rounds of questions about an open ballot, and seconds after which they close it.
-RESOLVE_EVERY, CLOSE_AFTER = 3.0, 30.0
+#: Seconds between two rounds of questions about an open ballot, after which they close it, and between two
+#: log lines about it.
+RESOLVE_EVERY, CLOSE_AFTER, REPORT_EVERY = 3.0, 30.0, 300.0
 
 
 class ServiceFiles(BundleFiles, Protocol):
@@ -107,6 +109,8 @@ class Service:
         self._lock = asyncio.Lock()
         #: When the open ballot was voted for (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
+        #: When a log line has named the open ballot last.
+        self._reported_at = -math.inf
         self._bundles = BundleReceiver(
             store, verify, lambda: [self._activation.active, self._activation.previous], self.note
         )
@@ -287,7 +291,9 @@ class Service:
         since = self._bound_since
         waited = 0.0 if since is None else self._clock.monotonic() - since
         missing = [host for host in ballots.missing_votes(bound) if host != self._host]
-        if closes := waited >= CLOSE_AFTER:
+        closes = waited >= CLOSE_AFTER
+        if closes and self._clock.monotonic() - self._reported_at >= REPORT_EVERY:
+            self._reported_at = self._clock.monotonic()
             self.note(
                 messages.BALLOT_OPEN.line(
                     bundle=short_digest(bound.ballot.digest) if bound.ballot is not None else "",
@@ -362,7 +368,7 @@ class Service:
         if changed.open_ballot is None:
             self._bound_since = None
         elif not was_open:
-            self._bound_since = self._clock.monotonic()
+            self._bound_since, self._reported_at = self._clock.monotonic(), -math.inf
 
     def _store_run(self) -> None:
         self._save(ServiceRecord(self._activation, self._runner.record, self._held))

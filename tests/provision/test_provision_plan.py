@@ -169,7 +169,10 @@ def test_root_needs_no_group():
 
 
 def test_without_an_authority_the_keys_of_the_robot_stay():
-    assert states(plan(ROBOT, "pi", replace(installation(), keys=())))["keys"] == "note"
+    made = installation()
+    without = replace(made, keys=())
+    assert states(plan(provisioned(ROBOT, made), "pi", without))["keys"] == "note"
+    assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
 def test_without_systemd_the_command_that_starts_the_service_is_named():

@@ -261,7 +261,7 @@ def test_a_standalone_python_is_collected_through_uv_once(tmp_path, monkeypatch)
         'echo "$*" >>"$(dirname "$0")/calls"; build=cpython-3.12.9-linux-aarch64-gnu; '
         'mkdir -p "$6/$build/bin"; echo binary >"$6/$build/bin/python3.12"; ln -s $build "$6/cpython-3.12"',
     )
-    monkeypatch.setattr(standalone_python, "_uv", lambda: str(tmp_path / "bin/uv"))
+    monkeypatch.setattr(standalone_python, "find_uv", lambda: str(tmp_path / "bin/uv"))
     target = WheelTarget("aarch64", "3.12")
     found = asyncio.run(collect_python(tmp_path / "python", target))
     assert found.version == "3.12.9"
@@ -274,7 +274,7 @@ def test_a_standalone_python_is_collected_through_uv_once(tmp_path, monkeypatch)
 
 def test_what_uv_refuses_is_said_with_the_remedy(tmp_path, monkeypatch):
     _uv(tmp_path / "bin", "echo 'error: no network' >&2; exit 1")
-    monkeypatch.setattr(standalone_python, "_uv", lambda: str(tmp_path / "bin/uv"))
+    monkeypatch.setattr(standalone_python, "find_uv", lambda: str(tmp_path / "bin/uv"))
     with pytest.raises(ProvisionError) as found:
         asyncio.run(collect_python(tmp_path / "python", WheelTarget("aarch64", "3.12")))
     assert "no network" in found.value.reason

@@ -34,13 +34,16 @@ class RadioFleet:
         Keyring(config / "keys").give(*HOSTS)
         hosts = "".join(f"  {host}: {{addresses: [{radio[host].address}]}}\n" for host in HOSTS)
         (config / "inventory.yaml").write_text(f"hosts:\n{hosts}")
+        self.services: dict[str, subprocess.Popen[Any]] = {}
         self._environment = {**os.environ, "XDG_CONFIG_HOME": str(folder / "config"), "LFIELD_RUNS": "here"}
 
-    def up(self) -> None:
-        """Start the services, and wait until they answer."""
-        for host in HOSTS:
+    def up(self, *hosts: str) -> None:
+        """Start the services of some hosts, by default of all, and wait until all answer."""
+        for host in hosts or HOSTS:
             words = ["service", "--host", host, "--state", str(self.folder / f"state-{host}")]
-            self._start(host, *words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+            self.services[host] = self._start(
+                host, *words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+            )
         end = time.monotonic() + 60
         while self.desk("status").wait(60):
             assert time.monotonic() < end

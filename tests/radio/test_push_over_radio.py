@@ -63,7 +63,10 @@ def test_a_push_ends_on_a_radio_that_breaks_and_a_killed_desk_loses_nothing(tmp_
 
 @pytest.mark.few(0)
 @pytest.mark.parametrize("seconds", [0.3, 0.6, 0.9, 1.2, 1.6, 2.0])
-def test_a_desk_that_is_killed_in_any_phase_leaves_one_bundle_active(tmp_path: Path, seconds: float) -> None:
+@pytest.mark.parametrize("killed", [DESK, "alpha"])
+def test_a_desk_or_a_service_that_is_killed_in_any_phase_leaves_one_bundle_active(
+    tmp_path: Path, killed: str, seconds: float
+) -> None:
     with Radio(*HOSTS, DESK) as radio:
         fleet = RadioFleet(radio, tmp_path)
         fleet.up()
@@ -71,9 +74,13 @@ def test_a_desk_that_is_killed_in_any_phase_leaves_one_bundle_active(tmp_path: P
         mission = fleet.mission(lines=40)
         desk = fleet.desk("push", mission)
         time.sleep(seconds)
-        desk.kill()
-        desk.wait()
+        victim = desk if killed == DESK else fleet.services[killed]
+        victim.kill()
+        victim.wait()
         radio.set(Cell())
+        if killed != DESK:
+            fleet.up(killed)
+        desk.communicate(timeout=120)
         end = time.monotonic() + 90
         while True:
             states = result_of(fleet.desk("status", "--json"), 60)

@@ -90,11 +90,18 @@ def test_a_bound_host_refuses_another_ballot_and_stays_bound() -> None:
     assert bound.id == ballot(1).id
 
 
-def test_the_own_vote_is_not_learnt_from_others() -> None:
-    state = ballots.learn(voted(), "alpha", ballot().id, {"alpha": "no", "bravo": "yes"})
-    bound = state.open_ballot
-    assert bound is not None
-    assert bound.votes == {"alpha": "yes", "bravo": "yes"}
+def test_a_lost_host_that_comes_back_learns_the_vote_that_an_operator_gave_for_it() -> None:
+    others = ballots.learn(voted(), "alpha", ballot().id, {"bravo": "yes", "carol": "no"})
+    known = ballots.answer(others, "alpha", ballot().id)
+    lost = ballots.propose(ActivationState(), "carol", ballot(), "")
+    lost = ballots.learn(lost, "carol", ballot().id, known.votes)
+    assert ballots.answer(lost, "carol", ballot().id).outcome == known.outcome == "aborted"
+    assert lost.active == b""
+
+
+def test_a_yes_of_its_own_is_not_learnt_from_others() -> None:
+    state = ballots.learn(ActivationState(), "alpha", ballot().id, ALL_YES)
+    assert state == ActivationState()
 
 
 def test_votes_of_hosts_outside_the_ballot_do_not_count() -> None:

@@ -22,7 +22,7 @@ from lfield.service.ballots import ActivationState, propose
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import ProcessId
 from lfield.service.restart_policy import RESTART_DELAY
-from lfield.service.service import CLOSE_AFTER, RESOLVE_EVERY
+from lfield.service.service import CLOSE_AFTER, REPORT_EVERY, RESOLVE_EVERY
 from lfield.simulate.jumping_loop import run_jumping
 from lfield.wire.service_messages import (
     BallotState,
@@ -390,6 +390,21 @@ def test_it_closes_a_ballot_after_half_a_minute() -> None:
         assert robot.service.activation.active == OLD
         assert not robot.probe.paused
         assert "service-ballot-open" in robot.codes
+        task.cancel()
+
+    run_jumping(story())
+
+
+def test_an_open_ballot_is_named_in_the_log_every_few_minutes() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        task = asyncio.create_task(robot.service.resolve(unreachable))
+        await asyncio.sleep(CLOSE_AFTER + 2 * REPORT_EVERY - 10.0)
+        assert robot.codes.count("service-ballot-open") == 2
+        await asyncio.sleep(REPORT_EVERY)
+        assert robot.codes.count("service-ballot-open") == 3
         task.cancel()
 
     run_jumping(story())

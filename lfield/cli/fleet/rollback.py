@@ -26,7 +26,7 @@ from lfield.wire.fields import short_digest
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from lfield.wire.service_messages import ServiceStatus
+    from lfield.wire.service_messages import BallotState, ServiceStatus
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -98,6 +98,7 @@ def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:
     }
     if not open_ballots:
         raise UsageError(f"no reachable host waits for the vote of {args.lost}: 'lfield status' shows votes")
+    _require_unknown_result(open_ballots, statuses, {args.lost, *args.without})
     ended = []
     for host, ballot in open_ballots.items():
         report = VoteReport(ballot.id, {args.lost: "no"})
@@ -111,3 +112,19 @@ def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:
     elif ended:
         print(escape_line(f"activation aborted on {listed(ended)}"))
     return exit_status.UNAVAILABLE if failed else exit_status.DONE
+
+
+def _require_unknown_result(
+    open_ballots: Mapping[str, BallotState], statuses: Mapping[str, ServiceStatus], lost: set[str]
+) -> None:
+    """Raises UsageError if a host that is not lost may know that the bundle is active."""
+    hosts = {host for each in open_ballots.values() if each.ballot is not None for host in each.ballot.hosts}
+    if unknown := sorted(hosts - lost - statuses.keys()):
+        raise UsageError(
+            f"{listed(unknown)} may know the result: repeat this when it answers; --without if it is lost"
+        )
+    ids = {each.id for each in open_ballots.values()}
+    for host, status in statuses.items():
+        known = status.ballot
+        if known is not None and known.id in ids and known.outcome == "activated":
+            raise UsageError(f"{host} knows that the bundle is active: the others learn it from there")

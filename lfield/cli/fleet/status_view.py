@@ -54,6 +54,8 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
         for one in status.unfinished:
             where = f" ({one.where})" if one.where and one.where != host else ""
             yield escape_line(f"{host}: coordinator {one.agent} {one.state}{where}")
+        if status.refusal and not status.unfinished:
+            yield escape_line(f"{host}: no activation now: {status.refusal}")
         offset = status.time - time.time()
         if abs(offset) > MAX_CLOCK_OFFSET:
             yield escape_line(f"{host}: its clock shows {format_time(status.time)}; set it")

@@ -1,6 +1,6 @@
 """`lfield start`: starts the mission on all robots, or coordinators that wait without the missing hosts.
 
-Without a mission and a run, and with an inventory, it is for the services of the robots.
+Without a mission, without a run on this computer, and with an inventory it is for the services of the robots.
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def run(args: argparse.Namespace) -> int:
 
     69 when a host did not answer that is not left out: coordinators may still wait there.
     """
-    if args.mission is None and args.deploy is None and not args.run:
+    from lfield.operator.runs import runs_here
+
+    if args.mission is None and args.deploy is None and not args.run and not runs_here():
         from lfield.cli.fleet.mission_start import start_on_robots
 
         if (status := start_on_robots(args)) is not None:

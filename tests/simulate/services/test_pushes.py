@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import subprocess
 import sys
 from collections import Counter
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from lfield.service.service import Service
 from simulation_testing.services.push_runner import command, run_push_seed, shrink_push_story
 from simulation_testing.services.push_story import KINDS, PushStory, draw_push_story, run_push_story
 
@@ -40,6 +42,13 @@ def test_seeds_draw_all_kinds_of_faults_and_steps() -> None:
 def test_one_seed_is_one_run() -> None:
     assert run_push_seed(3).digest == run_push_seed(3).digest
     assert run_push_seed(3).digest != run_push_seed(4).digest
+
+
+def test_a_story_leaves_nothing_in_memory() -> None:
+    gc.collect()
+    before = sum(type(found) is Service for found in gc.get_objects())
+    assert run_push_seed(0).counts["yes"]
+    assert sum(type(found) is Service for found in gc.get_objects()) == before
 
 
 @pytest.mark.few(0)

@@ -1,0 +1,122 @@
+"""Processes of the mission's host on this computer: start, observation by the next service, end."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from service_fakes import NEW, OLD
+
+from lfield.errors import InputFileError, OutputFileError
+from lfield.service import host_processes
+from lfield.service.host_processes import LocalProcesses
+from lfield.service.mission_runner import HostEnd, ProcessId
+
+#: In place of Python with lfield: leaves a result, if its bundle has one, and waits.
+PROGRAM = f"""#!{sys.executable}
+import os, sys, time
+descriptor = next(int(word.partition("=")[2]) for word in sys.argv if word.startswith("--result-fd="))
+(bundle,) = [word for word in sys.argv if word.endswith(".lfm")]
+if os.path.exists(bundle):
+    os.write(descriptor, open(bundle, "rb").read())
+    sys.exit(3)
+print("up", flush=True)
+time.sleep(60)
+"""
+
+
+class Folder:
+    """Processes of one robot in a folder; `next_service` has those that an earlier service started."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.processes = self.next_service()
+        self.started: list[ProcessId] = []
+
+    def next_service(self) -> LocalProcesses:
+        return LocalProcesses("alpha", self.bundle, [], self.path / "host.result")
+
+    def bundle(self, digest: bytes) -> Path:
+        return self.path / f"{digest.hex()}.lfm"
+
+    def start(self, bundle: bytes) -> ProcessId:
+        self.started.append(self.processes.start(bundle))
+        return self.started[-1]
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Folder]:
+    program = tmp_path / "python"
+    program.write_text(PROGRAM)
+    program.chmod(0o700)
+    monkeypatch.setattr(host_processes.sys, "executable", str(program))
+    made = Folder(tmp_path)
+    yield made
+    for process in made.started:
+        with suppress(ProcessLookupError):
+            if made.processes.is_alive(process):
+                os.kill(process.pid, signal.SIGKILL)
+
+
+def test_a_process_is_found_by_its_bundle_until_it_is_killed(folder: Folder) -> None:
+    async def story() -> None:
+        process = folder.start(OLD)
+        assert folder.processes.is_alive(process)
+        assert not folder.processes.is_alive(ProcessId(process.pid, process.started + 1))
+        later = folder.next_service()
+        assert later.find(OLD) == process
+        assert later.find(NEW) is None
+        assert LocalProcesses("bravo", folder.bundle, [], folder.path / "host.result").find(OLD) is None
+        os.kill(process.pid, signal.SIGKILL)
+        assert await folder.processes.ended(process) == HostEnd(-signal.SIGKILL)
+        assert later.find(OLD) is None
+        assert not later.is_alive(process)
+
+    asyncio.run(story())
+
+
+def test_a_process_is_asked_to_end(folder: Folder) -> None:
+    async def story() -> None:
+        process = folder.start(OLD)
+        folder.next_service().terminate(process)
+        assert (await folder.processes.ended(process)).status == -signal.SIGTERM
+        folder.processes.terminate(process)
+
+    asyncio.run(story())
+
+
+def test_the_next_service_reads_the_result(folder: Folder) -> None:
+    async def story() -> None:
+        folder.bundle(OLD).write_bytes(b'{"status":3,"reason":"its arm moves"}')
+        process = folder.start(OLD)
+        assert await folder.processes.ended(process) == HostEnd(3, "its arm moves")
+        assert await folder.next_service().ended(process) == HostEnd(3, "its arm moves")
+        # One that is killed leaves none, and the earlier one does not count.
+        folder.bundle(OLD).unlink()
+        process = folder.start(OLD)
+        later = folder.next_service()
+        waiting = asyncio.create_task(later.ended(process))
+        await asyncio.sleep(0)
+        os.kill(process.pid, signal.SIGKILL)
+        assert await waiting == HostEnd(-signal.SIGKILL)
+        await folder.processes.ended(process)
+
+    asyncio.run(story())
+
+
+def test_what_cannot_be_started_is_an_error_of_the_service(
+    folder: Folder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(host_processes.sys, "executable", str(folder.path / "missing"))
+    with pytest.raises(InputFileError):
+        folder.processes.start(OLD)
+    folder.path.joinpath("host.result").unlink()
+    folder.path.joinpath("host.result").mkdir()
+    with pytest.raises(OutputFileError):
+        folder.processes.start(OLD)
