@@ -86,6 +86,12 @@ def test_hosts_and_commands_use_the_inventory(team) -> None:
     stopped = team.here("estop")
     assert stopped.status == 0
     assert team.here("estop", "--lift").status == 0
+    assert team.here("forget", "tom").status == 69
+    # What these commands show takes the file of the mission.
+    for command in (("query", "Lift"), ("watch",)):
+        refused = team.here(*command)
+        assert refused.status == 69
+        assert "name the file of the mission" in " ".join(refused.err)
     # A local option counts more.
     assert team.here("ps", "mission.dL", "--map", "alpha=127.0.0.8:1").status == 69
 

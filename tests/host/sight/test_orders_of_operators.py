@@ -44,7 +44,7 @@ async def operated(fleet, mission, asked=None, dialled=None):
     transport = fleet.network.transport("desk")
     connect = transport.connect
 
-    async def counted(address, handler):
+    async def counted(address, handler, host=""):
         if dialled is not None:
             dialled.append(address)
         return await connect(address, handler)
