@@ -24,7 +24,12 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare its options."""
     add_running_mission(parser)
-    parser.add_argument("--inventory", type=Path)
+    parser.add_argument(
+        "--inventory",
+        metavar="FILE",
+        type=Path,
+        help="robots with services (default: $LFIELD_INVENTORY, ~/.config/lfield/inventory.yaml)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object, for robots with services")
     parser.add_argument(
         "--without",
