@@ -71,7 +71,7 @@ def test_a_story_with_a_breach_is_made_smaller(monkeypatch: pytest.MonkeyPatch) 
 
     a_paused_host_is_not_released(monkeypatch)
     found = next(v for v in map(run_push_seed, range(30)) if v.breaches)
-    small = shrink_push_story(found, most=60)
+    small = shrink_push_story(found, most=25)
     assert small.breaches[0].name == found.breaches[0].name
 
     def length(story: PushStory) -> int:
