@@ -288,7 +288,7 @@ class NoListener(AddressError):
     code, remedy = "no-listener", "start the host, or correct its address"
 
     def __init__(self, address: str) -> None:
-        super().__init__(address, "no program listens there; is its host running?")
+        super().__init__(address, "no program listens there (is it running?)")
 
 
 class MissionTestError(LfieldError):

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from lfield.net.stream_link import StreamLink
 
 #: Seconds for the authentication of an accepted connection while other addresses remain.
-HANDSHAKE_TIMEOUT = 1.5
+HANDSHAKE_TIMEOUT = 3.0
 
 
 class ConnectionAttempt:
