@@ -48,7 +48,8 @@ class WheelCache:
         self._lock = read_lock(deployment_file(LOCK).decode(), f"deploy/{LOCK}")
         self._payloads: dict[tuple[WheelTarget, bool], asyncio.Task[Payload]] = {}
         self._own: asyncio.Task[Path] | None = None
-        self._temporary = tempfile.TemporaryDirectory(prefix="lfield-wheel-")
+        folder.mkdir(parents=True, exist_ok=True)
+        self._temporary = tempfile.TemporaryDirectory(prefix=".own-wheel-", dir=folder)
 
     def close(self) -> None:
         """Remove temporary files."""

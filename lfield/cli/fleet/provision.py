@@ -92,8 +92,7 @@ async def _provision_all(
     """All hosts in parallel; whether each is provisioned."""
     from lfield.provision.host_provisioning import HostProvisioning, ProvisionRun
 
-    # The path of a socket may have 107 bytes.
-    with tempfile.TemporaryDirectory(prefix="lf-ssh-", dir="/tmp") as sockets:
+    with tempfile.TemporaryDirectory(dir=_socket_parent()) as sockets:
         shared = ProvisionRun(
             cache,
             keys,
@@ -110,6 +109,14 @@ async def _provision_all(
                 for number, robot in enumerate(robots)
             ]
         return [task.result() for task in tasks]
+
+
+def _socket_parent() -> Path:
+    """The parent of a folder with sockets of ssh, whose paths may have 90 bytes."""
+    from lfield.text.user_dirs import SHARED, private_runtime_dir
+
+    found = private_runtime_dir("ssh")
+    return found if len(os.fsencode(found)) <= _MAX_SOCKET_PARENT else SHARED
 
 
 def _inventory(args: argparse.Namespace) -> Inventory:
@@ -149,6 +156,8 @@ def _robot(inventory: Inventory, host: InventoryHost) -> Robot:
     return Robot(host.name, destinations, host.arch, host.python, frozenset(host.groups), settings, files)
 
 
+#: The longest folder below which the paths of sockets fit, in bytes.
+_MAX_SOCKET_PARENT = 60
 #: An inventory or devices file has fewer bytes.
 _MAX_FILE = 4 << 20
 

@@ -26,6 +26,8 @@ NAMES = (
     *("cffi", "cryptography", "markdown-it-py", "mdurl", "msgspec", "pip", "platformdirs", "pycparser"),
     *("Pygments", "PyYAML", "rich"),
 )
+#: Variables that name folders of this user; the runtime directory of the tests is their own.
+_SETTINGS = ("XDG_C", "XDG_D", "XDG_S", "LFIELD_")
 LFIELD = Path(sys.executable).with_name("lfield")
 PYTHON = f"{sys.version_info[0]}.{sys.version_info[1]}"
 
@@ -38,7 +40,7 @@ class Desk:
         self.inventory = folder / "inventory.yaml"
         self.cache = folder / ".cache/lfield"
         self.environment = {
-            **{key: value for key, value in os.environ.items() if not key.startswith(("XDG_", "LFIELD_"))},
+            **{key: value for key, value in os.environ.items() if not key.startswith(_SETTINGS)},
             "HOME": str(folder),
             "PIP_NO_INDEX": "1",
             "COLUMNS": "200",
