@@ -92,6 +92,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="",
         help="engine that runs the program; auto is the fastest available (default: as in the devices file)",
     )
+    _add_key_options(parser)
+    _add_hidden(parser)
+
+
+def _add_key_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--keys",
         metavar="DIR",
@@ -105,7 +110,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=DAY,
         help="maximum duration of the mission: do not start if the keys expire sooner (default: one day)",
     )
-    _add_hidden(parser)
 
 
 def _add_journal_options(parser: argparse.ArgumentParser) -> None:
