@@ -25,6 +25,8 @@ from lfield.wire.service_messages import RunInfo, RunPhase
 
 #: The status of a host that ended without leaving one: killed, or after a crash of its computer.
 KILLED = -9
+#: What is said of a host that ran before this boot.
+REBOOTED = "this computer was restarted while the mission's host ran"
 
 
 class ProcessId(NamedTuple):
@@ -116,7 +118,9 @@ class MissionRunner:
         if not record.bundle:
             return
         if record.boot != self._processes.boot:
-            self._interrupt("this computer was restarted")
+            # A vehicle may fly on without its computer.
+            self._keep(replace(record, unsafe=REBOOTED))
+            self._interrupt(REBOOTED)
             return
         process: ProcessId | None = ProcessId(record.pid, record.started)
         if not record.pid:
