@@ -87,7 +87,7 @@ def add_inventory(parser: argparse.ArgumentParser) -> None:
 
 def inventory_addresses(args: argparse.Namespace) -> Mapping[str, str]:
     """The addresses of the hosts of the inventory, by name. Raises ProgramError, InputFileError."""
-    from lfield.inventory.inventory_file import find_inventory
+    from lfield.inventory.location import find_inventory
 
     inventory = find_inventory(args.inventory, os.environ)
     return {} if inventory is None else {name: host.address for name, host in inventory.hosts.items()}

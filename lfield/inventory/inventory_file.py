@@ -21,42 +21,21 @@ All errors are reported at once, each at its position.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from ipaddress import IPv6Address, ip_address
 from pathlib import Path
 
-from lfield.errors import AddressError, NoHomeFolder, ProgramError
+from lfield.errors import AddressError, ProgramError
 from lfield.inventory.inventory import ARCHITECTURES, SERVICE_PORT, Inventory, InventoryHost
 from lfield.net.transport import DEFAULT_PORT, join_address, split_address
 from lfield.text.source_text import Diagnostics, Span
-from lfield.text.user_dirs import config_dir
 from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry, YamlList, YamlNode, YamlScalar, read
 
-#: The variable that names the file, and the file of a robot.
-VARIABLE, SYSTEM = "LFIELD_INVENTORY", Path("/etc/lfield/inventory.yaml")
 #: No dash first: it would be an option of ssh.
 _NAME = re.compile(r"(?!-)[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*", re.ASCII)
 _USER = re.compile(r"[a-z_][a-z0-9_-]*\$?", re.ASCII)
 _SSH_HOST = re.compile(r"(?!-)[A-Za-z0-9._:%-]+", re.ASCII)
 _PYTHON = re.compile(r"3\.\d{1,2}", re.ASCII)
-
-
-def find_inventory(named: Path | None, environment: Mapping[str, str]) -> Inventory | None:
-    """The inventory of a command: `named`, else $LFIELD_INVENTORY, else the user's, else that of the robot.
-
-    None without any, and with an empty variable. Raises as `read_inventory`.
-    """
-    if named is None and environment.get(VARIABLE) == "":
-        return None
-    said = named or (Path(environment[VARIABLE]) if environment.get(VARIABLE) else None)
-    if said is not None:
-        return read_inventory(said)
-    try:
-        own = config_dir() / "inventory.yaml"
-    except NoHomeFolder:
-        own = SYSTEM
-    return next((read_inventory(path) for path in (own, SYSTEM) if path.exists()), None)
 
 
 def read_inventory(path: Path) -> Inventory:

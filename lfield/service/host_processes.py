@@ -50,7 +50,10 @@ class LocalProcesses:
         try:
             # Its own session: a Ctrl-C at the service's terminal is for the service, which stops it in order.
             child = subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, pass_fds=(result,), start_new_session=True
+                command,
+                stdin=subprocess.DEVNULL,
+                pass_fds=(result,),
+                start_new_session=True,
             )
         except OSError as error:
             raise InputFileError(sys.executable, error.strerror or str(error)) from None

@@ -8,7 +8,8 @@ import pytest
 
 from lfield.errors import AddressError, InputFileError, ProgramError
 from lfield.inventory.inventory import Inventory, InventoryHost
-from lfield.inventory.inventory_file import find_inventory, normal_address, read_inventory
+from lfield.inventory.inventory_file import normal_address, read_inventory
+from lfield.inventory.location import find_inventory
 
 FULL = """\
 hosts:
@@ -166,7 +167,7 @@ def test_which_file_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "config"))
     own, other, named = (tmp_path / name for name in ("config/lfield/inventory.yaml", "b.yaml", "c.yaml"))
     own.parent.mkdir(parents=True)
-    monkeypatch.setattr("lfield.inventory.inventory_file.SYSTEM", tmp_path / "system.yaml")
+    monkeypatch.setattr("lfield.inventory.location.SYSTEM", tmp_path / "system.yaml")
 
     def found(path: Path | None = None, **environment: str) -> str | None:
         inventory = find_inventory(path, environment)

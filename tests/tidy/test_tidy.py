@@ -32,6 +32,7 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/inventory/location.py": "which inventory counts, without YAML",
     "lfield/service/messages.py": "the log lines of the service",
     "lfield/service/restart_policy.py": "whether a host is restarted, a rule without I/O",
     "drivers/lfield_can/log_messages.py": "the log lines of a driver",

@@ -127,7 +127,7 @@ def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:
 
 def open_inventory(args: argparse.Namespace) -> Inventory:
     """The inventory of a command. Raises UsageError without one, ProgramError, InputFileError."""
-    from lfield.inventory.inventory_file import find_inventory
+    from lfield.inventory.location import find_inventory
 
     inventory = find_inventory(args.inventory, os.environ)
     if inventory is None:

@@ -32,7 +32,7 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
     0 when it runs everywhere; 1 when a host refuses or ends; 69 when one was not reached: then nothing was
     started, unless it is left out.
     """
-    from lfield.inventory.inventory_file import find_inventory
+    from lfield.inventory.location import find_inventory
 
     if find_inventory(args.inventory, os.environ) is None:
         return None

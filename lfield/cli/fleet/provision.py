@@ -120,7 +120,7 @@ def _socket_parent() -> Path:
 
 
 def _inventory(args: argparse.Namespace) -> Inventory:
-    from lfield.inventory.inventory_file import find_inventory
+    from lfield.inventory.location import find_inventory
 
     found = find_inventory(args.inventory, os.environ)
     if found is None:

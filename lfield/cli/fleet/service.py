@@ -53,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield import event_loop
     from lfield.authority import keystore
     from lfield.host.process.credentials import HostCredentials
-    from lfield.inventory.inventory_file import find_inventory
+    from lfield.inventory.location import find_inventory
     from lfield.service.service_process import ServiceOptions, run_service
     from lfield.service.version_state import versioned_state
     from lfield.text.user_dirs import state_dir
@@ -112,8 +112,9 @@ def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
 
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
     """The options of the mission's host: where the others are, its keys, and its own devices file."""
-    settings = inventory.path.absolute()
-    found = [*UP_OPTIONS, f"--state={state}", f"--inventory={settings}", f"--files={settings.parent}"]
+    found = [*UP_OPTIONS, f"--state={state}", f"--files={inventory.path.absolute().parent}"]
+    # A host does not read YAML.
+    found += [f"--address={name}={host.address}" for name, host in inventory.hosts.items()]
     if args.keys is not None:
         found.append(f"--keys={args.keys}")
     devices = inventory.hosts[args.host].devices

@@ -145,6 +145,8 @@ def _add_hidden(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--control-socket", "--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--parent-pipe", "--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
+    # From the service, so that its host reads no YAML: an address of the inventory, NAME=ADDR:PORT.
+    parser.add_argument("--address", action="append", default=[], help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -185,7 +187,7 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
 
     mission = bundle.read(file, args.files)
     # The processes of --all are on loopback, each with the addresses of the others.
-    stated = {} if args.all or args.parent_pipe else inventory_addresses(args)
+    stated = {} if args.all or args.parent_pipe else _stated_addresses(args)
     team = mission.team.at({**stated, **parse_maps(args.map, mission.team)})
     printed = () if built else mission.warnings
     mission = (mission.on_fakes() if args.sim else mission).at(team)
@@ -207,6 +209,13 @@ def _run(file: Path, args: argparse.Namespace, *, built: bool = False) -> int:
 
         return run_all(mission, file, args, print_line)
     return _run_one(mission, args, stated, built=built)
+
+
+def _stated_addresses(args: argparse.Namespace) -> Mapping[str, str]:
+    """The addresses of hosts, also of other missions: from the service, or from the inventory."""
+    if args.address:
+        return {name: address for name, _, address in (each.partition("=") for each in args.address)}
+    return inventory_addresses(args)
 
 
 def _check_dump_folder(folder: Path) -> None:

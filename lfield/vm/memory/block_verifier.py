@@ -6,6 +6,7 @@ type of its slot or field, and frames must form one chain that is at a portal ca
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping, Sequence
 
 from lfield.bytecode.program import RESERVED, MethodRecord, Program
@@ -53,6 +54,10 @@ _WRONG = "wrong magic or version"
 _BEFORE_TOP = 8 * layout.W_TOP
 
 
+#: The words W_GENERATION and W_SEQUENCE.
+_COUNTS = struct.Struct("<qq")
+
+
 class BlockVerifier:
     """Verifies blocks of one program; `members` are the types of the team's agents by number.
 
@@ -82,7 +87,7 @@ class BlockVerifier:
         """A migrating coordinator's block from its bytes (`limit` in words). Raises BlockError."""
         size = len(image)
         may_be_sound = size <= 8 * limit and not size % 8 and image[:_BEFORE_TOP] == self._prefix
-        if self._space.is_native and may_be_sound:
+        if self._space.is_native and may_be_sound and _has_counts(image):
             data = self._copied(image, limit)
             if self._space.can_migrate(data, size // 8, self.suspension_points):
                 return Block(data, size // 8, limit, self._space, packed=size // 8)
@@ -173,11 +178,7 @@ class BlockVerifier:
             raise BlockError("it belongs to another program", word=layout.W_PROGRAM)
         if w[layout.W_TOP] != size // 8 or block.top < heap:
             raise BlockError("its size does not match its header", word=layout.W_TOP)
-        if not (
-            0 <= w[layout.W_GENERATION] < COUNT_LIMIT
-            and 0 <= w[layout.W_SEQUENCE] < COUNT_LIMIT
-            and 0 <= w[layout.W_HOPS] < COUNT_LIMIT
-        ):
+        if not (0 <= w[layout.W_GENERATION] < COUNT_LIMIT and 0 <= w[layout.W_SEQUENCE] < COUNT_LIMIT):
             raise BlockError("its counters are not valid", word=layout.W_GENERATION)
         if heap > layout.W_INTERVAL and not 0 <= w[layout.W_INTERVAL] <= layout.MAX_INTERVAL:
             raise BlockError("its heartbeat interval is not valid", word=layout.W_INTERVAL)
@@ -318,3 +319,9 @@ class BlockVerifier:
 
 def _is_count(number: int) -> bool:
     return 0 <= number < COUNT_LIMIT
+
+
+def _has_counts(image: bytes | bytearray | memoryview) -> bool:
+    """Whether generation and sequence are counts; the native check takes any number."""
+    generation, sequence = _COUNTS.unpack_from(image, 8 * layout.W_GENERATION)
+    return bool(0 <= generation < COUNT_LIMIT and 0 <= sequence < COUNT_LIMIT)
