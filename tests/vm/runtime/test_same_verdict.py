@@ -222,7 +222,7 @@ OF_THINGS = (
     "is one of its calls",
 )
 #: Errors of headers, which are checked before the heap.
-OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock")
+OF_HEADERS = ("magic", "another program", "its size", "heartbeat", "its clock", "its counters")
 
 
 @given(seeds, st.booleans())
