@@ -29,6 +29,8 @@ from lfield.wire.fields import Hash, Text
 
 #: The largest state file, in bytes, and free space that a piece must leave.
 MAX_STATE, RESERVE = 4 << 20, 16 << 20
+#: Bytes that are kept for the state on a full disk.
+STATE_RESERVE = 256 << 10
 #: Bundles that are kept beside the active and the previous one, and uploads that are kept unfinished.
 KEPT_BUNDLES, KEPT_UPLOADS = 3, 2
 
@@ -65,6 +67,7 @@ class BundleStore:
 
     def __init__(self, folder: Path) -> None:
         self._folder = private_folder(folder)
+        self._reserve = folder / "reserve"
         self._bundles = private_folder(folder / "bundles")
         self._staging = private_folder(folder / "staging")
         #: The numbers of stored pieces of uploads, by file.
@@ -88,8 +91,17 @@ class BundleStore:
             raise InputFileError(str(path), error.strerror or str(error)) from None
 
     def save(self, record: ServiceRecord) -> None:
-        """Replace the state."""
-        write_private(self._folder / "state.json", _encoder.encode(record), durable=True)
+        """Replace the state. On a full disk the reserve makes room, so that a vote can be stored."""
+        path, data = self._folder / "state.json", _encoder.encode(record)
+        try:
+            write_private(path, data, durable=True)
+        except OutputFileError:
+            self._reserve.unlink(missing_ok=True)
+            write_private(path, data, durable=True)
+            return
+        if not self._reserve.exists():
+            with suppress(OutputFileError):
+                write_private(self._reserve, bytes(STATE_RESERVE))
 
     # --- bundles --------------------------------------------------------------------------------------
 

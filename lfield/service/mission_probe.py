@@ -117,7 +117,7 @@ class LocalProbe:
         except LfieldError as error:
             return f"the mission's host does not answer: {error}"
         if status.stopped:
-            return f"emergency stop: {status.stopped}"
+            return f"emergency stop ({status.stopped}): 'lfield estop --lift' ends it"
         if status.paused:
             return "paused"
         start = status.report.start

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from lfield.cli.mission_argument import add_inventory
-from lfield.errors import KeysError, LfieldError, UsageError
+from lfield.errors import HandshakeError, KeysError, LfieldError, UsageError
 from lfield.text.suggestions import did_you_mean, listed
 from lfield.text.terminal_escape import escape_line
 
@@ -161,9 +161,10 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
 
 
 def report_unreached(errors: Mapping[str, LfieldError], consequence: str) -> None:
-    """A line on stderr for each host that did not answer."""
+    """A line on stderr for each host that did not answer, or has refused the request."""
     for host, error in errors.items():
-        print(escape_line(f"{host}: NOT REACHED{consequence}: {error}"), file=sys.stderr)
+        what = "REFUSED" if isinstance(error, HandshakeError) else "NOT REACHED"
+        print(escape_line(f"{host}: {what}{consequence}: {error}"), file=sys.stderr)
 
 
 def split_answers(answers: Mapping[str, S | LfieldError]) -> tuple[dict[str, S], dict[str, LfieldError]]:

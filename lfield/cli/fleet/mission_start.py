@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.fleet.desk import FleetDesk, open_desk, report_unreached, split_answers
+from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import short_digest
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Seconds in which the hosts should be up and their coordinators started, and between two queries.
 SETTLE_TIMEOUT, POLL_INTERVAL = 20.0, 0.5
+#: Phases in which a host runs, or will run by itself.
+ACTIVE_PHASES = ("starting", "running", "waiting", "stopping")
 #: Seconds for a host to be started; with --without its coordinators too.
 START_TIMEOUT = 30.0
 
@@ -43,11 +46,27 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
         report_unreached(failed, "")
         hint = "".join(f" --without {host}" for host in failed)
         return _report(args, {}, failed, f"nothing was started; to start without them:{hint}")
+    if not statuses:
+        raise UsageError("no host is left: --without names all of them")
     digests = {status.active for status in statuses.values()}
     if len(digests) > 1:
         each = [f"{host}: {short_digest(status.active) or 'none'}" for host, status in statuses.items()]
         return _report(args, {}, {}, f"nothing was started: the active bundles differ ({listed(each)})")
-    return _start(desk, list(statuses), next(iter(digests), b""), args)
+    digest = next(iter(digests))
+    if others := _runs_of_other_bundles(desk, args.without, digest):
+        text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
+        return _report(args, {}, {}, text)
+    return _start(desk, list(statuses), digest, args)
+
+
+def _runs_of_other_bundles(desk: FleetDesk, hosts: list[str], digest: bytes) -> list[str]:
+    """The hosts that are left out, answer, and run another bundle."""
+    statuses, _ = split_answers(desk.statuses(hosts))
+    return [
+        f"{host} runs bundle {short_digest(status.run.bundle)}"
+        for host, status in statuses.items()
+        if status.run.phase in ACTIVE_PHASES and status.run.bundle != digest
+    ]
 
 
 def _start(desk: FleetDesk, hosts: list[str], digest: bytes, args: argparse.Namespace) -> int:

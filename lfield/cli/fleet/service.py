@@ -43,8 +43,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--up-options",
         metavar="OPTIONS",
         default=os.environ.get("LFIELD_UP_OPTIONS", ""),
-        help="further options of 'lfield up' for the mission's host, as one text (default: "
-        f"$LFIELD_UP_OPTIONS; always: {' '.join(UP_OPTIONS)})",
+        help="further options of 'lfield up' for the mission's host, in one text: --up-options='--sim' "
+        f"(default: $LFIELD_UP_OPTIONS; always: {' '.join(UP_OPTIONS)})",
     )
 
 

@@ -73,7 +73,7 @@ def open_ballot_text(state: BallotState) -> str:
     missing = listed([host for host in ballot.hosts if host not in state.votes])
     return (
         f"activation of {short_digest(ballot.digest)} by {ballot.by} not decided: the votes of {missing} are "
-        "unknown; no mission starts until these hosts meet"
+        "unknown; no mission starts until they are known"
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.fleet.desk import add_desk, add_without, open_desk, report_unreached, split_answers
+from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 
@@ -38,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     desk = open_desk(args)
     desk.addresses(args.without)
     hosts = [host for host in desk.hosts if host not in args.without]
+    if not hosts:
+        raise UsageError("no host is left: --without names all of them")
     stopped, failed = split_answers(desk.ask(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT))
     if args.discard and not failed:
         # Only when every host has stopped: a coordinator on another one could continue.

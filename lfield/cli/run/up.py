@@ -153,7 +153,7 @@ def run(args: argparse.Namespace) -> int:
     """Run until done or stopped; returns the exit status, 0 if all ended normally."""
     from lfield.text.nonblocking_output import nonblocking_output
 
-    with nonblocking_output("lfield: " if args.all else ""):
+    with nonblocking_output("lfield: " if args.all else ""), _refusal_reported(args):
         return _run_mission(mission_path(args), args)
 
 
@@ -246,7 +246,6 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
     if not _may_start(mission, name, args):
         return exit_status.FAILED
     with (
-        _refusal_reported(args),
         _control_socket(mission, name, args) as socket,
         _setup_named(args, name),
         _journal(mission, name, args) as journal,
@@ -273,7 +272,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
 
 @contextmanager
 def _refusal_reported(args: argparse.Namespace) -> Iterator[None]:
-    """Reports to `--all` why this host cannot start."""
+    """Reports to `--all`, or to the service, why this host cannot start."""
     from lfield.host.process.run_result import RunResult, refusal_reason
 
     try:

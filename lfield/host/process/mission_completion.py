@@ -32,8 +32,9 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 MAX_PARALLEL_QUERIES = 8
 #: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
 STATUS_MAX_AGE = 1.5
-#: Seconds after which a linked home has started its coordinators, if it does so at all.
-SETTLE_TIME = 5.0
+#: Seconds after which a linked home has started its coordinators, if it does so at all. A host that waits for
+#: contact longer than `PATIENT` waits as long: a person may have to lift a stop, or to start another host.
+SETTLE_TIME, PATIENT = 5.0, 60.0
 
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
@@ -116,7 +117,9 @@ class _PendingRestarts:
         now = host.clock.monotonic()
         if home in host.peers.incarnations:
             self._first_contact.setdefault(home, now)
-        if now >= self._first_contact.get(home, now) + SETTLE_TIME:
+        lost_after, _ = self._bounds
+        settle_time = lost_after if lost_after > PATIENT else SETTLE_TIME
+        if now >= self._first_contact.get(home, now) + settle_time:
             return True
         unavailable = host.core.membership.unavailable_hosts(
             set(host.team.hosts) - {home}, now, *self._bounds

@@ -76,6 +76,34 @@ def test_an_inventory_without_a_host_of_the_mission_is_named(lfield, here, team)
     assert "has no host 'bravo': did you mean 'brovo'?" in refused.err[0]
 
 
+def test_two_bundles_never_run_in_one_mission(lfield, here, team) -> None:
+    """Not even where each start leaves out the host of the other bundle."""
+    team.mission(rounds=1000, pause=0.5)
+    assert here("push", "mission.dL").status == 0
+    team.mission(rounds=1000, pause=0.5, text="call")
+    assert here("push", "mission.dL", "--without", "bravo").status == 0
+    assert here("start", "--without", "bravo").status == 0
+    other = here("start", "--without", "alpha", "--json")
+    assert (other.status, told(other)["started"]) == (1, False)
+    assert "alpha runs bundle" in told(other)["text"]
+
+
+def test_a_command_that_leaves_out_every_host_is_refused(here, team) -> None:
+    for command in ("start", "stop"):
+        assert here(command, "--without", "alpha", "--without", "bravo").status == 64
+
+
+def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) -> None:
+    assert here("push", "mission.dL").status == 0
+    for path in lfield.folder.glob("state-*/lfield-*/service/bundles/*.lfm"):
+        path.write_bytes(path.read_bytes()[:-600] + bytes(600))
+    refused = here("start")
+    assert refused.status == 1
+    assert "is not a valid bundle" in refused.err[0]
+    assert here("push", "mission.dL").status == 0
+    assert here("start").status == 0
+
+
 def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
     time.sleep(1.5)
