@@ -33,8 +33,9 @@ MAX_PARALLEL_QUERIES = 8
 #: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
 STATUS_MAX_AGE = 1.5
 #: Seconds after which a linked home has started its coordinators, if it does so at all. A host that waits for
-#: contact longer than `PATIENT` waits as long: a person may have to lift a stop, or to start another host.
-SETTLE_TIME, PATIENT = 5.0, 60.0
+#: contact longer than `PATIENT` waits until that home has been silent for `GONE_AFTER`: a person may have to
+#: lift a stop, or to start another host.
+SETTLE_TIME, PATIENT, GONE_AFTER = 5.0, 60.0, 15.0
 
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
@@ -118,8 +119,12 @@ class _PendingRestarts:
         if home in host.peers.incarnations:
             self._first_contact.setdefault(home, now)
         lost_after, _ = self._bounds
-        settle_time = lost_after if lost_after > PATIENT else SETTLE_TIME
-        if now >= self._first_contact.get(home, now) + settle_time:
+        if lost_after <= PATIENT:
+            is_over = now >= self._first_contact.get(home, now) + SETTLE_TIME
+        else:
+            contact = host.peers.last_contact_at(home)
+            is_over = contact is not None and now >= contact + GONE_AFTER
+        if is_over:
             return True
         unavailable = host.core.membership.unavailable_hosts(
             set(host.team.hosts) - {home}, now, *self._bounds

@@ -7,7 +7,7 @@ import signal
 import time
 
 import pytest
-from robots import told
+from robots import TEAM, program, told
 
 pytestmark = pytest.mark.process
 
@@ -87,6 +87,23 @@ def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_di
     assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
     assert here("service", "--host", "alpha", "--state", "state-alpha", "--check").status == 0
     assert here("push", "mission.dL").status == 0
+
+
+@pytest.mark.few(0)
+def test_a_second_start_waits_for_a_host_that_is_missing(lfield, here, robots) -> None:
+    """The coordinator of the first start is in all journals: it is not what the second one waits for."""
+    team = robots("alpha", "bravo", "carol")
+    lfield.mission(program(), TEAM + "//Post:other@carol\n")
+    team.up()
+    assert here("push", "mission.dL").status == 0
+    assert here("start").status == 0
+    until(lambda: {each["run"]["phase"] for each in told(here("status", "--json")).values()} == {"ended"})
+    # As if carol were forgotten: its host does not run.
+    team.inventory.write_text("".join(team.inventory.read_text().splitlines(keepends=True)[:-1]))
+    assert here("start").status == 1
+    time.sleep(7.0)
+    runs = {host: each["run"]["phase"] for host, each in told(here("status", "--json")).items()}
+    assert runs == {"alpha": "running", "bravo": "running"}
 
 
 def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfield, here, robots) -> None:
