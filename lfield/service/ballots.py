@@ -10,13 +10,13 @@ Every function returns a new value. The caller stores it before it sends anythin
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 from msgspec import Struct
 from msgspec.structs import replace
 
 from lfield.wire.fields import MAX_LABEL, Hash, OrderId, truncate
-from lfield.wire.service_messages import Ballot, BallotOutcome, BallotState, Vote
+from lfield.wire.service_messages import Ballot, BallotState, Vote, ballot_outcome
 
 #: The most ballots that a host remembers to have refused without a proposal, and the most earlier ballots
 #: whose votes it remembers. An undecided host that asks after so many later ballots gets a vote against: its
@@ -103,20 +103,13 @@ def missing_votes(ballot: BallotState) -> list[str]:
     return [host for host in hosts if host not in ballot.votes]
 
 
-def outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
-    """The result of a ballot among `hosts`."""
-    if "no" in votes.values():
-        return "aborted"
-    return "activated" if all(votes.get(host) == "yes" for host in hosts) else "open"
-
-
 def _with_votes(state: ActivationState, votes: Mapping[str, Vote]) -> ActivationState:
     """The state after some votes of its last ballot; an activation takes effect."""
     known = state.ballot
     if known is None or known.ballot is None or known.outcome != "open":
         return state
     every = known.votes | {host: vote for host, vote in votes.items() if host in known.ballot.hosts}
-    result = outcome(known.ballot.hosts, every)
+    result = ballot_outcome(known.ballot.hosts, every)
     state = replace(state, ballot=replace(known, votes=every, outcome=result))
     digest = known.ballot.digest
     if result != "activated" or digest == state.active:

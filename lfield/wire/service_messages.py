@@ -6,6 +6,7 @@ of all. A list that may be long is bounded so that its message fits the limit of
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
@@ -24,6 +25,15 @@ MAX_HOSTS, MAX_UNFINISHED, MAX_BUNDLES = 256, 64, 16
 Vote = Literal["yes", "no"]
 #: The result of a ballot: open until every host has voted yes, or one no.
 BallotOutcome = Literal["open", "activated", "aborted"]
+
+
+def ballot_outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
+    """The result of a ballot among `hosts`: a function of the votes alone."""
+    if "no" in votes.values():
+        return "aborted"
+    return "activated" if all(votes.get(host) == "yes" for host in hosts) else "open"
+
+
 #: What the mission's host does, as its service sees it.
 RunPhase = Literal["stopped", "starting", "running", "stopping", "waiting", "ended", "interrupted"]
 

@@ -20,6 +20,7 @@ from lfield.wire.service_messages import (
     Vote,
     VoteQuery,
     VoteReport,
+    ballot_outcome,
 )
 
 #: Bytes of the id of a ballot.
@@ -54,9 +55,7 @@ class BallotResult:
     @property
     def outcome(self) -> BallotOutcome:
         """The result of the votes that are known here."""
-        if "no" in self.votes.values():
-            return "aborted"
-        return "activated" if all(self.votes.get(host) == "yes" for host in self.ballot.hosts) else "open"
+        return ballot_outcome(self.ballot.hosts, self.votes)
 
 
 def new_ballot(

@@ -75,14 +75,14 @@ def a_majority_activates(patch: Patch) -> None:
             return "aborted"
         return "activated" if 2 * sum(vote == "yes" for vote in votes.values()) > len(every) else "open"
 
-    patch.setattr(ballots, "outcome", outcome)
+    patch.setattr(ballots, "ballot_outcome", outcome)
 
 
 def unknown_votes_count_as_yes(patch: Patch) -> None:
     def outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOutcome:
         return "aborted" if "no" in votes.values() else "activated"
 
-    patch.setattr(ballots, "outcome", outcome)
+    patch.setattr(ballots, "ballot_outcome", outcome)
 
 
 def a_paused_host_is_not_released(patch: Patch) -> None:
