@@ -1,7 +1,7 @@
 """Writes a ring of files in a thread: the caller never waits for the disk.
 
-A ring is a sequence of files STEM-000001SUFFIX, STEM-000002SUFFIX, ... of which the oldest are deleted so
-that all together stay within a limit. Data reaches the kernel within FLUSH_INTERVAL, so a killed process loses
+A ring is a sequence of files STEM-000001SUFFIX, STEM-000002SUFFIX, ... of which the oldest are deleted
+so that all stay within a limit. Data reaches the kernel within FLUSH_INTERVAL, so a killed process loses
 at most that much, and the disk within SYNC_INTERVAL. The first error of the disk, or a disk that is too slow,
 ends the ring: `on_failure` gets the reason once, and all further data is dropped.
 """
