@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from mmap import mmap
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 from lfield.devices.device_guards import DeviceGuards
@@ -42,6 +43,7 @@ from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
+from lfield.host.recording.recording_session import open_recording
 from lfield.host.status import status_of
 from lfield.host.turn_clock import TurnClock
 from lfield.manifest import DeviceValue
@@ -85,6 +87,7 @@ class Host:
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
         self._turn_clock = TurnClock(self.clock)
+        self._turn_clock.begin_turn()
         self.recorder = EventRecorder(self._turn_clock, self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
@@ -106,7 +109,10 @@ class Host:
             lambda why: self.dispatch(inputs.BatchFailed(why)),
             lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
         )
+        self._recording = open_recording(options.record, mission)
         self.core = HostCore(self._context(overlay))
+        self._recording.attach(self.core, self._turn_clock, options.engine)
+        self._turn_clock.end_turn()
         core, flush = self.core, self.journal_writer.flush
         self._observers = ObserverSessions(
             core, self.guards, self.peers, self.dispatch, self.status, self.note, flush
@@ -126,11 +132,14 @@ class Host:
     def _context(self, overlay: Overlay) -> HostContext:
         """The environment that the parts of the core share."""
         options, writer, monotonic = self.options, self.journal_writer, self.clock.monotonic
+        recording, seed = self._recording, options.rng.getrandbits(64)
+        recording.set_seed(seed)
         return HostContext(
             self.mission, self.name, options.rng.getrandbits(62) + 1, self._turn_clock,
-            HostEnvironment(self.peers, self.guards), options.rng, options.unreachable_after, overlay,
-            self.recorder, writer.journal_id, writer.records, writer.times,
-            select_engine(options.engine, self.note, monotonic), options.random_bytes,
+            recording.environment(HostEnvironment(self.peers, self.guards)), Random(seed),
+            options.unreachable_after, overlay, self.recorder,
+            writer.journal_id, writer.records, writer.times,
+            select_engine(options.engine, self.note, monotonic), recording.random_bytes(options.random_bytes),
             options.stopwatch or monotonic, RunLimit(monotonic),
         )  # fmt: skip
 
@@ -209,6 +218,7 @@ class Host:
         self._observers.subscriptions.flush_and_close()
         await self.journal_writer.close()
         self._stopped = True
+        self._recording.close(self.clock.monotonic())
         if self._timer:
             self._timer.cancel()
         self.peers.close()
@@ -245,6 +255,7 @@ class Host:
                     self._execute(effect)
             if self.logbook.pending:
                 self.logbook.flush()
+            self._recording.write_due(self.clock.monotonic())
             self._schedule_step(pause)
         except Exception as error:
             self.fail(error)
@@ -255,16 +266,20 @@ class Host:
         self, entry: inputs.HostInput | None, on_result: ResultCallback | None
     ) -> tuple[float | None, list[Effect]]:
         """One turn of the core, at one time; returns the pause until the next one and the effects."""
-        core, clock = self.core, self._turn_clock
-        clock.begin_turn()
+        core, clock, flight = self.core, self._turn_clock, self._recording.flight
+        at = clock.begin_turn()
         try:
-            if entry is not None:
-                result = core.on_input(entry)
-                if on_result is not None:
-                    on_result(result)
-            return core.run(), core.drain_effects()
+            if flight is not None:
+                flight.begin_turn(at, entry)
+            result = core.on_input(entry) if entry is not None else None
+            pause, effects = core.run(), core.drain_effects()
+            if flight is not None:
+                flight.end_turn(effects)
         finally:
             clock.end_turn()
+        if on_result is not None:
+            on_result(result)
+        return pause, effects
 
     def _schedule_step(self, pause: float | None) -> None:
         """Schedule the next turn after so many seconds; an earlier timer stays."""
@@ -379,7 +394,7 @@ class Host:
 
     def desired_hosts(self) -> Collection[str]:
         """The hosts to have links with now."""
-        return self.core.needed_hosts()
+        return self._recording.needed_hosts(self.core, self._turn_clock)
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator arrived."""

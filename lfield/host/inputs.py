@@ -10,7 +10,6 @@ from msgspec import Struct
 from lfield.manifest import DeviceValue
 from lfield.replication.locate.outcomes import CoordinatorOutcome
 from lfield.wire.coordinator_messages import Transfer
-from lfield.wire.framing import Buffer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observer_messages import RecoverRequest
 
@@ -79,7 +78,7 @@ class TransferArrived(HostInput, frozen=True, tag=10):
 
     host: str
     header: Transfer
-    block: Buffer
+    block: memoryview
 
 
 class OversizeArrived(HostInput, frozen=True, tag=11):

@@ -29,6 +29,11 @@ class TurnClock:
         """Let the clock run again."""
         self._latched = None
 
+    @property
+    def in_turn(self) -> bool:
+        """Whether a turn is under way."""
+        return self._latched is not None
+
     def monotonic(self) -> float:
         """Monotonic seconds: the same value in all of a turn."""
         latched = self._latched

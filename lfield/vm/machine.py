@@ -48,7 +48,7 @@ from lfield.vm.pending_call import PendingCall
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.reservations.reserve_handlers import ReserveHandlers
-from lfield.vm.run_limit import RunLimit
+from lfield.vm.run_limit import RunCuts, RunLimit
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.itinerary import Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
@@ -342,6 +342,11 @@ class Machine:
             if limit.is_over(number):
                 break
         return turns.seconds_until_due() if ready or turns.timers or turns.alarms else None
+
+    @property
+    def cuts(self) -> RunCuts:
+        """Where time has cut the last run."""
+        return self._limit.cuts
 
     def _wake(self) -> None:
         for agent, ring in self._turns.pop_due():

@@ -21,6 +21,11 @@ class RunCuts(Struct, frozen=True, array_like=True):
     turns: int = 0
     budgets: dict[int, int] = {}
 
+    @property
+    def is_empty(self) -> bool:
+        """Whether time has cut nothing."""
+        return not (self.turns or self.budgets)
+
 
 #: A run that time has not cut.
 UNCUT = RunCuts()
