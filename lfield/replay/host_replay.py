@@ -6,6 +6,8 @@ import random
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple
 
+from msgspec.structs import replace
+
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.effects import Effect
@@ -47,15 +49,25 @@ class ReplayedTurn(NamedTuple):
 class HostReplay:
     """Replays `recording` of a host of `mission`, from its first turn or checkpoint on.
 
-    `engines` makes the engine, by default the reference engine. `turn` is the number of the next turn.
+    `engines` makes the engine, by default the reference engine. `turn` is the number of the next turn: the
+    replay begins there if `checkpoint` has the state before it, otherwise at the last one in the recording.
     """
 
     def __init__(
-        self, recording: HostRecording, mission: Mission, engines: Engines = ReferenceEngine, turn: int = 0
+        self,
+        recording: HostRecording,
+        mission: Mission,
+        engines: Engines = ReferenceEngine,
+        turn: int = 0,
+        checkpoint: CheckpointRecord | None = None,
     ) -> None:
         self.recording, self.mission, self._engines = recording, mission, engines
-        self.turn, checkpoint = recording.checkpoint_before(turn)
-        start = recording.start if checkpoint is None else checkpoint.start
+        self.turn = turn
+        if checkpoint is None:
+            self.turn, checkpoint = recording.checkpoint_before(turn)
+        #: Called in each turn after its input and before the core runs.
+        self.on_input: Callable[[], None] | None = None
+        start = self._start = recording.start if checkpoint is None else checkpoint.start
         team, program = mission.team, mission.program
         self.clock = ReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
@@ -83,7 +95,16 @@ class HostReplay:
     def _restore(self, checkpoint: CheckpointRecord) -> None:
         self.environment.restore(checkpoint.answers, checkpoint.readings)
         self._snapshots.restore(checkpoint.snapshot, self.environment.readings)
+        self.core.recorder.hybrid_clock.restore(checkpoint.start.clock)
         self.clock.set(checkpoint.at, None)
+
+    def checkpoint(self) -> CheckpointRecord:
+        """The present state, between two turns: a replay can begin at `turn` with it."""
+        start = replace(self._start, wall=self.clock.wall, clock=self.core.recorder.hybrid_clock.state)
+        environment = self.environment
+        return CheckpointRecord(
+            self.clock.at, start, self._snapshots.take(), environment.answers, environment.reading_words
+        )
 
     def __iter__(self) -> Iterator[ReplayedTurn]:
         for number, record in self._turns:
@@ -93,6 +114,8 @@ class HostReplay:
         core = self.core
         if isinstance(record, IdleTurn):
             self.clock.set(record.at, None)
+            if self.on_input is not None:
+                self.on_input()
             core.run()
             effects = core.drain_effects()
             self.turn = number + 1
@@ -106,6 +129,8 @@ class HostReplay:
             core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
             core.on_input(record.entry)
+        if self.on_input is not None:
+            self.on_input()
         if record.run:
             core.run()
         effects = core.drain_effects() if record.run else []

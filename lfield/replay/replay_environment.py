@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from msgspec.structs import replace
+
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
 from lfield.errors import DeviceError
@@ -77,6 +79,21 @@ class ReplayEnvironment:
         for reading in readings:
             self._add_reading(reading.word, reading.until)
         self.apply(answers, ())
+
+    @property
+    def answers(self) -> list[QueryAnswer]:
+        """The last answers to all questions, for `restore`."""
+        return [
+            replace(answer, value=answer.value[0])
+            if answer.question == Question.READING and isinstance(answer.value, list)
+            else answer
+            for answer in self._answers.values()
+        ]
+
+    @property
+    def reading_words(self) -> list[ReadingChange]:
+        """The readings as they are now, for `restore`."""
+        return [ReadingChange(n, each.word, each.until) for n, each in enumerate(self.readings)]
 
     def _add_reading(self, word: int, until: float) -> None:
         self.readings.append(Reading())
