@@ -149,6 +149,11 @@ class HostCore:
             inputs.StartOrdered: lambda entry: self.startup.start(entry.without),
             inputs.OutcomesFound: lambda entry: self.broadcast_outcomes(entry.found),
             inputs.LinksPlanned: lambda entry: self.needed_hosts(),
+            inputs.DirectorySampled: lambda entry: self.directory.refresh(),
+            inputs.SilenceChecked: lambda entry: self.membership.unavailable_hosts(
+                entry.answered, self._clock.monotonic(), entry.lost_after, entry.unmet
+            ),
+            inputs.ContactRestored: lambda entry: self.membership.suspected.clear(),
         }
 
     def on_input(self, entry: inputs.HostInput) -> object:

@@ -15,7 +15,7 @@ from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from mmap import mmap
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.devices.guard_process import STOPPING
@@ -281,6 +281,10 @@ class Host:
             on_result(result)
         return pause, effects
 
+    def apply(self, entry: inputs.HostInput) -> object:
+        """Pass an input to the core without running it; returns what `HostCore.on_input` returns."""
+        return self._recording.apply(self.core, self._turn_clock, entry)
+
     def _schedule_step(self, pause: float | None) -> None:
         """Schedule the next turn after so many seconds; an earlier timer stays."""
         if pause is None:
@@ -394,7 +398,7 @@ class Host:
 
     def desired_hosts(self) -> Collection[str]:
         """The hosts to have links with now."""
-        return self._recording.needed_hosts(self.core, self._turn_clock)
+        return cast("set[str]", self.apply(inputs.LinksPlanned()))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator arrived."""
@@ -439,6 +443,7 @@ class Host:
 
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
+        self.apply(inputs.DirectorySampled())
         up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
         error = self.options.admission.persist_error
         return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)

@@ -162,6 +162,22 @@ class LinksPlanned(HostInput, frozen=True, tag=22):
     """The shell asks for the hosts to have links with now (`HostCore.needed_hosts`)."""
 
 
+class DirectorySampled(HostInput, frozen=True, tag=23):
+    """An observer asks for the state of this host: its agents are sampled (`TeamDirectory.refresh`)."""
+
+
+class SilenceChecked(HostInput, frozen=True, tag=24):
+    """Hosts other than these did not answer a query (`Membership.unavailable_hosts`)."""
+
+    answered: list[str]
+    lost_after: float
+    unmet: float
+
+
+class ContactRestored(HostInput, frozen=True, tag=25):
+    """All hosts are linked: none is suspected."""
+
+
 RecordedInput = (
     ResourcesStart
     | CoordinatorsStart
@@ -185,4 +201,7 @@ RecordedInput = (
     | StartOrdered
     | OutcomesFound
     | LinksPlanned
+    | DirectorySampled
+    | SilenceChecked
+    | ContactRestored
 )

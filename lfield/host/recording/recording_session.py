@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable
 
 from lfield import __version__
 from lfield.host.core import HostCore
 from lfield.host.effects import Environment
-from lfield.host.inputs import LinksPlanned
+from lfield.host.inputs import HostInput
 from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.host_records import VERSION, StartRecord
 from lfield.host.recording.record_sink import RecordSink
@@ -75,16 +75,20 @@ class RecordingSession:
         if self.flight is not None:
             self.flight.write_due(now)
 
-    def needed_hosts(self, core: HostCore, clock: TurnClock) -> Collection[str]:
-        """See `HostCore.needed_hosts`, which changes the state of the core."""
+    def apply(self, core: HostCore, clock: TurnClock, entry: HostInput) -> object:
+        """Pass an input to the core between two turns, without running it; returns the answer."""
         flight = self.flight
-        if flight is None or clock.in_turn:
-            return core.needed_hosts()
+        if clock.in_turn:
+            return core.on_input(entry)
         at = clock.begin_turn()
-        flight.begin_turn(at, LinksPlanned(), runs=False)
-        found = core.needed_hosts()
-        flight.end_turn([])
-        clock.end_turn()
+        try:
+            if flight is not None:
+                flight.begin_turn(at, entry, runs=False)
+            found = core.on_input(entry)
+            if flight is not None:
+                flight.end_turn([])
+        finally:
+            clock.end_turn()
         return found
 
     def close(self, now: float) -> None:
