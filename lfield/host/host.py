@@ -17,6 +17,8 @@ from mmap import mmap
 from random import Random
 from typing import TYPE_CHECKING, Any, cast
 
+from msgspec.structs import replace
+
 from lfield.devices.device_guards import DeviceGuards
 from lfield.devices.guard_process import STOPPING
 from lfield.devices.jitter_measurement import require_timely
@@ -43,7 +45,8 @@ from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
-from lfield.host.recording.recording_session import open_recording
+from lfield.host.recording.recording_session import RecordingSession
+from lfield.host.run_identity import RunIdentity
 from lfield.host.status import status_of
 from lfield.host.turn_clock import TurnClock
 from lfield.manifest import DeviceValue
@@ -109,7 +112,9 @@ class Host:
             lambda why: self.dispatch(inputs.BatchFailed(why)),
             lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
         )
-        self._recording = open_recording(options.record, mission)
+        run = RunIdentity(self.clock.time(), options.random_bytes)
+        call_soon = asyncio.get_running_loop().call_soon_threadsafe
+        self._recording = RecordingSession(options.record, mission, run, self.note, call_soon)
         self.core = HostCore(self._context(overlay))
         self._recording.attach(self.core, self._turn_clock, options.engine)
         self._turn_clock.end_turn()
@@ -175,7 +180,7 @@ class Host:
         devices = self.mission.devices_of(self.name)
         self._observers.order_executor.restore_emergency_stop()
         await require_timely(self.guards.lateness.limit, devices, self.clock)
-        await self.guards.open(devices)
+        await self.guards.open(devices, self._recording.for_guards())
         await self._observers.order_executor.restore_pause()
         unsaved = "simulation" if self.mission.world == "fakes" else "none"
         journal = "stored" if self.journal_writer.journal_id else unsaved
@@ -382,10 +387,11 @@ class Host:
     # --- Owner of the links ---------------------------------------------------------------------------
 
     def hello(self) -> Hello:
-        return self.core.hello()
+        return replace(self.core.hello(), run=self._recording.run.id)
 
     def on_linked(self, hello: Hello) -> None:
         """A link with a host opened."""
+        self._recording.on_hello(hello.run)
         self.dispatch(inputs.Linked(hello))
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
+
+from msgspec.structs import astuple
 
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
@@ -14,6 +17,7 @@ from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import decode_effects, encode_effects
 from lfield.host.recording.flight_recorder import block_digest
 from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn
+from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.replay_environment import ReplayClock, ReplayedBytes, ReplayEnvironment
@@ -53,10 +57,11 @@ class HostReplay:
     def __init__(
         self, recording: HostRecording, mission: Mission, engines: Engines = ReferenceEngine, turn: int = 0
     ) -> None:
-        self.recording, self.mission, self._engines = recording, mission, engines
+        self.recording, self._engines = recording, engines
         self.turn, checkpoint = recording.checkpoint_before(turn)
         start = recording.start if checkpoint is None else checkpoint.start
-        team, program = mission.team, mission.program
+        mission = replace(mission, release=BundleId(*astuple(start.release)))
+        self.mission, team, program = mission, mission.team, mission.program
         self.clock = ReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
         self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()

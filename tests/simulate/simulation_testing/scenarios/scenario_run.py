@@ -6,11 +6,11 @@ import contextlib
 import gc
 import hashlib
 import io
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from lfield import exit_status
-from lfield.host.recording.record_sink import RecordSink
+from lfield.host.recording.recording_target import RecordingTarget
 from lfield.mission.bindings import MAX_MEMBERS
 from lfield.replication.transfer.transfer_sender import MIN_DOUBT_TIME
 from lfield.simulate.computers.event_queue import TooManyEvents
@@ -55,12 +55,8 @@ class RunVerdict:
     log: tuple[tuple[float, str, str], ...] = ()
 
 
-#: Opens the recording of an incarnation of a host.
-OpenRecording = Callable[[str, int], RecordSink]
-
-
 def run_scenario(
-    story: Scenario, *, keep_log: bool = False, record: OpenRecording | None = None
+    story: Scenario, *, keep_log: bool = False, record: RecordingTarget | None = None
 ) -> RunVerdict:
     """Run a story; it ends with the first breach, or when all that may go on have done so."""
     # A story leaves much behind that is in circles: young while it is told, it is found at once afterwards.
@@ -72,7 +68,7 @@ def run_scenario(
         gc.enable()
 
 
-def _judged_run(story: Scenario, record: OpenRecording | None, *, keep_log: bool) -> RunVerdict:
+def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bool) -> RunVerdict:
     judge, outcome = RunJudge(), OutcomeRecorder()
 
     def born(name: str, life: HostLife) -> None:
