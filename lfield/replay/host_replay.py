@@ -82,6 +82,10 @@ class HostReplay:
             self._restore(checkpoint)
         self._turns = recording.turns_from(self.turn)
 
+    def draw(self, drawn: list[bytes]) -> None:
+        """Add random bytes that the next turn may draw."""
+        self._bytes.extend(drawn)
+
     def _number_of(self, reading: object) -> int:
         return next(n for n, each in enumerate(self.environment.readings) if each is reading)
 

@@ -62,6 +62,10 @@ class ReplayEnvironment:
         self.readings: list[Reading] = []
         self.unknown: list[str] = []
 
+    def use_calls(self, calls: Mapping[DeviceCallRecord, int]) -> None:
+        """Use other numbers of device calls: those of the recorded program, for the calls of another one."""
+        self._calls = calls
+
     def apply(self, answers: Sequence[QueryAnswer], changes: Sequence[ReadingChange]) -> None:
         """Set what has changed for the next turn."""
         for change in changes:

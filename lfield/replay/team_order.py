@@ -1,9 +1,9 @@
 """One order for the turns of several hosts, whose clocks may be off by years.
 
-The monotonic clock of each recording gets an offset to a common time. The wall clock of its start gives a first
-guess. A hop bounds it: a coordinator arrives after it was sent. Hops in both directions enclose the offset of
-two hosts; a guess outside of these bounds is replaced by their middle. Hosts that exchanged no coordinator are
-aligned by the opening of their link, if their clocks differ by more than LINK_TOLERANCE.
+The monotonic clock of each recording gets an offset to a common time. The wall clock of its start gives a
+first guess. A hop bounds it: a coordinator arrives after it was sent. Hops in both directions enclose the
+offset of two hosts; a guess outside of these bounds is replaced by their middle. Hosts that exchanged no
+coordinator are aligned by the opening of their link, if their clocks differ by more than LINK_TOLERANCE.
 """
 
 from __future__ import annotations
@@ -119,8 +119,8 @@ class TeamOrder:
             place = TurnPlace(number, turn, record.at)
             for hop in departures_in(record):
                 self.sends.setdefault(hop, place)
-            if (hop := arrival_in(part.host, record)) is not None:
-                self.arrivals[hop].append(place)
+            if (arrived := arrival_in(part.host, record)) is not None:
+                self.arrivals[arrived].append(place)
             if isinstance(record, TurnRecord) and isinstance(record.entry, Linked):
                 self._meetings.setdefault((number, record.entry.hello.incarnation), record.at)
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
+from lfield.cli.development.program_check import check_program
 
 if TYPE_CHECKING:
     from lfield.replay.recording_files import TeamRecording
@@ -25,6 +26,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         choices=("reference", "wasm"),
         default="reference",
         help="engine that runs the program; the results are the same (default: reference)",
+    )
+    parser.add_argument(
+        "--program",
+        metavar="MISSION.dL",
+        type=Path,
+        help="run the program of another version of the mission on the recorded readings and answers, and "
+        "show where its portal and device calls begin to differ",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -53,6 +61,10 @@ def run(args: argparse.Namespace) -> int:
     from lfield.replay.team_check import check_team
 
     recording = load_team(args.paths, args.bundle)
+    if args.program is not None:
+        if not args.json:
+            print_gaps(recording)
+        return check_program(recording, args.program, named_engine(args.engine), as_json=args.json)
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
     with replay_progress(turns, quiet=args.json) as on_progress:
         result = check_team(recording, named_engine(args.engine), on_progress)
