@@ -58,6 +58,7 @@ class RecordingFile:
 
     def write(self, data: bytes) -> None:
         """Append bytes."""
+        self._check()
         self._buffer += data
         if len(self._buffer) >= self._BUFFER:
             self._write_buffer()
@@ -68,9 +69,8 @@ class RecordingFile:
         self._flushed, self._written = self._flushed + self._written, 0
 
     def _write_buffer(self) -> None:
+        self._check()
         data, self._buffer = self._buffer, bytearray()
-        if self._failure is not None:
-            raise self._failure
         try:
             while data:
                 written = os.write(self._file, data)
@@ -82,6 +82,10 @@ class RecordingFile:
             with suppress(OSError):
                 self._write_trailer()
             raise self._failure from None
+
+    def _check(self) -> None:
+        if self._failure is not None:
+            raise self._failure
 
     def _write_trailer(self) -> None:
         os.ftruncate(self._file, self._flushed)
