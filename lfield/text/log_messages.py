@@ -443,7 +443,7 @@ GUARD_SIGNAL_IGNORED = _device_message(
 )
 RECORDING_ENDED = _device_message(
     "recording-ended",
-    "recording ended: {reason}; the device is not affected",
+    "recording of {files} ended: {reason}; the device is not affected",
     "warning",
     "by a guard that cannot write into the folder of a recording any longer",
 )

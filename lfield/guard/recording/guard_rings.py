@@ -34,7 +34,8 @@ def open_recorder(message: OpenDevices, clock: Clock, note: Note) -> GuardRecord
     if not message.recording.folder:
         return None
     folder, limit = Path(message.recording.folder), int(message.recording.limit * RECORDS_SHARE)
-    stem, on_failure = ring_stem("guard", message.devices), failure_reporter(message.devices, note)
+    stem = ring_stem("guard", message.devices)
+    on_failure = failure_reporter(message.devices, stem + SUFFIX, note)
     return GuardRecorder(message, clock, RingWriter(folder, stem, SUFFIX, limit, on_failure, MAGIC))
 
 
@@ -43,8 +44,13 @@ def start_wire_log(log: WireLog, message: OpenDevices, note: Note) -> None:
     if not message.recording.folder:
         return
     folder, limit = Path(message.recording.folder), int(message.recording.limit * (1.0 - RECORDS_SHARE))
-    stem, on_failure = ring_stem("wire", message.devices), failure_reporter(message.devices, note)
-    log.start(lambda suffix, header: RingWriter(folder, stem, suffix, limit, on_failure, header))
+    stem = ring_stem("wire", message.devices)
+
+    def make_ring(suffix: str, header: bytes) -> RingWriter:
+        on_failure = failure_reporter(message.devices, stem + suffix, note)
+        return RingWriter(folder, stem, suffix, limit, on_failure, header)
+
+    log.start(make_ring)
 
 
 def ring_stem(kind: str, devices: Sequence[DeviceBinding]) -> str:
@@ -52,12 +58,13 @@ def ring_stem(kind: str, devices: Sequence[DeviceBinding]) -> str:
     return f"{kind}-{quote(devices[0].name, safe='')}"
 
 
-def failure_reporter(devices: Sequence[DeviceBinding], note: Note) -> Callable[[str], None]:
-    """A function for any thread that logs why files of a recording have ended."""
+def failure_reporter(devices: Sequence[DeviceBinding], files: str, note: Note) -> Callable[[str], None]:
+    """A function for any thread that logs why the files of a ring have ended."""
     loop, device = asyncio.get_running_loop(), devices[0].name
 
     def report(reason: str) -> None:
         with suppress(RuntimeError):  # the loop has ended
-            loop.call_soon_threadsafe(note, device, log_messages.RECORDING_ENDED.line(reason=reason))
+            line = log_messages.RECORDING_ENDED.line(files=files, reason=reason)
+            loop.call_soon_threadsafe(note, device, line)
 
     return report
