@@ -24,7 +24,7 @@ from lfield.replay.replay_environment import ReplayClock, ReplayedBytes, ReplayE
 from lfield.replication.membership.overlay import Overlay
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
-from lfield.vm.run_limit import ReplayedRunLimit
+from lfield.vm.turns.run_limit import ReplayedRunLimit
 
 
 class Divergence(NamedTuple):
@@ -114,7 +114,7 @@ class HostReplay:
         if record.clock is not None:
             core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
-            core.on_input(record.entry)
+            record.entry.enter(core)
         if record.run:
             core.run()
         effects = core.drain_effects() if record.run else []

@@ -69,7 +69,7 @@ class ProgramRun:
             replay.draw(record.drawn)
             entry = self._entry(record)
         if entry is not None:
-            core.on_input(entry)
+            entry.enter(core)
         core.run()
         self._execute(core.drain_effects())
         if isinstance(record, TurnRecord):
@@ -110,7 +110,7 @@ class ProgramRun:
                     block = memoryview(bytes(effect.block))
                     self._sent[hop] = TransferArrived(self._host, header, block)
                 case PersistRecords():
-                    self._core.on_input(BatchDurable(effect.number))
+                    BatchDurable(effect.number).enter(self._core)
                     self._core.run()
                     self._execute(self._core.drain_effects())
 
@@ -120,7 +120,7 @@ class ProgramRun:
         key = agent, next(self._made_counts.setdefault(agent, count()))
         self._made[key] = command.number
         if (answer := self._early.pop(key, None)) is not None:
-            self._core.on_input(DeviceAnswered(command.number, answer.value, answer.error))
+            DeviceAnswered(command.number, answer.value, answer.error).enter(self._core)
             self._core.run()
             self._execute(self._core.drain_effects())
 

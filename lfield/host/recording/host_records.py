@@ -18,7 +18,7 @@ from lfield.errors import RecordingError
 from lfield.host.inputs import RecordedInput
 from lfield.journal.records import Record, RecordKey
 from lfield.manifest import DeviceValue
-from lfield.vm.run_limit import UNCUT, RunCuts
+from lfield.vm.turns.run_limit import UNCUT, RunCuts
 
 #: The version of these records. A file of a newer version is not read.
 VERSION = 1

@@ -10,13 +10,12 @@ from lfield.errors import LfieldError
 from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.host.core import HostCore
 from lfield.host.effects import Environment
-from lfield.host.inputs import HostInput
+from lfield.host.recording.core_turns import CoreTurns
 from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.host_records import VERSION, Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordingTarget
-from lfield.host.run_identity import RunIdentity
-from lfield.host.turn_clock import TurnClock
+from lfield.host.recording.run_identity import RunIdentity
 from lfield.mission.bundle import encode
 from lfield.mission.mission import Mission
 from lfield.text import log_messages
@@ -42,6 +41,7 @@ class RecordingSession:
         #: The recorder, None without a recording.
         self.flight: FlightRecorder | None = None
         self._environment: RecordedEnvironment | None = None
+        self._turns: CoreTurns | None = None
         self._drawn: list[bytes] = []
         self._seed = 0
 
@@ -71,8 +71,13 @@ class RecordingSession:
 
         return draw
 
-    def attach(self, core: HostCore, clock: TurnClock, engine: str) -> None:
-        """The core is constructed, at the latched time of `clock`."""
+    def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
+        """The core is constructed, in the present turn."""
+        self._turns = turns
+        self._open(core, turns, engine)
+        turns.attach(core, self.flight)
+
+    def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
         bundle = encode(self._mission)
@@ -87,7 +92,7 @@ class RecordingSession:
             return
         self.flight = FlightRecorder(core, clock, self._environment, start, sink, self._drawn)
 
-    def _start_record(self, core: HostCore, clock: TurnClock, engine: str, bundle: bytes) -> StartRecord:
+    def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
         context, release = core.context, self._mission.release
         signed = Release(release.digest, release.signature, release.by, release.at, release.is_from_files)
         return StartRecord(
@@ -120,22 +125,6 @@ class RecordingSession:
             # A fault of the recorder must not end the host.
             self._on_failure(f"{type(error).__name__}: {error}")
 
-    def apply(self, core: HostCore, clock: TurnClock, entry: HostInput) -> object:
-        """Pass an input to the core between two turns, without running it; returns the answer."""
-        flight = self.flight
-        if clock.in_turn:
-            return core.on_input(entry)
-        at = clock.begin_turn()
-        try:
-            if flight is not None:
-                flight.begin_turn(at, entry, runs=False)
-            found = core.on_input(entry)
-            if flight is not None:
-                flight.end_turn([])
-        finally:
-            clock.end_turn()
-        return found
-
     def close(self, now: float) -> None:
         """The host ends in order."""
         if self.flight is not None:
@@ -146,4 +135,6 @@ class RecordingSession:
 
     def _on_failure(self, reason: str) -> None:
         self.flight = None
+        if self._turns is not None:
+            self._turns.stop_recording()
         self._note(log_messages.RECORDING_ENDED.line(reason=reason))

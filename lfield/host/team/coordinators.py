@@ -319,7 +319,8 @@ class Coordinators(Part):
         agent.block.w[layout.W_SEQUENCE] = sequence
         if self._packed != packed:  # It has waited meanwhile, and its time limits have decreased.
             self._machine.store_clock(agent)
-        return agent.block.image()
+        # As `Block.image`, which `pack` has called.
+        return memoryview(agent.block.data)[: 8 * agent.block.top]
 
     def _inject(self, transit: float, header: Transfer, block: Buffer) -> mobile.TransferRefusal | None:
         if self.is_halted:
