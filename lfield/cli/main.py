@@ -52,6 +52,7 @@ COMMANDS = {
     "forget": "end a coordinator that is in doubt, lost or suspended, so that no copy of it continues",
     "recover": "continue a coordinator on another host when its own host is permanently lost",
     "inspect": "print the contents of an agent dump, a host's journal, or a bundle",
+    "replay": "replay recordings of hosts and report the first difference",
     "doctor": "check ports, permissions, libraries, clock and devices",
     "driver": "list installed drivers, or create a new one",
     "setup": "write the required parameters into devices, or restore the old ones",
@@ -59,7 +60,7 @@ COMMANDS = {
     "sim": "run a simulated device, or inject faults into one",
 }
 _PACKAGES = {
-    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
+    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign", "replay"),
     "run": ("up",),
     "operations": (
         "ps",

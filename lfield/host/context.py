@@ -19,7 +19,7 @@ from lfield.mission.team import Team
 from lfield.replication.membership.overlay import Overlay
 from lfield.text.log_messages import LogLine
 from lfield.vm.engine_interface import Engines
-from lfield.vm.run_limit import RunLimit
+from lfield.vm.turns.run_limit import RunLimit
 from lfield.wire.messages import Control, Hello
 
 

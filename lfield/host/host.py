@@ -15,7 +15,9 @@ from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
 from mmap import mmap
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
+
+from msgspec.structs import replace
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.devices.guard_process import STOPPING
@@ -43,9 +45,10 @@ from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
-from lfield.host.recording.recording_session import open_recording
+from lfield.host.recording.core_turns import CoreTurns, HostEventClock
+from lfield.host.recording.recording_session import RecordingSession
+from lfield.host.recording.run_identity import RunIdentity
 from lfield.host.status import status_of
-from lfield.host.turn_clock import TurnClock
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.net.link_manager import LinkManager
@@ -57,7 +60,7 @@ from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.text import log_messages
 from lfield.vm.machine import Machine
-from lfield.vm.run_limit import RunLimit
+from lfield.vm.turns.run_limit import RunLimit
 from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observer_messages import Status
@@ -71,7 +74,7 @@ if TYPE_CHECKING:
 INITIAL_CONTACT_TIMEOUT = 1.5
 #: Bytes reserved for ending a host without memory; until then it is address space only.
 RESERVE_BYTES = 4 << 20
-#: Receives what `HostCore.on_input` returns.
+#: Receives the answer to an input.
 ResultCallback = Callable[[object], None]
 #: The resource that is exhausted when a socket call fails.
 SCARCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
@@ -86,9 +89,9 @@ class Host:
         self.mission, self.name, self.options = mission, name, options
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
-        self._turn_clock = TurnClock(self.clock)
-        self._turn_clock.begin_turn()
-        self.recorder = EventRecorder(self._turn_clock, self.note)
+        self._turns = CoreTurns(self.clock)
+        self._turns.begin()
+        self.recorder = EventRecorder(HostEventClock(self._turns, self.clock), self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
         overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)
@@ -109,10 +112,14 @@ class Host:
             lambda why: self.dispatch(inputs.BatchFailed(why)),
             lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
         )
-        self._recording = open_recording(options.record, mission)
+        run = RunIdentity(self.clock.time(), options.random_bytes)
+        call_soon = asyncio.get_running_loop().call_soon_threadsafe
+        self._recording = RecordingSession(options.record, mission, run, self.note, call_soon)
         self.core = HostCore(self._context(overlay))
-        self._recording.attach(self.core, self._turn_clock, options.engine)
-        self._turn_clock.end_turn()
+        self._recording.attach(self.core, self._turns, options.engine)
+        self._turns.end()
+        #: Passes an input to the core without running it; returns the answer.
+        self.apply = self._turns.apply
         core, flush = self.core, self.journal_writer.flush
         self._observers = ObserverSessions(
             core, self.guards, self.peers, self.dispatch, self.status, self.note, flush
@@ -135,7 +142,7 @@ class Host:
         recording, seed = self._recording, options.rng.getrandbits(64)
         recording.set_seed(seed)
         return HostContext(
-            self.mission, self.name, options.rng.getrandbits(62) + 1, self._turn_clock,
+            self.mission, self.name, options.rng.getrandbits(62) + 1, self._turns,
             recording.environment(HostEnvironment(self.peers, self.guards)), Random(seed),
             options.unreachable_after, overlay, self.recorder,
             writer.journal_id, writer.records, writer.times,
@@ -175,7 +182,7 @@ class Host:
         devices = self.mission.devices_of(self.name)
         self._observers.order_executor.restore_emergency_stop()
         await require_timely(self.guards.lateness.limit, devices, self.clock)
-        await self.guards.open(devices)
+        await self.guards.open(devices, self._recording.for_guards())
         await self._observers.order_executor.restore_pause()
         unsaved = "simulation" if self.mission.world == "fakes" else "none"
         journal = "stored" if self.journal_writer.journal_id else unsaved
@@ -237,7 +244,7 @@ class Host:
     def dispatch(
         self, entry: inputs.HostInput | None = None, on_result: ResultCallback | None = None
     ) -> None:
-        """Pass an input to the core, or none, and run it; `on_result` gets what `HostCore.on_input` returns.
+        """Pass an input to the core, or none, and run it; `on_result` gets what `HostInput.enter` returns.
 
         An input caused by an effect waits until all effects are executed.
         """
@@ -250,36 +257,20 @@ class Host:
         try:
             while self._pending:
                 entry, on_result = self._pending.popleft()
-                pause, effects = self._turn(entry, on_result)
+                found, pause, effects = self._turns.run(entry)
+                if on_result is not None:
+                    on_result(found)
                 for effect in effects:
                     self._execute(effect)
             if self.logbook.pending:
                 self.logbook.flush()
-            self._recording.write_due(self.clock.monotonic())
+            if self._turns.flight is not None:
+                self._recording.write_due(self.clock.monotonic())
             self._schedule_step(pause)
         except Exception as error:
             self.fail(error)
         finally:
             self._is_dispatching = False
-
-    def _turn(
-        self, entry: inputs.HostInput | None, on_result: ResultCallback | None
-    ) -> tuple[float | None, list[Effect]]:
-        """One turn of the core, at one time; returns the pause until the next one and the effects."""
-        core, clock, flight = self.core, self._turn_clock, self._recording.flight
-        at = clock.begin_turn()
-        try:
-            if flight is not None:
-                flight.begin_turn(at, entry)
-            result = core.on_input(entry) if entry is not None else None
-            pause, effects = core.run(), core.drain_effects()
-            if flight is not None:
-                flight.end_turn(effects)
-        finally:
-            clock.end_turn()
-        if on_result is not None:
-            on_result(result)
-        return pause, effects
 
     def _schedule_step(self, pause: float | None) -> None:
         """Schedule the next turn after so many seconds; an earlier timer stays."""
@@ -378,10 +369,11 @@ class Host:
     # --- Owner of the links ---------------------------------------------------------------------------
 
     def hello(self) -> Hello:
-        return self.core.hello()
+        return replace(self.core.hello(), run=self._recording.run.id)
 
     def on_linked(self, hello: Hello) -> None:
         """A link with a host opened."""
+        self._recording.on_hello(hello.run)
         self.dispatch(inputs.Linked(hello))
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
@@ -394,7 +386,7 @@ class Host:
 
     def desired_hosts(self) -> Collection[str]:
         """The hosts to have links with now."""
-        return self._recording.needed_hosts(self.core, self._turn_clock)
+        return cast("set[str]", self.apply(inputs.LinksPlanned()))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator arrived."""
@@ -439,6 +431,7 @@ class Host:
 
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
+        self.apply(inputs.DirectorySampled())
         up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
         error = self.options.admission.persist_error
         return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)

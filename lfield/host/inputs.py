@@ -1,21 +1,27 @@
 """The inputs of `HostCore` as data: all that enters it besides time and the answers of its environment.
 
-The shell passes each to `HostCore.on_input`. A recording contains them, and a replay passes them again.
+The shell lets each `enter` the core. A recording contains them, and a replay lets them enter again.
 """
 
 from __future__ import annotations
 
 from msgspec import Struct
 
+from lfield.errors import DeviceError
+from lfield.host.core import HostCore
 from lfield.manifest import DeviceValue
-from lfield.replication.locate.outcomes import CoordinatorOutcome
+from lfield.replication.locate.outcomes import CoordinatorOutcome, UnavailableHosts
 from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello
-from lfield.wire.observer_messages import RecoverRequest
+from lfield.wire.observer_messages import RecoverRequest, RecoverResponse, StartResponse
 
 
 class HostInput(Struct, frozen=True, array_like=True):
     """Base class of all inputs."""
+
+    def enter(self, core: HostCore) -> object:
+        """Pass it to the part of the core that handles it; returns the answer to an operator's order."""
+        raise NotImplementedError
 
 
 class ResourcesStart(HostInput, frozen=True, tag=1):
@@ -23,15 +29,24 @@ class ResourcesStart(HostInput, frozen=True, tag=1):
 
     first: bool = False
 
+    def enter(self, core: HostCore) -> None:
+        core.start_resources(first=self.first)
+
 
 class CoordinatorsStart(HostInput, frozen=True, tag=2):
     """The other hosts had time to report: the coordinators start (`HostCore.start_coordinators`)."""
 
     first: bool = False
 
+    def enter(self, core: HostCore) -> None:
+        core.start_coordinators(first=self.first)
+
 
 class AgentsHalt(HostInput, frozen=True, tag=3):
     """The host is stopping (`HostCore.stop_agents`)."""
+
+    def enter(self, core: HostCore) -> None:
+        core.stop_agents()
 
 
 class BatchFailed(HostInput, frozen=True, tag=4):
@@ -39,11 +54,17 @@ class BatchFailed(HostInput, frozen=True, tag=4):
 
     reason: str
 
+    def enter(self, core: HostCore) -> None:
+        core.on_write_failed(self.reason)
+
 
 class BatchDurable(HostInput, frozen=True, tag=5):
     """All records up to those of that batch are on disk."""
 
     number: int
+
+    def enter(self, core: HostCore) -> None:
+        core.on_durable(self.number)
 
 
 class DiskSpaceChanged(HostInput, frozen=True, tag=6):
@@ -51,11 +72,17 @@ class DiskSpaceChanged(HostInput, frozen=True, tag=6):
 
     trouble: str
 
+    def enter(self, core: HostCore) -> None:
+        core.on_disk_space(self.trouble)
+
 
 class Linked(HostInput, frozen=True, tag=7):
     """A link with a host opened."""
 
     hello: Hello
+
+    def enter(self, core: HostCore) -> None:
+        core.on_linked(self.hello)
 
 
 class Unlinked(HostInput, frozen=True, tag=8):
@@ -63,6 +90,9 @@ class Unlinked(HostInput, frozen=True, tag=8):
 
     host: str
     quietly: bool = False
+
+    def enter(self, core: HostCore) -> None:
+        core.on_unlinked(self.host, quietly=self.quietly)
 
 
 class LinkRejected(HostInput, frozen=True, tag=9):
@@ -72,6 +102,9 @@ class LinkRejected(HostInput, frozen=True, tag=9):
     reason: str
     bundle: bytes
 
+    def enter(self, core: HostCore) -> None:
+        core.on_link_refused(self.host, self.reason, self.bundle)
+
 
 class TransferArrived(HostInput, frozen=True, tag=10):
     """A coordinator arrived."""
@@ -79,6 +112,9 @@ class TransferArrived(HostInput, frozen=True, tag=10):
     host: str
     header: Transfer
     block: memoryview
+
+    def enter(self, core: HostCore) -> None:
+        core.on_transfer(self.host, self.header, self.block)
 
 
 class OversizeArrived(HostInput, frozen=True, tag=11):
@@ -88,12 +124,18 @@ class OversizeArrived(HostInput, frozen=True, tag=11):
     header: Transfer
     size: int
 
+    def enter(self, core: HostCore) -> None:
+        core.on_oversize(self.host, self.header, self.size)
+
 
 class MessageArrived(HostInput, frozen=True, tag=12):
     """A message of a host arrived."""
 
     host: str
     message: Control
+
+    def enter(self, core: HostCore) -> None:
+        core.on_message(self.host, self.message)
 
 
 class DeviceAnswered(HostInput, frozen=True, tag=13):
@@ -106,11 +148,19 @@ class DeviceAnswered(HostInput, frozen=True, tag=13):
     value: DeviceValue
     error: tuple[str, ...] = ()
 
+    def enter(self, core: HostCore) -> None:
+        error = self.error
+        value = DeviceError(error[0], error[1], kind=error[2]) if error else self.value
+        core.on_device_answer(self.number, value)
+
 
 class HostExited(HostInput, frozen=True, tag=14):
     """A host has ended permanently, as reported by the process that started it."""
 
     host: str
+
+    def enter(self, core: HostCore) -> None:
+        core.on_host_exited(self.host)
 
 
 class PauseOrdered(HostInput, frozen=True, tag=15):
@@ -119,12 +169,18 @@ class PauseOrdered(HostInput, frozen=True, tag=15):
     on: bool
     order: bytes = b""
 
+    def enter(self, core: HostCore) -> None:
+        core.set_paused(on=self.on, order=self.order)
+
 
 class StopOrdered(HostInput, frozen=True, tag=16):
     """An operator has sent an emergency stop with that reason, or has lifted it ('')."""
 
     reason: str
     order: bytes = b""
+
+    def enter(self, core: HostCore) -> None:
+        core.set_emergency_stop(self.reason, self.order)
 
 
 class OrderExecuted(HostInput, frozen=True, tag=17):
@@ -133,11 +189,17 @@ class OrderExecuted(HostInput, frozen=True, tag=17):
     kind: str
     id: bytes = b""
 
+    def enter(self, core: HostCore) -> None:
+        core.orders.on_executed(self.kind, self.id)
+
 
 class ForgetOrdered(HostInput, frozen=True, tag=18):
     """An operator declares a coordinator lost."""
 
     agent: str
+
+    def enter(self, core: HostCore) -> list[int]:
+        return core.forget(self.agent)
 
 
 class RecoveryOrdered(HostInput, frozen=True, tag=19):
@@ -145,11 +207,17 @@ class RecoveryOrdered(HostInput, frozen=True, tag=19):
 
     request: RecoverRequest
 
+    def enter(self, core: HostCore) -> RecoverResponse:
+        return core.recover(self.request)
+
 
 class StartOrdered(HostInput, frozen=True, tag=20):
     """An operator starts the waiting coordinators, `without` these hosts."""
 
     without: list[str]
+
+    def enter(self, core: HostCore) -> StartResponse:
+        return core.startup.start(self.without)
 
 
 class OutcomesFound(HostInput, frozen=True, tag=21):
@@ -157,9 +225,41 @@ class OutcomesFound(HostInput, frozen=True, tag=21):
 
     found: list[CoordinatorOutcome]
 
+    def enter(self, core: HostCore) -> None:
+        core.broadcast_outcomes(self.found)
+
 
 class LinksPlanned(HostInput, frozen=True, tag=22):
     """The shell asks for the hosts to have links with now (`HostCore.needed_hosts`)."""
+
+    def enter(self, core: HostCore) -> set[str]:
+        return core.needed_hosts()
+
+
+class DirectorySampled(HostInput, frozen=True, tag=23):
+    """An observer asks for the state of this host: its agents are sampled (`TeamDirectory.refresh`)."""
+
+    def enter(self, core: HostCore) -> None:
+        core.directory.refresh()
+
+
+class SilenceChecked(HostInput, frozen=True, tag=24):
+    """Hosts other than these did not answer a query (`Membership.unavailable_hosts`)."""
+
+    answered: list[str]
+    lost_after: float
+    unmet: float
+
+    def enter(self, core: HostCore) -> UnavailableHosts:
+        now, membership = core.context.clock.monotonic(), core.membership
+        return membership.unavailable_hosts(self.answered, now, self.lost_after, self.unmet)
+
+
+class ContactRestored(HostInput, frozen=True, tag=25):
+    """All hosts are linked: none is suspected."""
+
+    def enter(self, core: HostCore) -> None:
+        core.membership.suspected.clear()
 
 
 RecordedInput = (
@@ -185,4 +285,7 @@ RecordedInput = (
     | StartOrdered
     | OutcomesFound
     | LinksPlanned
+    | DirectorySampled
+    | SilenceChecked
+    | ContactRestored
 )

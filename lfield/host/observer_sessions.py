@@ -57,7 +57,7 @@ class ObserverSessions:
         note: Callable[[LogLine], None],
         flush: Callable[[float | None], Awaitable[bool]],
     ) -> None:
-        self._core, self._clock = core, core.context.clock
+        self._core, self._clock = core, guards.clock
         clock = self._clock
         self._dispatch, self._note, self._flush = dispatch, note, flush
         self.subscriptions = SubscriptionServer(core, guards, clock, status, links.monitor.latest)

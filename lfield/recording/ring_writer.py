@@ -4,6 +4,8 @@ A ring is a sequence of files STEM-000001SUFFIX, STEM-000002SUFFIX, ... of which
 so that all stay within a limit. Data reaches the kernel within FLUSH_INTERVAL, so a killed process loses
 at most that much, and the disk within SYNC_INTERVAL. The first error of the disk, or a disk that is too slow,
 ends the ring: `on_failure` gets the reason once, and all further data is dropped.
+
+Files that exist already, as those of a guard that died and was restarted, belong to the ring as its oldest.
 """
 
 from __future__ import annotations
@@ -15,6 +17,8 @@ from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+
+from lfield.recording.folders import segments_of
 
 #: Seconds between two writes, and between two calls of fdatasync.
 FLUSH_INTERVAL, SYNC_INTERVAL = 0.25, 2.0
@@ -44,11 +48,13 @@ class RingWriter:
         self._limit, self._on_failure = limit, on_failure
         #: What the thread has to do: bytes to append, or None to begin the next file.
         self._queue: deque[bytes | None] = deque()
-        self._pending = self._written = 0
+        self._written = 0
+        # Bytes that were appended, and those that reached the kernel: each is changed by one thread only.
+        self._appended = self._stored = 0
         self._number, self._file = 0, -1
         #: The files of the ring with their sizes, oldest first.
         self._files: deque[list[int]] = deque()
-        self._closing, self._wake = False, threading.Event()
+        self._closing, self._wake, self._failing = False, threading.Event(), threading.Lock()
         #: Why the ring has ended, '' while it is written.
         self.failure = ""
         self._thread = threading.Thread(target=self._run, name=f"recorder {stem}", daemon=True)
@@ -57,7 +63,7 @@ class RingWriter:
     @property
     def is_full(self) -> bool:
         """Whether the present file has its share of the limit: `start_file` should follow."""
-        return self._written >= self._limit // FILES
+        return self._written >= self._limit // FILES and not self.failure
 
     def start_file(self, first: bytes = b"") -> None:
         """Begin the next file, with `first` as its first data after the header."""
@@ -71,10 +77,10 @@ class RingWriter:
         """Append data to the present file; one is begun if there is none."""
         if self.failure:
             return
-        if self._pending > MAX_PENDING:
+        if self._appended - self._stored > MAX_PENDING:
             self._fail(_SLOW)
             return
-        self._pending += len(data)
+        self._appended += len(data)
         self._written += len(data)
         self._queue.append(data)
 
@@ -115,8 +121,11 @@ class RingWriter:
 
     def _drain(self) -> None:
         parts: list[bytes] = []
-        while self._queue:
-            part = self._queue.popleft()
+        while True:
+            try:
+                part = self._queue.popleft()
+            except IndexError:  # also when the ring has failed meanwhile
+                break
             if part is None:
                 self._write(b"".join(parts))
                 parts = []
@@ -133,7 +142,7 @@ class RingWriter:
         view = memoryview(data)
         while view:
             view = view[os.write(self._file, view) :]
-        self._pending -= len(data)
+        self._stored += len(data)
         self._files[-1][1] += len(data)
         self._delete_oldest()
 
@@ -141,11 +150,20 @@ class RingWriter:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
+        if not self._files:
+            self._adopt_files()
         self._number += 1
         self._file = os.open(
             self._path(self._number), os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o600
         )
         self._files.append([self._number, 0])
+
+    def _adopt_files(self) -> None:
+        """Find the files that an earlier process has written to this ring."""
+        for path in segments_of(self._folder, self._stem, self._suffix):
+            number = path.name.removeprefix(f"{self._stem}-").removesuffix(self._suffix)
+            self._number = int(number)
+            self._files.append([self._number, path.stat().st_size])
 
     def _delete_oldest(self) -> None:
         while len(self._files) > 1 and sum(size for _, size in self._files) > self._limit:
@@ -157,7 +175,9 @@ class RingWriter:
         return self._folder / f"{self._stem}-{number:06d}{self._suffix}"
 
     def _fail(self, reason: str) -> None:
-        if not self.failure:
+        with self._failing:
+            if self.failure:
+                return
             self.failure = reason
-            self._queue.clear()
-            self._on_failure(reason)
+        self._queue.clear()
+        self._on_failure(reason)

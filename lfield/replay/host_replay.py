@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import random
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any, NamedTuple
 
-from msgspec.structs import replace
+from msgspec import structs
 
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
@@ -16,13 +17,14 @@ from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import decode_effects, encode_effects
 from lfield.host.recording.flight_recorder import block_digest
 from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn
+from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.replay_environment import ReplayClock, ReplayedBytes, ReplayEnvironment
 from lfield.replication.membership.overlay import Overlay
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
-from lfield.vm.run_limit import ReplayedRunLimit
+from lfield.vm.turns.run_limit import ReplayedRunLimit
 
 
 class Divergence(NamedTuple):
@@ -61,14 +63,14 @@ class HostReplay:
         turn: int = 0,
         checkpoint: CheckpointRecord | None = None,
     ) -> None:
-        self.recording, self.mission, self._engines = recording, mission, engines
-        self.turn = turn
+        self.recording, self._engines, self.turn = recording, engines, turn
         if checkpoint is None:
             self.turn, checkpoint = recording.checkpoint_before(turn)
         #: Called in each turn after its input and before the core runs.
         self.on_input: Callable[[], None] | None = None
         start = self._start = recording.start if checkpoint is None else checkpoint.start
-        team, program = mission.team, mission.program
+        mission = replace(mission, release=BundleId(*structs.astuple(start.release)))
+        self.mission, team, program = mission, mission.team, mission.program
         self.clock = ReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
         self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()
@@ -89,6 +91,10 @@ class HostReplay:
             self._restore(checkpoint)
         self._turns = recording.turns_from(self.turn)
 
+    def draw(self, drawn: list[bytes]) -> None:
+        """Add random bytes that the next turn may draw."""
+        self._bytes.extend(drawn)
+
     def _number_of(self, reading: object) -> int:
         return next(n for n, each in enumerate(self.environment.readings) if each is reading)
 
@@ -100,7 +106,9 @@ class HostReplay:
 
     def checkpoint(self) -> CheckpointRecord:
         """The present state, between two turns: a replay can begin at `turn` with it."""
-        start = replace(self._start, wall=self.clock.wall, clock=self.core.recorder.hybrid_clock.state)
+        start = structs.replace(
+            self._start, wall=self.clock.wall, clock=self.core.recorder.hybrid_clock.state
+        )
         environment = self.environment
         return CheckpointRecord(
             self.clock.at, start, self._snapshots.take(), environment.answers, environment.reading_words
@@ -128,7 +136,7 @@ class HostReplay:
         if record.clock is not None:
             core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
-            core.on_input(record.entry)
+            record.entry.enter(core)
         if self.on_input is not None:
             self.on_input()
         if record.run:

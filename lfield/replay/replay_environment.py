@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -23,6 +23,8 @@ class ReplayClock:
 
     def __init__(self, at: float, wall: float) -> None:
         self.at, self.wall = at, wall
+        #: Monotonic seconds. One object, as in `CoreTurns`: a checkpoint refers to it.
+        self.monotonic: Callable[[], float] = self._monotonic
 
     def set(self, at: float, wall: float | None) -> None:
         """Set the times of the next turn; the wall-clock time stays if it was not read."""
@@ -30,7 +32,7 @@ class ReplayClock:
         if wall is not None:
             self.wall = wall
 
-    def monotonic(self) -> float:
+    def _monotonic(self) -> float:
         return self.at
 
     def time(self) -> float:
@@ -63,6 +65,10 @@ class ReplayEnvironment:
         self._answers: dict[tuple[str | int, ...], QueryAnswer] = {}
         self.readings: list[Reading] = []
         self.unknown: list[str] = []
+
+    def use_calls(self, calls: Mapping[DeviceCallRecord, int]) -> None:
+        """Use other numbers of device calls: those of the recorded program, for the calls of another one."""
+        self._calls = calls
 
     def apply(self, answers: Sequence[QueryAnswer], changes: Sequence[ReadingChange]) -> None:
         """Set what has changed for the next turn."""

@@ -441,6 +441,12 @@ GUARD_SIGNAL_IGNORED = _device_message(
     "guard-signal-ignored",
     "{signal} ignored: the guard ends with its host, after it has made its devices safe",
 )
+RECORDING_ENDED = _device_message(
+    "recording-ended",
+    "recording of {files} ended: {reason}; the device is not affected",
+    "warning",
+    "by a guard that cannot write into the folder of a recording any longer",
+)
 DRIVER_TASK_FAILED = _device_message("driver-task-failed", "driver task failed: {reason}", "error")
 SAFE_STATE_UNCONFIRMED = _device_message(
     "safe-state-unconfirmed", "safe state not confirmed: {reason}; retrying", "error"

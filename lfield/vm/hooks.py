@@ -13,7 +13,7 @@ from typing import Protocol
 
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory.block import Block
-from lfield.vm.run_limit import RunLimit
+from lfield.vm.turns.run_limit import RunLimit
 
 #: Why a call must not start, '' when it may, by the ids of coordinator and resource, and the portal's index.
 CallRules = Callable[[str, str, int], str]

@@ -48,11 +48,11 @@ from lfield.vm.pending_call import PendingCall
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.reservations.reserve_handlers import ReserveHandlers
-from lfield.vm.run_limit import RunCuts, RunLimit
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.itinerary import Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
 from lfield.vm.together.together_handlers import TogetherHandlers
+from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunCuts, RunLimit
 
 #: Instructions of a thread's turn.
 SLICE = 2000
@@ -326,9 +326,8 @@ class Machine:
         turns, ready = self._turns, self._turns.ready
         if turns.timers or turns.alarms:
             self._wake()
-        limit, long = self._limit, SLICE * self.engine.pace
-        remaining = SLICES_PER_RUN * long
-        limit.start()
+        stopwatch, long = self._limit.stopwatch, SLICE * self.engine.pace
+        remaining, until = SLICES_PER_RUN * long, stopwatch() + SECONDS_PER_RUN
         for number in range(1, TURNS_PER_RUN + 1):
             if not ready or remaining <= 0:
                 break
@@ -339,14 +338,14 @@ class Machine:
                 remaining -= self._turn(agent, thread, long if is_alone else SLICE, number)
             except Exception as error:
                 self._fail_agent(agent, thread, error)
-            if limit.is_over(number):
+            if stopwatch() > until:
+                self._limit.on_time_over(number)
                 break
         return turns.seconds_until_due() if ready or turns.timers or turns.alarms else None
 
-    @property
-    def cuts(self) -> RunCuts:
-        """Where time has cut the last run."""
-        return self._limit.cuts
+    def drain_cuts(self) -> RunCuts:
+        """Where time has cut the runs since the last call."""
+        return self._limit.drain_cuts()
 
     def _wake(self) -> None:
         for agent, ring in self._turns.pop_due():

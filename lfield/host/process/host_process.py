@@ -30,6 +30,7 @@ from lfield.host.process.mission_completion import wait_until_done
 from lfield.host.process.parent_pipe import ParentPipe
 from lfield.host.process.run_result import RunResult, failure_reason, known_hops
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
+from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.journal import Journal
 from lfield.mission.access.signed_bundle import signing_time
 from lfield.mission.mission import Mission
@@ -63,13 +64,14 @@ async def run_host(
     first_start: bool = False,
     engine: str = "",
     as_json: bool = False,
+    record: RecordingTarget | None = None,
 ) -> int:
     """Run a host; returns the exit status (exit_status.py). `lost_after` None runs until it is stopped.
 
     `journal` is closed at the end; without one the host starts its coordinators after the reports of all
     hosts. `control_socket` is the address for local commands. `engine` selects the engine, overriding the
     bindings. Its `RunResult` is written to `result_fd`. Without `credentials` it serves local
-    commands only. `as_json` writes the log as JSON lines to stdout.
+    commands only. `as_json` writes the log as JSON lines to stdout. `record` is where it is recorded.
 
     Raises AddressError, DevicesError and KeysError when it cannot start.
     """
@@ -90,6 +92,7 @@ async def run_host(
         orders=identity.orders,
         stopwatch=time.thread_time,
         on_failure=_end_by_force_after(mission),
+        record=record,
     )
     # CPU time of programs that a message wakes is not charged to the sender of the message.
     transport = TcpTransport(mission.max_block, identity.tls, exempt=lambda: host.core.run_seconds)

@@ -1,7 +1,7 @@
 """What a recording keeps of the effects of a turn: enough to compare two runs and to show a difference.
 
 An effect is a list: the name of its class, then its fields. A block is replaced by its CRC-32, and so are
-journal records, which contain blocks.
+journal records, which contain blocks. Hybrid timestamps are left out: they order events and decide nothing.
 """
 
 from __future__ import annotations
@@ -11,12 +11,27 @@ from typing import Any
 from zlib import crc32
 
 import msgspec
+from msgspec.structs import replace
 
 from lfield.host import effects as host_effects
 from lfield.replication.transfer.effects import Send, SendTransfer
+from lfield.wire.messages import RelayedMessage
 
 _encode = msgspec.msgpack.Encoder().encode
 _decode = msgspec.msgpack.Decoder().decode
+
+
+def _transfer(effect: SendTransfer) -> list[object]:
+    header = effect.header
+    name = [header.agent, header.generation, header.sequence, header.hops]
+    return [effect.host, *name, header.receiver_memory, header.size, crc32(effect.block)]
+
+
+def _unstamped(message: Any) -> object:
+    """A message without its hybrid timestamp, which depends on who observes the host."""
+    if isinstance(message, RelayedMessage):
+        return [message.origin, message.receiver, _unstamped(message.message)]
+    return replace(message, stamp=0) if hasattr(message, "stamp") else message
 
 
 def _device_call(effect: host_effects.CallDevice) -> list[object]:
@@ -26,8 +41,8 @@ def _device_call(effect: host_effects.CallDevice) -> list[object]:
 
 
 _FIELDS: dict[type[Any], Callable[[Any], list[object]]] = {
-    SendTransfer: lambda each: [each.host, each.header, crc32(each.block)],
-    Send: lambda each: [each.host, type(each.message).__name__, each.message],
+    SendTransfer: _transfer,
+    Send: lambda each: [each.host, type(each.message).__name__, _unstamped(each.message)],
     host_effects.WriteOutput: lambda each: [each.agent, each.text],
     host_effects.WriteLog: lambda each: [str(each.text)],
     host_effects.WriteLogOnce: lambda each: [str(each.text)],

@@ -6,7 +6,7 @@ the disk or the recorder itself fails, recording ends with a log line.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 from zlib import crc32
 
 from msgspec.structs import replace
@@ -30,7 +30,6 @@ from lfield.host.recording.host_records import (
 )
 from lfield.host.recording.record_sink import RecordSink
 from lfield.host.recording.recorded_environment import RecordedEnvironment
-from lfield.host.turn_clock import TurnClock
 from lfield.recording.segments import frame
 from lfield.vm.memory.block import Block
 
@@ -45,13 +44,21 @@ CHECKPOINT_INTERVAL, CHECKPOINT_BYTES = 60.0, 1 << 20
 BATCH_INTERVAL, BATCH_TURNS = 0.25, 256
 
 
+class TurnTime(Protocol):
+    """The clock of the core's turns."""
+
+    @property
+    def wall_time(self) -> float | None:
+        """The wall-clock time of the present turn, None if it was not read."""
+
+
 class FlightRecorder:
     """Records `core` into `sink`; `start` describes the incarnation."""
 
     def __init__(
         self,
         core: HostCore,
-        clock: TurnClock,
+        clock: TurnTime,
         environment: RecordedEnvironment,
         start: StartRecord,
         sink: RecordSink,
@@ -88,7 +95,7 @@ class FlightRecorder:
         turn, at = self._turn, self._turn.at
         answers = self._environment.end_turn()
         self._clock_state = self._hybrid.state
-        cuts = self._core.machine.cuts
+        cuts = self._core.machine.drain_cuts()
         summary = encode_effects(effects) if effects else b""
         digests = self._digests(at) if at >= self._digest_due else []
         drawn = self._drawn.copy()

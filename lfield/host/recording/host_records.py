@@ -18,7 +18,7 @@ from lfield.errors import RecordingError
 from lfield.host.inputs import RecordedInput
 from lfield.journal.records import Record, RecordKey
 from lfield.manifest import DeviceValue
-from lfield.vm.run_limit import UNCUT, RunCuts
+from lfield.vm.turns.run_limit import UNCUT, RunCuts
 
 #: The version of these records. A file of a newer version is not read.
 VERSION = 1
@@ -32,13 +32,24 @@ class HostRecord(Struct, frozen=True, array_like=True):
     """Base class of the records."""
 
 
+class Release(Struct, frozen=True, array_like=True):
+    """The bundle that the mission was read from, see `BundleId`."""
+
+    digest: bytes
+    signature: bytes
+    by: str
+    at: float
+    is_from_files: bool
+
+
 class StartRecord(HostRecord, frozen=True, tag=1):
     """The start of an incarnation: all that the core is constructed from.
 
-    `bundle` is the digest of the mission's bundle (`lfield.mission.bundle`), `seed` that of the core's random
-    numbers. `records` are the contents of the journal, `times` when each was written (Unix time). `pace` is
-    that of the engine; `metered`: a simulation meters its instructions. `at` and `wall` are the time of the
-    construction, `drawn` the random bytes that were drawn in it.
+    `bundle` is the digest of the bundle in the folder, which is that of the mission as it runs; `release` is
+    the bundle that the mission was read from. `seed` is that of the core's random numbers. `records` are the
+    contents of the journal, `times` when each was written (Unix time). `pace` is that of the engine;
+    `metered`: a simulation meters its instructions. `at` and `wall` are the time of the construction, `drawn`
+    the random bytes that were drawn in it.
     """
 
     version: int
@@ -48,6 +59,7 @@ class StartRecord(HostRecord, frozen=True, tag=1):
     run: str
     mission: str
     bundle: bytes
+    release: Release
     seed: int
     unreachable_after: float
     journal_id: int

@@ -85,7 +85,7 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
     stack: list[object] = [root]
     while stack:
         each = stack.pop()
-        if isinstance(each, (*PLAIN, Enum, frozenset, type)) or id(each) in seen:
+        if isinstance(each, (*PLAIN, Enum, frozenset, type, count)) or id(each) in seen:
             continue
         seen.add(id(each))
         (tuples if isinstance(each, tuple) else found).append(each)
@@ -112,8 +112,14 @@ class GraphWriter:
         if isinstance(value, (list, deque, set)):
             return [self.encode(each) for each in value]
         if is_instance(value) and not is_frozen(value):
-            return [x for name, each in attributes(value) for x in (name, self.encode(each))]
+            return [x for name, each in self._own(value) for x in (name, self.encode(each))]
         return None
+
+    def _own(self, value: object) -> Iterator[tuple[str, object]]:
+        """The attributes of a known object, without functions that an observer has put into it."""
+        for name, each in attributes(value):
+            if not isinstance(each, FunctionType) or id(each) in self._known:
+                yield name, each
 
     def objects(self) -> list[Any]:
         """All objects that were encoded and are not known."""

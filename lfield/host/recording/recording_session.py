@@ -2,28 +2,46 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+import hashlib
+from collections.abc import Callable
 
 from lfield import __version__
+from lfield.errors import LfieldError
+from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.host.core import HostCore
 from lfield.host.effects import Environment
-from lfield.host.inputs import LinksPlanned
+from lfield.host.recording.core_turns import CoreTurns
 from lfield.host.recording.flight_recorder import FlightRecorder
-from lfield.host.recording.host_records import VERSION, StartRecord
-from lfield.host.recording.record_sink import RecordSink
+from lfield.host.recording.host_records import VERSION, Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
-from lfield.host.turn_clock import TurnClock
+from lfield.host.recording.recording_target import RecordingTarget
+from lfield.host.recording.run_identity import RunIdentity
+from lfield.mission.bundle import encode
 from lfield.mission.mission import Mission
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
 
 
 class RecordingSession:
-    """The recording of one incarnation; without `open_sink` nothing is recorded."""
+    """The recording of one incarnation; without `target` nothing is recorded.
 
-    def __init__(self, open_sink: Callable[[int], RecordSink] | None, mission: Mission) -> None:
-        self._open_sink, self._mission = open_sink, mission
+    `note` writes a log line; `call_soon` calls a function in the thread of the host.
+    """
+
+    def __init__(
+        self,
+        target: RecordingTarget | None,
+        mission: Mission,
+        run: RunIdentity,
+        note: Callable[[LogLine], None],
+        call_soon: Callable[[Callable[[], None]], object],
+    ) -> None:
+        self._target, self._mission, self.run = target, mission, run
+        self._note, self._call_soon = note, call_soon
         #: The recorder, None without a recording.
         self.flight: FlightRecorder | None = None
         self._environment: RecordedEnvironment | None = None
+        self._turns: CoreTurns | None = None
         self._drawn: list[bytes] = []
         self._seed = 0
 
@@ -35,7 +53,7 @@ class RecordingSession:
 
     def environment(self, inner: Environment) -> Environment:
         """The environment for the core."""
-        if self._open_sink is None:
+        if self._target is None:
             return inner
         calls = self._mission.program.core.device_calls
         self._environment = RecordedEnvironment(inner, {each: n for n, each in enumerate(calls)})
@@ -43,7 +61,7 @@ class RecordingSession:
 
     def random_bytes(self, inner: Callable[[int], bytes]) -> Callable[[int], bytes]:
         """The source of random bytes for the core."""
-        if self._open_sink is None:
+        if self._target is None:
             return inner
 
         def draw(size: int) -> bytes:
@@ -53,46 +71,70 @@ class RecordingSession:
 
         return draw
 
-    def attach(self, core: HostCore, clock: TurnClock, engine: str) -> None:
-        """The core is constructed, at the latched time of `clock`."""
-        if self._open_sink is None or self._environment is None:
+    def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
+        """The core is constructed, in the present turn."""
+        self._turns = turns
+        self._open(core, turns, engine)
+        turns.attach(core, self.flight)
+
+    def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
+        if self._target is None or self._environment is None:
             return
-        context = core.context
-        start = StartRecord(
-            VERSION, __version__, core.name, core.incarnation, "", self._mission.name,
-            self._mission.release.digest, self._seed, context.unreachable_after, context.journal_id,
-            list(context.records), list(context.times.items()), engine, core.machine.engine.pace, False,
-            clock.monotonic(), clock.time(), context.recorder.hybrid_clock.state, self._drawn.copy(),
-        )  # fmt: skip
+        bundle = encode(self._mission)
+        start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
-        sink = self._open_sink(core.incarnation)
+        try:
+            sink = self._target.open_sink(
+                core.name, core.incarnation, clock.time(), bundle, self._on_failure_elsewhere
+            )
+        except LfieldError as error:
+            self._on_failure(str(error))
+            return
         self.flight = FlightRecorder(core, clock, self._environment, start, sink, self._drawn)
+
+    def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
+        context, release = core.context, self._mission.release
+        signed = Release(release.digest, release.signature, release.by, release.at, release.is_from_files)
+        return StartRecord(
+            VERSION, __version__, core.name, core.incarnation, self.run.id, self._mission.name,
+            bundle, signed, self._seed, context.unreachable_after, context.journal_id, list(context.records),
+            list(context.times.items()), engine, core.machine.engine.pace, False, clock.monotonic(),
+            clock.time(), context.recorder.hybrid_clock.state, self._drawn.copy(),
+        )  # fmt: skip
 
     # --- while the host runs --------------------------------------------------------------------------
 
+    def on_hello(self, run: str) -> None:
+        """Another host has this run id."""
+        if self.run.on_hello(run) and self.flight is not None:
+            self.flight.note_run(self.run.id)
+
+    def for_guards(self) -> GuardRecording:
+        """What the guards of this host record."""
+        if self.flight is None or self._target is None:
+            return NO_RECORDING
+        return self._target.for_guards(self.run.id)
+
     def write_due(self, now: float) -> None:
         """Between two turns: write what is due."""
-        if self.flight is not None:
+        if self.flight is None:
+            return
+        try:
             self.flight.write_due(now)
-
-    def needed_hosts(self, core: HostCore, clock: TurnClock) -> Collection[str]:
-        """See `HostCore.needed_hosts`, which changes the state of the core."""
-        flight = self.flight
-        if flight is None or clock.in_turn:
-            return core.needed_hosts()
-        at = clock.begin_turn()
-        flight.begin_turn(at, LinksPlanned(), runs=False)
-        found = core.needed_hosts()
-        flight.end_turn([])
-        clock.end_turn()
-        return found
+        except Exception as error:
+            # A fault of the recorder must not end the host.
+            self._on_failure(f"{type(error).__name__}: {error}")
 
     def close(self, now: float) -> None:
         """The host ends in order."""
         if self.flight is not None:
             self.flight.close(now)
 
+    def _on_failure_elsewhere(self, reason: str) -> None:
+        self._call_soon(lambda: self._on_failure(reason))
 
-def open_recording(open_sink: Callable[[int], RecordSink] | None, mission: Mission) -> RecordingSession:
-    """The recording of a host that starts now."""
-    return RecordingSession(open_sink, mission)
+    def _on_failure(self, reason: str) -> None:
+        self.flight = None
+        if self._turns is not None:
+            self._turns.stop_recording()
+        self._note(log_messages.RECORDING_ENDED.line(reason=reason))

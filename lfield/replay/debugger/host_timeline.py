@@ -10,12 +10,10 @@ import time
 from array import array
 from bisect import bisect_left, bisect_right
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 from lfield.bytecode.program import Program
-from lfield.host.inputs import Linked, TransferArrived
-from lfield.host.recording.effect_summary import decode_effects
-from lfield.host.recording.host_records import CheckpointRecord, TurnRecord
+from lfield.host.recording.host_records import CheckpointRecord
 from lfield.mission.mission import Mission
 from lfield.replay.debugger.moment import Moment, Phase, Target
 from lfield.replay.debugger.statement_table import StatementTable
@@ -31,22 +29,12 @@ CHECKPOINT_EVERY, MAX_CHECKPOINT_BYTES = 0.1, 128 << 20
 
 #: A turn, and the number of a moment in it: 0 after its input, then its statements, then its end.
 Step = tuple[int, int]
-#: The id of a transfer: agent, generation, sequence.
-TransferId = tuple[str, int, int]
-
-
-class Peer(NamedTuple):
-    """An incarnation of a host."""
-
-    host: str
-    incarnation: int
 
 
 class HostTimeline:
     """One recording of a host of `mission`. `stopwatch` measures the cost of replaying, in seconds.
 
-    `ats` are the times of the turns on the host's clock. `departures` and `arrivals` are the turns of the
-    transfers of coordinators, `links` those of the first link with each incarnation of another host.
+    `ats` are the times of the turns on the host's clock.
     """
 
     def __init__(
@@ -58,13 +46,8 @@ class HostTimeline:
     ) -> None:
         self.recording, self.mission, self.table, self._stopwatch = recording, mission, table, stopwatch
         self.ats = array("d")
-        self.departures: list[tuple[int, TransferId]] = []
-        self.arrivals: list[tuple[int, TransferId]] = []
-        self.links: dict[Peer, int] = {}
-        for turn, record in recording.turns_from(0):
+        for _, record in recording.turns_from(0):
             self.ats.append(record.at)
-            if isinstance(record, TurnRecord) and (record.entry is not None or record.effects):
-                self._index(turn, record)
         #: Checkpoints in memory by turn, and their turns in order.
         self._checkpoints: dict[int, CheckpointRecord] = {}
         self._checkpoint_turns: list[int] = []
@@ -73,23 +56,6 @@ class HostTimeline:
         self._idle: _Run | None = None
         #: The first turn whose replay differs from the recording, and how.
         self.divergence: tuple[int, Divergence] | None = None
-
-    def _index(self, turn: int, record: TurnRecord) -> None:
-        match record.entry:
-            case TransferArrived(header=header):
-                self.arrivals.append((turn, (header.agent, header.generation, header.sequence)))
-            case Linked(hello=hello):
-                self.links.setdefault(Peer(hello.host, hello.incarnation), turn)
-        if b"SendTransfer" in record.effects:
-            for name, *fields in decode_effects(record.effects):
-                if name == "SendTransfer":
-                    agent, generation, sequence = fields[1][:3]
-                    self.departures.append((turn, (agent, generation, sequence)))
-
-    @property
-    def peer(self) -> Peer:
-        """The incarnation that was recorded."""
-        return Peer(self.recording.host, self.recording.start.incarnation)
 
     @property
     def turns(self) -> int:
@@ -256,9 +222,7 @@ class _Run:
 
     def _moment(self, phase: Phase, effects: Any, block: Block | None = None, place: int = 0) -> Moment:
         replay = self.replay
-        return Moment(
-            replay.core, replay.environment, self._table, phase, self._step, effects, block, place
-        )
+        return Moment(replay.core, replay.environment, self._table, phase, self._step, effects, block, place)
 
     def search_turn(self, target: Target, stops: frozenset[int] | None) -> list[int]:
         """Replay the next turn; returns the numbers of its moments that meet a target."""

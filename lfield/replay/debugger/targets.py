@@ -7,8 +7,10 @@ from collections.abc import Callable, Collection
 from lfield.host.effects import CallDevice, Effect
 from lfield.replay.debugger.moment import Moment, Phase, Target, ThreadKey
 from lfield.replay.debugger.statement_table import SourceLine
-from lfield.wire.events import StateEvent
+from lfield.wire.events import Event
 
+#: The events of one turn that are compared: their number, and their bytes.
+MAX_EVENTS, MAX_EVENT_BYTES = 100_000, 16 << 20
 _NONE: frozenset[int] = frozenset()
 
 
@@ -39,16 +41,12 @@ class StepTarget:
         if running is None or running.logical != self._key.logical:
             return False
         # From a portal only to the same portal, or back to its coordinator: others run at the same time.
-        if self._key.agent != self._key.logical and running not in (self._key, _coordinator(self._key)):
-            if running.agent != running.logical:
-                return False
+        is_portal = self._key.agent != self._key.logical
+        if is_portal and running != self._key and running.agent != running.logical:
+            return False
         if self._deepest is not None and moment.depth > self._deepest:
             return False
         return self._other_than is None or moment.depth != self._depth or moment.line != self._other_than
-
-
-def _coordinator(key: ThreadKey) -> ThreadKey:
-    return ThreadKey(key.logical, key.logical, key.thread)
 
 
 class StatementTarget:
@@ -129,25 +127,20 @@ class EventTarget:
 
     def start(self, moment: Moment) -> None:
         """See `Target`."""
-        self._last = moment.core.recorder.event_log.last
+        self._last = moment.core.recorder.event_log.latest
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
         log = moment.core.recorder.event_log
-        if log.last == self._last:
+        if log.latest == self._last:
             return False
-        found, self._last = log.since(self._last), log.last
-        return any(self._is_searched(event.what) for event in found)
+        (found, _), self._last = log.after(self._last, MAX_EVENTS, MAX_EVENT_BYTES), log.latest
+        return any(self._is_searched(event) for event in found)
 
-    def _is_searched(self, what: object) -> bool:
-        if self._kinds and kind_of(what) not in self._kinds:
+    def _is_searched(self, event: Event) -> bool:
+        if self._kinds and event.kind not in self._kinds:
             return False
-        return self._agent in ("", getattr(what, "agent", None))
-
-
-def kind_of(what: object) -> str:
-    """The short name of the kind of an event."""
-    return str(type(what).__struct_config__.tag) if isinstance(what, StateEvent) else type(what).__name__
+        return self._agent in ("", getattr(event.what, "agent", None))
 
 
 class EffectTarget:

@@ -1,8 +1,7 @@
 """The recordings of a team in one order of time: the receipt of a coordinator never precedes its departure.
 
-The clocks of the hosts may differ by years, and in rate. When two hosts open a link, each records this with
-the identity of the other, at nearly the same time. This determines the offsets of their clocks. Then each
-host is moved later where a coordinator would otherwise arrive before it has left.
+The clocks of the hosts may differ by years, and in rate. `TeamOrder` determines the offsets of the clocks.
+Then each host is moved later where a coordinator would otherwise arrive before it has left.
 """
 
 from __future__ import annotations
@@ -17,10 +16,11 @@ from typing import NamedTuple
 from lfield.bytecode.program import Program
 from lfield.errors import RecordingError
 from lfield.mission.mission import Mission
-from lfield.replay.debugger.host_timeline import HostTimeline, Step, TransferId
+from lfield.replay.debugger.host_timeline import HostTimeline, Step
 from lfield.replay.debugger.moment import Moment, Target
 from lfield.replay.debugger.statement_table import StatementTable
 from lfield.replay.host_recording import HostRecording
+from lfield.replay.team_order import Hop, TeamOrder
 
 #: A coordinator arrives at least this much after its departure, in seconds.
 MIN_TRANSIT = 1e-6
@@ -161,10 +161,9 @@ class TeamTimeline:
 
 
 def _corrected_times(hosts: Sequence[HostTimeline]) -> list[array[float]]:
-    offsets = _offsets(hosts)
-    shifts = _shifts(hosts, offsets)
+    order = TeamOrder([host.recording for host in hosts])
     found = []
-    for host, offset, shift in zip(hosts, offsets, shifts, strict=True):
+    for host, offset, shift in zip(hosts, order.offsets, _shifts(order), strict=True):
         times = array("d")
         for (start, added), (stop, _) in zip(shift, [*shift[1:], (host.turns, 0.0)], strict=True):
             times.extend(at + offset + added for at in host.ats[start:stop])
@@ -173,58 +172,44 @@ def _corrected_times(hosts: Sequence[HostTimeline]) -> list[array[float]]:
     return [array("d", (at - first for at in times)) for times in found]
 
 
-def _offsets(hosts: Sequence[HostTimeline]) -> list[float]:
-    """What is added to the monotonic clock of each host to get that of the first one."""
-    found: dict[int, float] = {}
-    by_peer = {host.peer: number for number, host in enumerate(hosts)}
-    for first in range(len(hosts)):
-        if first in found:
-            continue
-        # Hosts without links to the others are placed by their wall clocks.
-        found[first] = _wall_offset(hosts[first]) - _wall_offset(hosts[0])
-        queue = deque([first])
-        while queue:
-            one = queue.popleft()
-            for peer, turn in hosts[one].links.items():
-                other = by_peer.get(peer)
-                if other is None or other in found or hosts[one].peer not in hosts[other].links:
-                    continue
-                at = hosts[other].ats[hosts[other].links[hosts[one].peer]]
-                found[other] = found[one] + hosts[one].ats[turn] - at
-                queue.append(other)
-    return [found[number] for number in range(len(hosts))]
-
-
-def _wall_offset(host: HostTimeline) -> float:
-    start = host.recording.start
-    return start.wall - start.at
-
-
-def _shifts(hosts: Sequence[HostTimeline], offsets: Sequence[float]) -> list[list[tuple[int, float]]]:
-    """For each host the turns from which it is moved later, and by how much in all."""
-    shifts = [[(0, 0.0)] for _ in hosts]
-    events = [
-        deque(sorted([*((t, 1, key) for t, key in h.departures), *((t, 0, key) for t, key in h.arrivals)]))
-        for h in hosts
-    ]
-    recorded = {key for host in hosts for _, key in host.departures}
-    departed: dict[TransferId, float] = {}
+def _shifts(order: TeamOrder) -> list[list[tuple[int, float]]]:
+    """For each recording the turns from which it is moved later, and by how much in all."""
+    shifts = [[(0, 0.0)] for _ in order.parts]
+    events: list[list[tuple[int, bool, Hop, float]]] = [[] for _ in order.parts]
+    for hop, sent in order.sends.items():
+        events[sent.part].append((sent.turn, True, hop, sent.at))
+    for hop, places in order.arrivals.items():
+        for place in places:
+            events[place.part].append((place.turn, False, hop, place.at))
+    waiting = [deque(sorted(each)) for each in events]
+    departed: dict[Hop, float] = {}
+    # An arrival waits until the time of its departure is known.
     is_changed = True
     while is_changed:
-        is_changed = False
-        for number, (host, waiting) in enumerate(zip(hosts, events, strict=True)):
-            while waiting:
-                turn, is_departure, key = waiting[0]
-                at = host.ats[turn] + offsets[number] + shifts[number][-1][1]
-                if is_departure:
-                    # A transfer may be sent again.
-                    departed.setdefault(key, at)
-                elif key in recorded:
-                    if key not in departed:
-                        break
-                    late = departed[key] + MIN_TRANSIT - at
-                    if late > 0.0:
-                        shifts[number].append((turn, shifts[number][-1][1] + late))
-                waiting.popleft()
-                is_changed = True
+        changes = [_shift(order, n, shifts[n], queue, departed) for n, queue in enumerate(waiting)]
+        is_changed = any(changes)
     return shifts
+
+
+def _shift(
+    order: TeamOrder,
+    number: int,
+    shifts: list[tuple[int, float]],
+    waiting: deque[tuple[int, bool, Hop, float]],
+    departed: dict[Hop, float],
+) -> bool:
+    """Process the transfers of a recording as far as possible; false if there is none."""
+    count = len(waiting)
+    while waiting:
+        turn, is_departure, hop, at = waiting[0]
+        at += order.offsets[number] + shifts[-1][1]
+        if is_departure:
+            departed[hop] = at
+        elif hop in order.sends:
+            if hop not in departed:
+                break
+            late = departed[hop] + MIN_TRANSIT - at
+            if late > 0.0:
+                shifts.append((turn, shifts[-1][1] + late))
+        waiting.popleft()
+    return len(waiting) < count

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from msgspec import structs
 
+from lfield.errors import DeviceError
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.host import Host
-from lfield.host.inputs import DeviceAnswered
 from lfield.host.migration.write_ahead import WriteAheadQueue
 from lfield.host.team.startup import Startup
 from lfield.journal.records import CoordinatorRecord
@@ -115,9 +115,9 @@ def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
 def an_exception_loses_a_thread(patch: Patch) -> None:
     answered = HostCore.on_device_answer
 
-    def lost(self: HostCore, answer: DeviceAnswered) -> None:
-        if not answer.error:
-            answered(self, answer)
+    def lost(self: HostCore, number: int, value: Any) -> None:
+        if not isinstance(value, DeviceError):
+            answered(self, number, value)
 
     patch.setattr(HostCore, "on_device_answer", lost)
 

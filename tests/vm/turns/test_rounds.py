@@ -13,7 +13,7 @@ from lfield.vm.engine_interface import AgentLimits
 from lfield.vm.machine import SLICE, SLICES_PER_RUN, TURNS_PER_RUN, Machine
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import W_SELF
-from lfield.vm.run_limit import SECONDS_PER_RUN
+from lfield.vm.turns.run_limit import SECONDS_PER_RUN
 
 TEAM = [TeamMember(0, "store", "Store", "resource", 0), TeamMember(1, "clerk", "Clerk", "coordinator", 0)]
 PROGRAM = """

@@ -6,6 +6,7 @@ instructions, so it repeats the recorded cuts and does not measure time.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 from msgspec import Struct
@@ -21,11 +22,6 @@ class RunCuts(Struct, frozen=True, array_like=True):
     turns: int = 0
     budgets: dict[int, int] = {}
 
-    @property
-    def is_empty(self) -> bool:
-        """Whether time has cut nothing."""
-        return not (self.turns or self.budgets)
-
 
 #: A run that time has not cut.
 UNCUT = RunCuts()
@@ -38,48 +34,40 @@ class RunLimit:
     budgets: Mapping[int, int] = {}
 
     def __init__(self, stopwatch: Callable[[], float]) -> None:
-        self._stopwatch = stopwatch
-        self._until = 0.0
+        #: Read at the start of a run, and after each of its turns.
+        self.stopwatch = stopwatch
         self._turns = 0
         self._early: dict[int, int] = {}
 
-    def start(self) -> None:
-        """A run starts."""
-        self._until = self._stopwatch() + SECONDS_PER_RUN
-        if self._turns or self._early:
-            self._turns, self._early = 0, {}
-
-    def is_over(self, turns: int) -> bool:
-        """Whether the run ends after so many turns."""
-        if self._stopwatch() <= self._until:
-            return False
+    def on_time_over(self, turns: int) -> None:
+        """A run ends after so many turns because of its duration."""
         self._turns = turns
-        return True
 
     def on_early_end(self, turn: int, executed: int) -> None:
         """The engine has ended a turn, by number, after that many instructions because of its duration."""
         self._early[turn] = executed
 
-    @property
-    def cuts(self) -> RunCuts:
-        """Where time has cut the last run."""
-        return RunCuts(self._turns, self._early) if self._turns or self._early else UNCUT
+    def drain_cuts(self) -> RunCuts:
+        """Where time has cut the runs since the last call."""
+        if not self._turns and not self._early:
+            return UNCUT
+        found = RunCuts(self._turns, self._early)
+        self._turns, self._early = 0, {}
+        return found
 
 
 class ReplayedRunLimit(RunLimit):
     """Repeats the cuts of a recorded run."""
 
     def __init__(self) -> None:
-        super().__init__(float)
-        self._cut_after = 0
+        super().__init__(self._read)
+        self._reads, self._cut_after = 0, 0
 
     def repeat(self, cuts: RunCuts) -> None:
         """Set the cuts of the next run."""
-        self._cut_after, self.budgets = cuts.turns, cuts.budgets
+        self._reads, self._cut_after, self.budgets = 0, cuts.turns, cuts.budgets
 
-    def start(self) -> None:
-        """A run starts."""
-
-    def is_over(self, turns: int) -> bool:
-        """Whether the recorded run ended after so many turns."""
-        return turns == self._cut_after
+    def _read(self) -> float:
+        """Infinite after the last turn of the recorded run."""
+        self._reads += 1
+        return math.inf if self._cut_after and self._reads > self._cut_after else 0.0
