@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -85,6 +85,11 @@ class ReplayEnvironment:
         for reading in readings:
             self._add_reading(reading.word, reading.until)
         self.apply(answers, ())
+
+    @property
+    def known(self) -> Collection[QueryAnswer]:
+        """The last answers to all questions."""
+        return self._answers.values()
 
     @property
     def answers(self) -> list[QueryAnswer]:

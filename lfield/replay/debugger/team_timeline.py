@@ -48,8 +48,13 @@ class TeamTimeline:
         self.hosts = [HostTimeline(each, mission, self.table) for each in recordings if each.turns]
         if not self.hosts:
             raise RecordingError("there are no recorded turns")
+        order = TeamOrder([host.recording for host in self.hosts])
         #: The corrected time of each turn of each recording.
-        self.times = _corrected_times(self.hosts)
+        self.times = _corrected_times(self.hosts, order)
+        #: The hops: the coordinator that arrives, by recording and turn.
+        self.arrivals = {
+            (place.part, place.turn): hop.agent for hop, places in order.arrivals.items() for place in places
+        }
 
     @property
     def program(self) -> Program:
@@ -118,6 +123,10 @@ class TeamTimeline:
         """The state of another host at the time of a position; it is valid until the next call."""
         return self.hosts[recording].rest_at(self.turn_after(recording, place))
 
+    def arrival_at(self, place: Place) -> str:
+        """The coordinator that arrives with the turn of a position; '' for none."""
+        return self.arrivals.get((place.recording, place.turn), "")
+
     # --- search ---------------------------------------------------------------------------------------
 
     def find(self, target: Target, place: Place, *, backward: bool = False) -> Place | None:
@@ -160,8 +169,7 @@ class TeamTimeline:
 # --- clocks -----------------------------------------------------------------------------------------------
 
 
-def _corrected_times(hosts: Sequence[HostTimeline]) -> list[array[float]]:
-    order = TeamOrder([host.recording for host in hosts])
+def _corrected_times(hosts: Sequence[HostTimeline], order: TeamOrder) -> list[array[float]]:
     found = []
     for host, offset, shift in zip(hosts, order.offsets, _shifts(order), strict=True):
         times = array("d")
