@@ -20,7 +20,7 @@ from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, Id
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
 from lfield.replay.host_recording import HostRecording, Turn
-from lfield.replay.replay_environment import ReplayClock, ReplayedBytes, ReplayEnvironment
+from lfield.replay.replay_environment import ReplayedBytes, ReplayEnvironment, TurnReplayClock
 from lfield.replication.membership.overlay import Overlay
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
@@ -62,7 +62,7 @@ class HostReplay:
         start = recording.start if checkpoint is None else checkpoint.start
         mission = replace(mission, release=BundleId(*astuple(start.release)))
         self.mission, team, program = mission, mission.team, mission.program
-        self.clock = ReplayClock(start.at, start.wall)
+        self.clock = TurnReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
         self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()
         self._bytes.extend(start.drawn)
