@@ -22,6 +22,7 @@ from lfield.driver.driver_index import DriverInfo
 from lfield.errors import DeviceError, DevicesError, WireError
 from lfield.event_loop import kill, report_exception, spawn, start_process
 from lfield.guard.messages import (
+    NO_RECORDING,
     Beat,
     CallDone,
     ClearStop,
@@ -83,7 +84,7 @@ class GuardProcess(asyncio.SubprocessProtocol):
         note: Callable[[LogLine], None],
         lateness: JitterMonitor,
         has_progressed: Callable[[], bool],
-        recording: GuardRecording,
+        recording: GuardRecording = NO_RECORDING,
     ) -> None:
         self._driver = driver.for_types({device.type for device in devices})
         self._clock, self._note = clock, note

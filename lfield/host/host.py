@@ -7,13 +7,8 @@ lfield: the host stops sending heartbeats to its guards, which make the devices 
 from __future__ import annotations
 
 import asyncio
-import errno
-import os
-import traceback
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
-from contextlib import suppress
-from mmap import mmap
+from collections.abc import Callable, Collection
 from random import Random
 from typing import TYPE_CHECKING, Any, cast
 
@@ -24,7 +19,6 @@ from lfield.devices.guard_process import STOPPING
 from lfield.devices.jitter_measurement import require_timely
 from lfield.errors import AddressError, DeviceError, HostFailure
 from lfield.host import inputs
-from lfield.host.agent_dump import write_agent_dump
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.effects import (
@@ -42,19 +36,19 @@ from lfield.host.effects import (
 from lfield.host.engine_provider import select_engine
 from lfield.host.environment import HostEnvironment, HostOptions
 from lfield.host.events.event_recorder import EventRecorder
+from lfield.host.failures.agent_dump import write_agent_dump
+from lfield.host.failures.host_failures import HostFailures, scarce_resource
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
 from lfield.host.recording.core_turns import CoreTurns, HostEventClock
-from lfield.host.recording.recording_session import RecordingSession
-from lfield.host.recording.run_identity import RunIdentity
+from lfield.host.recording.recording_session import RecordingSession, RunIdentity
 from lfield.host.status import status_of
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.net.link_manager import LinkManager
 from lfield.net.link_owner import TeamAddresses
 from lfield.net.transport import Link, Transport
-from lfield.replication.locate.outcomes import CoordinatorOutcome
 from lfield.replication.membership.overlay import Overlay
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send, SendTransfer
@@ -72,12 +66,8 @@ if TYPE_CHECKING:
 #: How long a starting host waits for the others' first reports before it starts its coordinators: one that is
 #: alive elsewhere must not be started twice. Longer than the interval between two dials.
 INITIAL_CONTACT_TIMEOUT = 1.5
-#: Bytes reserved for ending a host without memory; until then it is address space only.
-RESERVE_BYTES = 4 << 20
 #: Receives the answer to an input.
 ResultCallback = Callable[[object], None]
-#: The resource that is exhausted when a socket call fails.
-SCARCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
 
 class Host:
@@ -90,7 +80,7 @@ class Host:
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
         self._turns = CoreTurns(self.clock)
-        self._turns.begin()
+        self._turns.start_turn()
         self.recorder = EventRecorder(HostEventClock(self._turns, self.clock), self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
@@ -98,14 +88,10 @@ class Host:
         addresses = TeamAddresses(team.hosts, team.addresses, here, overlay.neighbours)
         self.peers = LinkManager(self, transport, clock, options.rng, addresses, options.admission)
         self.guards = DeviceGuards(
-            mission.drivers,
-            clock,
-            self.note,
-            silence=mission.bindings.silence,
-            has_progressed=self.step,
+            mission.drivers, clock, self.note, silence=mission.bindings.silence, has_progressed=self.step,
             on_event=self.recorder.on_device_event,
             on_lock_out=lambda device, reason: self._observers.order_executor.on_lock_out(device, reason),
-        )
+        )  # fmt: skip
         self.journal_writer = JournalWriter(
             options.journal,
             lambda number: self.dispatch(inputs.BatchDurable(number)),
@@ -113,11 +99,10 @@ class Host:
             lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
         )
         run = RunIdentity(self.clock.time(), options.random_bytes)
-        call_soon = asyncio.get_running_loop().call_soon_threadsafe
-        self._recording = RecordingSession(options.record, mission, run, self.note, call_soon)
+        self._recording = RecordingSession(options.record, mission, run, self.note)
         self.core = HostCore(self._context(overlay))
         self._recording.attach(self.core, self._turns, options.engine)
-        self._turns.end()
+        self._turns.end_turn()
         #: Passes an input to the core without running it; returns the answer.
         self.apply = self._turns.apply
         core, flush = self.core, self.journal_writer.flush
@@ -126,13 +111,12 @@ class Host:
         )
         self._datagrams = self._order_datagrams(transport)
         self.broken_agents: dict[str, bool] = {}  # agents that died here; True if due to a bug of lfield
-        #: Set when the host has failed; `failure` is the exception.
-        self.failed, self.changed = asyncio.Event(), asyncio.Event()
-        self.failure: HostFailure | None = None
+        self._failures = HostFailures(name, options.on_failure, self.recorder, self.note)
+        #: Set when the host has failed.
+        self.failed, self.changed = self._failures.failed, asyncio.Event()
         self._loop, self.address, self._due = asyncio.get_running_loop(), "", 0.0
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._pending: deque[tuple[inputs.HostInput | None, ResultCallback | None]] = deque()
-        self._reserve = mmap(-1, RESERVE_BYTES)
         self._is_dispatching = self._stopped = False
         options.admission.serve(self.is_mission_active, mission.access.denied_rights, self.note)
 
@@ -289,29 +273,20 @@ class Host:
         self.step()
 
     def fail(self, error: BaseException) -> None:
-        """Handle a bug in the host itself: nothing more runs, guards get no heartbeat, and the process
-        ends."""
-        if self.failure is not None:
-            return
-        self._reserve.close()
-        # First: no other fault may prevent the end of the process.
-        self.options.on_failure()
-        self.failure = HostFailure(self.name, error)
-        self.failed.set()
-        # The bug may be in the log itself, which must not prevent the end either.
-        with suppress(Exception):
-            self.recorder.on_host_stopping(str(self.failure), STOPPING)
-            self.note(log_messages.HOST_FAILED.line(host=self.name, reason=self.failure.reason))
-            if os.environ.get("LFIELD_TRACEBACK"):
-                text = "".join(traceback.format_exception(error))
-                self.note(log_messages.TRACEBACK.line(text=text), lines=True)
+        """Handle a bug in the host itself: nothing more runs, and the process ends."""
+        self._failures.fail(error)
+
+    @property
+    def failure(self) -> HostFailure | None:
+        """Why the host has failed, None if it has not."""
+        return self._failures.failure
 
     def on_unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: for exceptions in tasks or callbacks outside the core."""
-        error = context.get("exception")
-        if isinstance(error, OSError) and error.errno in SCARCE_ERRNOS and "socket" in context:
-            self.peers.log_once(log_messages.NO_DESCRIPTORS.line(reason=error.strerror))
+        if reason := scarce_resource(context):
+            self.peers.log_once(log_messages.NO_DESCRIPTORS.line(reason=reason))
             return
+        error = context.get("exception")
         self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
     def _execute(self, effect: Effect) -> None:
@@ -352,16 +327,10 @@ class Host:
             else:
                 self.dispatch(inputs.DeviceAnswered(request.number, value))
 
-        call = request.call
+        call, agent = request.call, request.agent.id
         try:
             self.guards.call(
-                request.agent.id,
-                call.field,
-                call.instruction,
-                request.values,
-                answered,
-                until=request.until,
-                thread=request.thread,
+                agent, call.field, call.instruction, request.values, answered, request.until, request.thread
             )
         except DeviceError as error:
             answered(error)
@@ -413,14 +382,6 @@ class Host:
             return True
         held = self.core.coordinators.paused or self.core.coordinators.stopped
         return not held and any(known.state != "EXITED" for known in self.mobility.known_states())
-
-    def on_host_exited(self, host: str) -> None:
-        """A host has ended permanently, as reported by the process that started it."""
-        self.dispatch(inputs.HostExited(host))
-
-    def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
-        """This host is about to stop: announce all known terminations, and the outcomes found."""
-        self.dispatch(inputs.OutcomesFound(list(found)))
 
     def note(self, line: log_messages.LogLine, *, lines: bool = False) -> None:
         """Write a log line; the output of a program may have several `lines`."""

@@ -78,7 +78,7 @@ class HostRecording:
         return found
 
     @property
-    def began_at(self) -> float:
+    def started_at(self) -> float:
         """The time of the first turn, on the monotonic clock of the host."""
         return self.frames[0].header.at
 
@@ -89,7 +89,7 @@ class HostRecording:
             times = [record.at for record in self._decode(number) if isinstance(record, Turn)]
             if times:
                 return times[-1]
-        return self.began_at
+        return self.started_at
 
     def turns_from(self, turn: int) -> Iterator[tuple[int, Turn]]:
         """The turns from a number on, with their numbers. Raises RecordingError."""

@@ -20,7 +20,7 @@ from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, Id
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
 from lfield.replay.host_recording import HostRecording, Turn
-from lfield.replay.replay_environment import ReplayClock, ReplayedBytes, ReplayEnvironment
+from lfield.replay.replay_environment import ReplayedBytes, ReplayEnvironment, TurnReplayClock
 from lfield.replication.membership.overlay import Overlay
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
@@ -66,12 +66,11 @@ class HostReplay:
         self.recording, self._engines, self.turn = recording, engines, turn
         if checkpoint is None:
             self.turn, checkpoint = recording.checkpoint_before(turn)
-        #: Called in each turn after its input and before the core runs.
-        self.on_input: Callable[[], None] | None = None
+        self._on_input: Callable[[], None] | None = None
         start = self._start = recording.start if checkpoint is None else checkpoint.start
         mission = replace(mission, release=BundleId(*structs.astuple(start.release)))
         self.mission, team, program = mission, mission.team, mission.program
-        self.clock = ReplayClock(start.at, start.wall)
+        self.clock = TurnReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
         self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()
         self._bytes.extend(start.drawn)
@@ -90,6 +89,10 @@ class HostReplay:
         if checkpoint is not None:
             self._restore(checkpoint)
         self._turns = recording.turns_from(self.turn)
+
+    def watch_inputs(self, on_input: Callable[[], None] | None) -> None:
+        """Set the function that is called in each turn after its input and before the core runs."""
+        self._on_input = on_input
 
     def draw(self, drawn: list[bytes]) -> None:
         """Add random bytes that the next turn may draw."""
@@ -111,7 +114,7 @@ class HostReplay:
         )
         environment = self.environment
         return CheckpointRecord(
-            self.clock.at, start, self._snapshots.take(), environment.answers, environment.reading_words
+            self.clock.at, start, self._snapshots.capture(), environment.answers, environment.reading_changes
         )
 
     def __iter__(self) -> Iterator[ReplayedTurn]:
@@ -122,8 +125,8 @@ class HostReplay:
         core = self.core
         if isinstance(record, IdleTurn):
             self.clock.set(record.at, None)
-            if self.on_input is not None:
-                self.on_input()
+            if self._on_input is not None:
+                self._on_input()
             core.run()
             effects = core.drain_effects()
             self.turn = number + 1
@@ -137,8 +140,8 @@ class HostReplay:
             core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
             record.entry.enter(core)
-        if self.on_input is not None:
-            self.on_input()
+        if self._on_input is not None:
+            self._on_input()
         if record.run:
             core.run()
         effects = core.drain_effects() if record.run else []

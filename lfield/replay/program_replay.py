@@ -22,14 +22,14 @@ from lfield.replay.call_log import CallLog
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.host_replay import HostReplay
 from lfield.replay.recording_files import TeamRecording
-from lfield.replay.team_order import Hop, TeamOrder, arrival_in
+from lfield.replay.team_order import TeamOrder, TransferKey, arrival_in
 from lfield.replication.transfer.effects import SendTransfer
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
 
 #: The blocks that were sent, with their headers as the receiver gets them.
-SentBlocks = dict[Hop, TransferArrived]
+SentBlocks = dict[TransferKey, TransferArrived]
 
 
 class ProgramRun:
@@ -106,7 +106,7 @@ class ProgramRun:
                     self._on_device_call(effect)
                 case SendTransfer():
                     header = effect.header
-                    hop = Hop(header.agent, header.generation, header.sequence, effect.host)
+                    hop = TransferKey(header.agent, header.generation, header.sequence, effect.host)
                     block = memoryview(bytes(effect.block))
                     self._sent[hop] = TransferArrived(self._host, header, block)
                 case PersistRecords():
@@ -144,7 +144,7 @@ class PortalCallObserver:
         """A portal (by index) has started."""
         self._run.on_portal_call(resource, method, caller)
 
-    def on_call_returned(self, resource: Agent, number: int, word: int) -> None:
+    def on_call_returned(self, resource: Agent, number: int, result: int) -> None:
         """A portal has returned."""
 
     def on_call_threw(self, resource: Agent, number: int, thrown: int) -> None:

@@ -45,7 +45,7 @@ class Incarnation:
         return self.parts[-1].run
 
     @property
-    def began_at(self) -> float:
+    def started_at(self) -> float:
         """The wall-clock time of its start, in seconds since 1970."""
         start = self.parts[0].start
         return start.wall
@@ -80,9 +80,9 @@ def load_team(paths: Sequence[Path], bundle_file: Path | None = None) -> TeamRec
             problems.append(f"{folder}: {error}")
     if not loaded:
         raise RecordingError("; ".join(problems) or "there is no recording here")
-    loaded.sort(key=lambda each: each.began_at)
+    loaded.sort(key=lambda each: each.started_at)
     groups = _runs(loaded)
-    newest = max(groups, key=lambda group: max(each.began_at for each in group))
+    newest = max(groups, key=lambda group: max(each.started_at for each in group))
     mission = _mission(newest, bundle_file)
     recorded = {each.host for each in newest}
     missing = tuple(host for host in mission.team.hosts if host not in recorded)
@@ -170,7 +170,7 @@ def _runs(loaded: Sequence[Incarnation]) -> list[list[Incarnation]]:
         groups = [group for group in groups if not group[0] & keys]
         members = [member for group in joined for member in group[1]]
         groups.append((keys.union(*(group[0] for group in joined)), [*members, each]))
-    return [sorted(members, key=lambda each: each.began_at) for _, members in groups]
+    return [sorted(members, key=lambda each: each.started_at) for _, members in groups]
 
 
 def _peers(recording: HostRecording) -> set[int]:
@@ -188,12 +188,12 @@ def _mission(loaded: Sequence[Incarnation], bundle_file: Path | None) -> Mission
         version = each.parts[0].start.version
         if version > VERSION:
             raise RecordingError(f"{each.folder} is of a newer lfield ({each.parts[0].start.lfield})")
-    wanted = loaded[-1].parts[0].start.bundle
+    required = loaded[-1].parts[0].start.bundle
     candidates = [each.folder / BUNDLE_NAME for each in reversed(loaded)]
     candidates = [bundle_file] if bundle_file is not None else [path for path in candidates if path.exists()]
     for path in candidates:
         data = bundle.read_file(path)
-        if bundle_file is None and hashlib.sha256(data).digest() != wanted:
+        if bundle_file is None and hashlib.sha256(data).digest() != required:
             continue
         try:
             return bundle.decode(data)

@@ -11,14 +11,14 @@ from msgspec.structs import replace
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
 from lfield.errors import DeviceError
-from lfield.host.recording.host_records import QueryAnswer, ReadingChange
+from lfield.host.recording.host_records import ReadingChange, RecordedAnswer
 from lfield.host.recording.recorded_environment import PENDING_ANSWER, Question
 from lfield.manifest import DeviceValue, Observation
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import PENDING, Pending
 
 
-class ReplayClock:
+class TurnReplayClock:
     """The recorded times of a turn. `divergence` is set when the core reads a time that was not recorded."""
 
     def __init__(self, at: float, wall: float) -> None:
@@ -62,7 +62,7 @@ class ReplayEnvironment:
 
     def __init__(self, calls: Mapping[DeviceCallRecord, int]) -> None:
         self._calls = calls
-        self._answers: dict[tuple[str | int, ...], QueryAnswer] = {}
+        self._answers: dict[tuple[str | int, ...], RecordedAnswer] = {}
         self.readings: list[Reading] = []
         self.unknown: list[str] = []
 
@@ -70,29 +70,29 @@ class ReplayEnvironment:
         """Use other numbers of device calls: those of the recorded program, for the calls of another one."""
         self._calls = calls
 
-    def apply(self, answers: Sequence[QueryAnswer], changes: Sequence[ReadingChange]) -> None:
+    def apply(self, answers: Sequence[RecordedAnswer], changes: Sequence[ReadingChange]) -> None:
         """Set what has changed for the next turn."""
         for change in changes:
-            self.readings[change.number].update(change.word, change.until)
+            self.readings[change.number].update(change.raw, change.until)
         for answer in answers:
             if answer.question == Question.READING and isinstance(answer.value, list):
-                _, word, until = answer.value
-                self._add_reading(word, until)
+                _, raw, until = answer.value
+                self._add_reading(raw, until)
             self._answers[answer.question, *answer.arguments] = answer
 
-    def restore(self, answers: Sequence[QueryAnswer], readings: Sequence[ReadingChange]) -> None:
+    def restore(self, answers: Sequence[RecordedAnswer], readings: Sequence[ReadingChange]) -> None:
         """Set all answers and readings of a checkpoint."""
         for reading in readings:
-            self._add_reading(reading.word, reading.until)
+            self._add_reading(reading.raw, reading.until)
         self.apply(answers, ())
 
     @property
-    def known(self) -> Collection[QueryAnswer]:
+    def known(self) -> Collection[RecordedAnswer]:
         """The last answers to all questions."""
         return self._answers.values()
 
     @property
-    def answers(self) -> list[QueryAnswer]:
+    def answers(self) -> list[RecordedAnswer]:
         """The last answers to all questions, for `restore`."""
         return [
             replace(answer, value=answer.value[0])
@@ -102,15 +102,15 @@ class ReplayEnvironment:
         ]
 
     @property
-    def reading_words(self) -> list[ReadingChange]:
+    def reading_changes(self) -> list[ReadingChange]:
         """The readings as they are now, for `restore`."""
         return [ReadingChange(n, each.word, each.until) for n, each in enumerate(self.readings)]
 
-    def _add_reading(self, word: int, until: float) -> None:
+    def _add_reading(self, raw: int, until: float) -> None:
         self.readings.append(Reading())
-        self.readings[-1].update(word, until)
+        self.readings[-1].update(raw, until)
 
-    def _find(self, question: Question, *arguments: str | int) -> QueryAnswer | None:
+    def _find(self, question: Question, *arguments: str | int) -> RecordedAnswer | None:
         found = self._answers.get((int(question), *arguments))
         if found is None:
             self.unknown.append(f"{question.name.lower()}{arguments}")

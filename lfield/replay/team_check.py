@@ -68,7 +68,7 @@ class PartResult:
 
 
 @dataclass(slots=True)
-class TeamResult:
+class ReplaySummary:
     """The results of all parts, in the order in which they were replayed."""
 
     parts: list[PartResult] = field(default_factory=list)
@@ -92,9 +92,9 @@ class TeamResult:
 
 def check_team(
     recording: TeamRecording, engines: Engines = ReferenceEngine, on_progress: OnProgress = lambda turns: None
-) -> TeamResult:
+) -> ReplaySummary:
     """Replay all hosts. Raises RecordingError for a checkpoint that cannot be restored."""
-    result = TeamResult()
+    result = ReplaySummary()
     for incarnation in recording.incarnations:
         for part in incarnation.parts:
             result.parts.append(check_part(part, HostReplay(part, recording.mission, engines), on_progress))
@@ -106,7 +106,7 @@ def check_part(
 ) -> PartResult:
     """Replay one part up to its first difference."""
     found = PartResult(recording.host, recording.start.incarnation)
-    first = recording.began_at
+    first = recording.started_at
     for turn in replay:
         found.turns += 1
         found.digests += turn.digests

@@ -24,7 +24,7 @@ LINK_TOLERANCE = 5.0
 _SENT = b"SendTransfer"
 
 
-class Hop(NamedTuple):
+class TransferKey(NamedTuple):
     """A transfer: the coordinator, the generation of its start, the sequence number of the attempt, and the
     receiver."""
 
@@ -59,8 +59,8 @@ class TeamOrder:
 
     def __init__(self, parts: Sequence[HostRecording]) -> None:
         self.parts = parts
-        self.sends: dict[Hop, TurnPlace] = {}
-        self.arrivals: dict[Hop, list[TurnPlace]] = defaultdict(list)
+        self.sends: dict[TransferKey, TurnPlace] = {}
+        self.arrivals: dict[TransferKey, list[TurnPlace]] = defaultdict(list)
         #: When each recording has met an incarnation.
         self._meetings: dict[tuple[int, int], float] = {}
         for number, part in enumerate(parts):
@@ -74,7 +74,7 @@ class TeamOrder:
         waiting: dict[int, tuple[int, Turn]] = {}
         for number, stream in enumerate(streams):
             self._advance(number, stream, waiting, heads)
-        done: set[Hop] = set()
+        done: set[TransferKey] = set()
         held: list[tuple[float, int]] = []
         while heads or held:
             if not heads:
@@ -108,7 +108,7 @@ class TeamOrder:
             waiting[number] = following
             heapq.heappush(heads, (following[1].at + self.offsets[number], number))
 
-    def _is_early(self, number: int, record: Turn, done: set[Hop]) -> bool:
+    def _is_early(self, number: int, record: Turn, done: set[TransferKey]) -> bool:
         hop = arrival_in(self.parts[number].host, record)
         return hop is not None and hop in self.sends and hop not in done
 
@@ -156,8 +156,8 @@ class TeamOrder:
             found[one, other] = low.get((one, other), -math.inf), -low.get((other, one), -math.inf)
         for one, other in self._linked_pairs() - found.keys():
             met = self._meetings[one, self.parts[other].start.incarnation]
-            seen = self._meetings[other, self.parts[one].start.incarnation]
-            found[one, other] = met - seen - LINK_TOLERANCE, met - seen + LINK_TOLERANCE
+            met_other = self._meetings[other, self.parts[one].start.incarnation]
+            found[one, other] = met - met_other - LINK_TOLERANCE, met - met_other + LINK_TOLERANCE
         return found
 
     def _linked_pairs(self) -> set[tuple[int, int]]:
@@ -166,24 +166,24 @@ class TeamOrder:
         return {(one, other) for one, other in pairs if (other, one) in pairs}
 
 
-def departures_in(record: Turn) -> list[Hop]:
+def departures_in(record: Turn) -> list[TransferKey]:
     """The hops that a turn has sent."""
     if not isinstance(record, TurnRecord) or _SENT not in record.effects:
         return []
     return [_hop(effect) for effect in decode_effects(record.effects) if effect[0] == "SendTransfer"]
 
 
-def arrival_in(host: str, record: Turn) -> Hop | None:
+def arrival_in(host: str, record: Turn) -> TransferKey | None:
     """The hop that arrived with a turn of a host; None for any other turn."""
     if not isinstance(record, TurnRecord) or not isinstance(record.entry, TransferArrived):
         return None
     header = record.entry.header
-    return Hop(header.agent, header.generation, header.sequence, host)
+    return TransferKey(header.agent, header.generation, header.sequence, host)
 
 
-def _hop(effect: list[Any]) -> Hop:
+def _hop(effect: list[Any]) -> TransferKey:
     _, receiver, agent, generation, sequence, *_ = effect
-    return Hop(agent, generation, sequence, receiver)
+    return TransferKey(agent, generation, sequence, receiver)
 
 
 def _within(guess: float, low: float, high: float) -> float:

@@ -104,6 +104,12 @@ TRACEBACK = _message(
     "traceback", "traceback of the failure:\n{text}", "error", "only with LFIELD_TRACEBACK=1"
 )
 HOST_ENDING_ERROR = _message("host-ending-error", "{host} stopped with another error: {reason}", "error")
+HOST_RECORDING_ENDED = _message(
+    "host-recording-ended",
+    "the recording of {host} ended: {reason}; the mission is not affected",
+    "warning",
+    "by a host that cannot write into the folder of its recording, or by a fault of the recorder",
+)
 NO_CONTROL_SOCKET = _message(
     "no-control-socket",
     "{host} without control socket: {reason}; commands reach it over the network only, with keys",

@@ -52,12 +52,11 @@ from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.itinerary import Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
 from lfield.vm.together.together_handlers import TogetherHandlers
-from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunCuts, RunLimit
+from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunLimit
 
 #: Instructions of a thread's turn.
 SLICE = 2000
-#: Limits of one call of `run`, after which the host handles its events: slices, turns. `RunLimit` limits its
-#: duration.
+#: Limits of one call of `run`, after which the host handles its events, beside those of `RunLimit`.
 SLICES_PER_RUN, TURNS_PER_RUN = 20, 100
 
 
@@ -92,23 +91,19 @@ class Machine:
         cancelling = self._cancellation = Cancellation(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.resource_queries = ResourceQueries(scheduler)
-        self._verifier = BlockVerifier(
-            program, scheduler.layouts, [m.type for m in view.members], self.engine.space
-        )
+        types = [member.type for member in view.members]
+        self._verifier = BlockVerifier(program, scheduler.layouts, types, self.engine.space)
         #: The calls of a `together` that were started here.
         self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
         #: The reservations of coordinators.
         self.held_reservations = held = HeldReservations(program, view.members)
         #: The destinations of coordinators.
         self.itinerary = Itinerary(scheduler, view.members, view.here, held)
-        self._deadlines = limits = Deadlines(
-            scheduler, cancelling, self.itinerary, self.pending_calls.stop_waiting
-        )
+        stop_waiting = self.pending_calls.stop_waiting
+        self._deadlines = limits = Deadlines(scheduler, cancelling, self.itinerary, stop_waiting)
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
-        heads = {
-            **self._together.handlers(),
-            **ReserveHandlers(scheduler, held, view.here, limits).handlers(),
-        }
+        reserving = ReserveHandlers(scheduler, held, view.here, limits)
+        heads = {**self._together.handlers(), **reserving.handlers()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
         self._place = 0  # the place of the thread of this turn
         #: The handler of each engine exit.
@@ -117,9 +112,7 @@ class Machine:
             ThreadDone: self._done,
             BudgetExhausted: lambda agent, thread, _: self._turns.push_back(agent, thread),
             MonitorBlocked: self._blocked,
-            HeapExhausted: lambda agent, thread, leave: scheduler.collect_and_retry(
-                agent, thread, leave.words
-            ),
+            HeapExhausted: lambda agent, thread, out: scheduler.collect_and_retry(agent, thread, out.words),
             UncaughtThrow: lambda agent, thread, leave: scheduler.uncaught(agent, thread, leave.place),
         }
 
@@ -343,10 +336,6 @@ class Machine:
                 break
         return turns.seconds_until_due() if ready or turns.timers or turns.alarms else None
 
-    def drain_cuts(self) -> RunCuts:
-        """Where time has cut the runs since the last call."""
-        return self._limit.drain_cuts()
-
     def _wake(self) -> None:
         for agent, ring in self._turns.pop_due():
             try:
@@ -366,17 +355,13 @@ class Machine:
             self._scheduler.die(agent, reason, broken=True)
 
     def _turn(self, agent: Agent, thread: int, budget: int, number: int) -> int:
-        """Run at most `budget` instructions of a thread and handle its exit; returns how many it executed.
-
-        `number` is that of the turn in this run.
-        """
+        """Run at most `budget` instructions of a thread in the turn `number` of a run; returns how many."""
         if agent.ended or agent.frozen:
             return 0
         engine, block = self.engine, agent.block
         places = block.index_threads() if block.places is None else block.places
         place = self._place = places.get(thread, 0)
-        if self._limit.budgets:
-            budget = self._limit.budgets.get(number, budget)
+        budget = self._limit.budgets.get(number, budget)
         leave = engine.run(block, place, budget, agent.limits, agent.readings)
         used = budget - engine.unused_budget
         if leave is BUDGET_EXHAUSTED and used < budget:

@@ -49,7 +49,7 @@ SMALL = {
     "lfield/driver/settings.py": "a value that drivers and hosts share",
     "lfield/operator/dashboard/event_stream/background_task.py": "what fails beside a body of code",
     "lfield/host/process/shutdown_signals.py": "what ends a host",
-    "lfield/host/agent_dump.py": "where the block of a dead agent goes",
+    "lfield/host/failures/agent_dump.py": "where the block of a dead agent goes",
     "lfield/net/connections/socket_errors.py": "what errors of sockets mean, a table",
     "lfield/net/scheduling/temporary_bans.py": "the back-off of a member that sent too much",
     "lfield/net/fault_client.py": "the door of a fake, from outside",

@@ -14,7 +14,7 @@ from lfield.cli.development.program_check import check_program
 
 if TYPE_CHECKING:
     from lfield.replay.recording_files import TeamRecording
-    from lfield.replay.team_check import FirstDifference, OnProgress, TeamResult
+    from lfield.replay.team_check import FirstDifference, OnProgress, ReplaySummary
     from lfield.vm.engine_interface import Engines
 
 
@@ -94,7 +94,7 @@ def replay_progress(turns: int, *, quiet: bool) -> Iterator[OnProgress]:
         yield lambda done: progress.advance(task, done)
 
 
-def _as_data(recording: TeamRecording, result: TeamResult) -> dict[str, object]:
+def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, object]:
     first = result.first
     return {
         "digests": result.digests,
@@ -117,7 +117,7 @@ def _as_data(recording: TeamRecording, result: TeamResult) -> dict[str, object]:
     }
 
 
-def _print(recording: TeamRecording, result: TeamResult) -> None:
+def _print(recording: TeamRecording, result: ReplaySummary) -> None:
     for part in result.parts:
         state = "differs" if part.differences else "equal"
         print(f"{part.host}: {part.turns} turns, {part.seconds:.1f} s, {part.digests} digests: {state}")

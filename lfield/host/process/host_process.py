@@ -19,6 +19,7 @@ from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.environment import HostOptions
 from lfield.host.host import Host
+from lfield.host.inputs import HostExited
 from lfield.host.logbook import JsonLogbook, Logbook
 from lfield.host.process.credentials import (
     HostCredentials,
@@ -101,12 +102,18 @@ async def run_host(
     signals = ShutdownSignals(host.clock)
     install_signal_handlers(signals)
     if parent_pipe:
-        ParentPipe(sys.stdin.fileno(), host.on_host_exited, partial(signals.request, is_repeatable=False))
+        _watch_parent(host, signals)
     status = await run_until_exit(host, signals, lost_after, _freeze_gc)
     if result_fd is not None:
         hops = known_hops(host.mobility.known_states())
         RunResult(hops, failure_reason(status, logbook.errors), status).write(result_fd)
     return status
+
+
+def _watch_parent(host: Host, signals: ShutdownSignals) -> None:
+    """Read the supervision pipe: hosts that have exited, and the end of the parent process."""
+    stop = partial(signals.request, is_repeatable=False)
+    ParentPipe(sys.stdin.fileno(), lambda exited: host.dispatch(HostExited(exited)), stop)
 
 
 class _Identity(NamedTuple):

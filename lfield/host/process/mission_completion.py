@@ -15,7 +15,7 @@ from dataclasses import replace
 from typing import cast
 
 from lfield.host.host import Host
-from lfield.host.inputs import ContactRestored, SilenceChecked
+from lfield.host.inputs import ContactRestored, OutcomesFound, SilenceChecked
 from lfield.journal.records import CoordinatorRecord
 from lfield.replication.locate.outcomes import (
     CoordinatorOutcome,
@@ -148,7 +148,7 @@ def _unavailable(host: Host, unavailable: UnavailableHosts) -> UnavailableHosts:
 
 async def _broadcast_outcomes(host: Host, found: Collection[CoordinatorOutcome]) -> None:
     """Announce the terminations, and wait until every reachable host has confirmed them."""
-    host.broadcast_outcomes(found)
+    host.dispatch(OutcomesFound(list(found)))
     end = host.clock.monotonic() + LINGER
     while host.mobility.has_unconfirmed(_reachable_hosts(host)) and host.clock.monotonic() < end:
         host.changed.clear()

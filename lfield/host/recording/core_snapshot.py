@@ -43,7 +43,7 @@ class CoreSnapshots:
         self._skeleton = walk(core, self._known, _OPAQUE)
         self._known.update((id(each), ["part", n]) for n, each in enumerate(self._skeleton))
 
-    def take(self) -> bytes:
+    def capture(self) -> bytes:
         """The state of the core, between two turns. Raises RecordingError if an object has no encoding."""
         writer = GraphWriter(self._known, self._number_of)
         states = [writer.state_of(each) for each in self._skeleton if not isinstance(each, _OPAQUE)]

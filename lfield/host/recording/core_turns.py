@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 class CoreTurns:
     """The turns of a core, and the clock of the core: the time of the present turn, or of the last one.
 
-    The core is constructed between `begin` and `end`, then attached.
+    The core is constructed between `start_turn` and `end_turn`, then attached.
     """
 
     def __init__(self, clock: Clock) -> None:
@@ -46,13 +46,13 @@ class CoreTurns:
             self.wall_time = self._clock.time()
         return self.wall_time
 
-    def begin(self) -> float:
+    def start_turn(self) -> float:
         """A turn begins; returns its time."""
         self._times[0] = at = self._real()
         self.in_turn, self.wall_time = True, None
         return at
 
-    def end(self) -> None:
+    def end_turn(self) -> None:
         """The turn has ended."""
         self.in_turn = False
 
@@ -72,12 +72,12 @@ class CoreTurns:
         """
         core, flight = self._core, self.flight
         assert core is not None
-        # As `begin` and `end`, which would be two calls more in each turn.
+        # As `start_turn` and `end_turn`, which would be two calls more in each turn.
         self._times[0] = at = self._real()
         self.in_turn, self.wall_time = True, None
         try:
             if flight is not None:
-                flight.begin_turn(at, entry)
+                flight.start_turn(at, entry)
             found = entry.enter(core) if entry is not None else None
             pause, effects = core.run(), core.drain_effects()
             if flight is not None:
@@ -92,15 +92,15 @@ class CoreTurns:
         assert core is not None
         if self.in_turn:
             return entry.enter(core)
-        at = self.begin()
+        at = self.start_turn()
         try:
             if flight is not None:
-                flight.begin_turn(at, entry, runs=False)
+                flight.start_turn(at, entry, runs=False)
             found = entry.enter(core)
             if flight is not None:
                 flight.end_turn([])
         finally:
-            self.end()
+            self.end_turn()
         return found
 
 

@@ -28,10 +28,11 @@ from lfield.host.recording.host_records import (
     TurnRecord,
     encode_frame,
 )
-from lfield.host.recording.record_sink import RecordSink
 from lfield.host.recording.recorded_environment import RecordedEnvironment
+from lfield.host.recording.recording_target import RecordSink
 from lfield.recording.segments import frame
 from lfield.vm.memory.block import Block
+from lfield.vm.turns.run_limit import RunLimit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -66,7 +67,7 @@ class FlightRecorder:
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
         self._start, self._drawn = start, drawn
-        self._hybrid = core.recorder.hybrid_clock
+        self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
         self._bytes = self._turns = 0
@@ -81,9 +82,9 @@ class FlightRecorder:
 
     # --- turns ----------------------------------------------------------------------------------------
 
-    def begin_turn(self, at: float, entry: HostInput | None, *, runs: bool = True) -> None:
+    def start_turn(self, at: float, entry: HostInput | None, *, runs: bool = True) -> None:
         """A turn begins at that time, with that input; without `runs` the core is not run."""
-        readings = self._environment.begin_turn()
+        readings = self._environment.start_turn()
         if not self._records:
             self._batch_at = at
         state = self._hybrid.state
@@ -95,7 +96,7 @@ class FlightRecorder:
         turn, at = self._turn, self._turn.at
         answers = self._environment.end_turn()
         self._clock_state = self._hybrid.state
-        cuts = self._core.machine.drain_cuts()
+        cuts = self._limit.drain_cuts()
         summary = encode_effects(effects) if effects else b""
         digests = self._digests(at) if at >= self._digest_due else []
         drawn = self._drawn.copy()
@@ -108,7 +109,7 @@ class FlightRecorder:
     def _digests(self, at: float) -> list[BlockDigest]:
         agents = self._core.machine.agents
         found = [block_digest(name, agents[name].block) for name in sorted(agents)]
-        size = 8 * sum(each.words for each in found)
+        size = 8 * sum(each.size for each in found)
         self._digest_due = at + max(DIGEST_INTERVAL, size / BYTES_PER_SECOND)
         return found
 
@@ -157,7 +158,7 @@ class FlightRecorder:
             replace(
                 self._start, metered=self._core.machine.hooks.meter is not None, clock=self._hybrid.state
             ),
-            self._snapshots.take(),
+            self._snapshots.capture(),
             environment.answers,
             environment.readings,
         )

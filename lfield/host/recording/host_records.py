@@ -80,7 +80,7 @@ class IdleTurn(HostRecord, frozen=True, tag=2):
     at: float
 
 
-class QueryAnswer(Struct, frozen=True, array_like=True):
+class RecordedAnswer(Struct, frozen=True, array_like=True):
     """The new answer of the environment to a question, with the arguments of the question.
 
     `error` has device, reason and kind of a DeviceError.
@@ -93,19 +93,19 @@ class QueryAnswer(Struct, frozen=True, array_like=True):
 
 
 class ReadingChange(Struct, frozen=True, array_like=True):
-    """A reading, by number, has changed since the last turn."""
+    """A reading, by number, has changed since the last turn; `raw` is its word."""
 
     number: int
-    word: int
+    raw: int
     until: float
 
 
 class BlockDigest(Struct, frozen=True, array_like=True):
-    """The CRC-32 of the used words of an agent's block."""
+    """The CRC-32 of the used words of an agent's block, and their number."""
 
     agent: str
     digest: int
-    words: int
+    size: int
 
 
 class TurnRecord(HostRecord, frozen=True, tag=3):
@@ -120,7 +120,7 @@ class TurnRecord(HostRecord, frozen=True, tag=3):
     entry: RecordedInput | None = None
     wall: float | None = None
     clock: ClockState | None = None
-    answers: list[QueryAnswer] = []
+    answers: list[RecordedAnswer] = []
     readings: list[ReadingChange] = []
     drawn: list[bytes] = []
     cuts: RunCuts = UNCUT
@@ -139,7 +139,7 @@ class CheckpointRecord(HostRecord, frozen=True, tag=4):
     at: float
     start: StartRecord
     snapshot: bytes
-    answers: list[QueryAnswer]
+    answers: list[RecordedAnswer]
     readings: list[ReadingChange]
 
 
@@ -195,7 +195,7 @@ def decode_frame(data: bytes) -> list[AnyRecord]:
         raise RecordingError(f"a record is damaged: {error}") from None
 
 
-def value_of(answer: QueryAnswer) -> DeviceValue:
+def value_of(answer: RecordedAnswer) -> DeviceValue:
     """The value of an answer of a device."""
     value: DeviceValue = answer.value
     return value

@@ -79,15 +79,15 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
     ones are listed only.
     """
     found: list[object] = []
-    seen: set[int] = set(excluded)
+    visited: set[int] = set(excluded)
     # Tuples have no number, but must be alive while their ids are remembered.
     tuples: list[object] = []
     stack: list[object] = [root]
     while stack:
         each = stack.pop()
-        if isinstance(each, (*PLAIN, Enum, frozenset, type, count)) or id(each) in seen:
+        if isinstance(each, (*PLAIN, Enum, frozenset, type, count)) or id(each) in visited:
             continue
-        seen.add(id(each))
+        visited.add(id(each))
         (tuples if isinstance(each, tuple) else found).append(each)
         if not isinstance(each, opaque):
             stack.extend(reversed(list(children(each))))
@@ -236,10 +236,10 @@ class GraphReader:
                 return deque()
         raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
 
-    def _block(self, data: bytes, words: int, limit: int, packed: int) -> Block:
-        if words > limit + (1 << 16) or len(data) > 8 * words:
+    def _block(self, data: bytes, capacity: int, limit: int, packed: int) -> Block:
+        if capacity > limit + (1 << 16) or len(data) > 8 * capacity:
             raise RecordingError("a checkpoint has a block with wrong sizes")
-        buffer = self._space.allocate(8 * words)
+        buffer = self._space.allocate(8 * capacity)
         buffer[: len(data)] = data
         return Block(buffer, len(data) // 8, limit, self._space, packed=packed)
 

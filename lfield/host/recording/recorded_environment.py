@@ -13,7 +13,7 @@ from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
 from lfield.errors import DeviceError
 from lfield.host.effects import Environment
-from lfield.host.recording.host_records import QueryAnswer, ReadingChange
+from lfield.host.recording.host_records import ReadingChange, RecordedAnswer
 from lfield.manifest import DeviceValue, Observation
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import Pending
@@ -47,26 +47,26 @@ class RecordedEnvironment:
         #: The last answer to each question, and the questions of this turn.
         self._known: dict[tuple[str | int, ...], object] = {}
         self._asked: set[tuple[str | int, ...]] = set()
-        self._changes: list[QueryAnswer] = []
+        self._changes: list[RecordedAnswer] = []
         #: The readings by number, and as the recording knows them.
         self._readings: list[Reading] = []
-        self._words: list[tuple[int, float]] = []
+        self._recorded: list[tuple[int, float]] = []
         self._in_turn = False
 
     # --- turns ----------------------------------------------------------------------------------------
 
-    def begin_turn(self) -> list[ReadingChange]:
+    def start_turn(self) -> list[ReadingChange]:
         """A turn begins; returns the readings that have changed since the last one."""
         self._in_turn = True
         changed = []
-        for number, (reading, known) in enumerate(zip(self._readings, self._words, strict=True)):
+        for number, (reading, known) in enumerate(zip(self._readings, self._recorded, strict=True)):
             now = reading.word, reading.until
             if now != known:
                 changed.append(ReadingChange(number, *now))
-                self._words[number] = now
+                self._recorded[number] = now
         return changed
 
-    def end_turn(self) -> list[QueryAnswer]:
+    def end_turn(self) -> list[RecordedAnswer]:
         """The turn has ended; returns its new answers."""
         self._in_turn = False
         if self._asked:
@@ -77,14 +77,14 @@ class RecordedEnvironment:
         return changes
 
     @property
-    def answers(self) -> list[QueryAnswer]:
+    def answers(self) -> list[RecordedAnswer]:
         """The last answers to all questions."""
         return [_answer(key, value) for key, value in self._known.items()]
 
     @property
     def readings(self) -> list[ReadingChange]:
         """The readings as of the last turn."""
-        return [ReadingChange(number, *known) for number, known in enumerate(self._words)]
+        return [ReadingChange(number, *known) for number, known in enumerate(self._recorded)]
 
     def number_of(self, reading: Reading) -> int:
         """The number of a reading that was given out."""
@@ -150,11 +150,11 @@ class RecordedEnvironment:
         if number < 0:
             number = len(self._readings)
             self._readings.append(found)
-            self._words.append((found.word, found.until))
+            self._recorded.append((found.word, found.until))
             # The recording learns the word at the beginning of a turn, and this one is under way.
             self._known[key] = number
             self._changes.append(
-                QueryAnswer(Question.READING, list(key[1:]), [number, found.word, found.until])
+                RecordedAnswer(Question.READING, list(key[1:]), [number, found.word, found.until])
             )
         return found
 
@@ -181,16 +181,16 @@ def _is_same(known: object, value: object) -> bool:
     return type(known) is type(value) and known == value
 
 
-def _answer(key: tuple[str | int, ...], value: object) -> QueryAnswer:
+def _answer(key: tuple[str | int, ...], value: object) -> RecordedAnswer:
     question, arguments = int(key[0]), list(key[1:])
     match value:
         case DeviceError():
-            return QueryAnswer(question, arguments, None, (value.device, value.reason, value.kind))
+            return RecordedAnswer(question, arguments, None, (value.device, value.reason, value.kind))
         case Pending():
-            return QueryAnswer(question, arguments, PENDING_ANSWER)
+            return RecordedAnswer(question, arguments, PENDING_ANSWER)
         case Unavailability():
-            return QueryAnswer(question, arguments, [value.reason, value.since])
+            return RecordedAnswer(question, arguments, [value.reason, value.since])
         case Observation():
-            return QueryAnswer(question, arguments, [value.value, value.when])
+            return RecordedAnswer(question, arguments, [value.value, value.when])
         case _:
-            return QueryAnswer(question, arguments, value)
+            return RecordedAnswer(question, arguments, value)

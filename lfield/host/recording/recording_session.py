@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
+import time
 from collections.abc import Callable
+from contextlib import suppress
 
 from lfield import __version__
 from lfield.errors import LfieldError
@@ -15,17 +18,36 @@ from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.host_records import VERSION, Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordingTarget
-from lfield.host.recording.run_identity import RunIdentity
 from lfield.mission.bundle import encode
 from lfield.mission.mission import Mission
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
 
+class RunIdentity:
+    """The run id of one host: recordings of a team with the same id belong together.
+
+    Each host proposes an id that begins with its time of start (`now`, in seconds since 1970). Hosts that
+    meet keep the smaller one, so all of a team agree on that of the host that was started first.
+    """
+
+    def __init__(self, now: float, random_bytes: Callable[[int], bytes]) -> None:
+        at = time.strftime("%Y%m%dT%H%M%S", time.gmtime(max(0.0, now)))
+        #: The id.
+        self.id = f"{at}-{random_bytes(4).hex()}"
+
+    def on_hello(self, other: str) -> bool:
+        """Another host has this id, '' for none; returns whether it is now the id of this host too."""
+        if not other or other >= self.id:
+            return False
+        self.id = other
+        return True
+
+
 class RecordingSession:
     """The recording of one incarnation; without `target` nothing is recorded.
 
-    `note` writes a log line; `call_soon` calls a function in the thread of the host.
+    `note` writes a log line.
     """
 
     def __init__(
@@ -34,14 +56,14 @@ class RecordingSession:
         mission: Mission,
         run: RunIdentity,
         note: Callable[[LogLine], None],
-        call_soon: Callable[[Callable[[], None]], object],
     ) -> None:
         self._target, self._mission, self.run = target, mission, run
-        self._note, self._call_soon = note, call_soon
+        self._note, self._loop = note, asyncio.get_running_loop()
         #: The recorder, None without a recording.
         self.flight: FlightRecorder | None = None
         self._environment: RecordedEnvironment | None = None
         self._turns: CoreTurns | None = None
+        self._host = ""
         self._drawn: list[bytes] = []
         self._seed = 0
 
@@ -73,7 +95,7 @@ class RecordingSession:
 
     def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
         """The core is constructed, in the present turn."""
-        self._turns = turns
+        self._turns, self._host = turns, core.name
         self._open(core, turns, engine)
         turns.attach(core, self.flight)
 
@@ -131,10 +153,11 @@ class RecordingSession:
             self.flight.close(now)
 
     def _on_failure_elsewhere(self, reason: str) -> None:
-        self._call_soon(lambda: self._on_failure(reason))
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._on_failure, reason)
 
     def _on_failure(self, reason: str) -> None:
         self.flight = None
         if self._turns is not None:
             self._turns.stop_recording()
-        self._note(log_messages.RECORDING_ENDED.line(reason=reason))
+        self._note(log_messages.HOST_RECORDING_ENDED.line(host=self._host, reason=reason))

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Protocol
 
 from lfield.guard.messages import NO_RECORDING, GuardRecording
-from lfield.host.recording.record_sink import MemorySink, RecordSink
 from lfield.recording.folders import CORE_SHARE, SUFFIX, create_folder
 from lfield.recording.ring_writer import RingWriter
 from lfield.recording.segments import MAGIC
@@ -15,6 +14,43 @@ from lfield.text.secure_files import write_private
 
 #: The file of the mission's bundle in the folder of an incarnation, and the stem of the core's ring.
 BUNDLE_NAME, CORE_STEM = "mission.lfm", "core"
+
+
+class RecordSink(Protocol):
+    """Receives the frames of one incarnation, in order."""
+
+    @property
+    def is_full(self) -> bool:
+        """Whether the next checkpoint should begin a new file."""
+
+    def start_file(self, first: bytes = b"") -> None:
+        """Begin the next file with that frame."""
+
+    def append(self, data: bytes) -> None:
+        """Append a frame."""
+
+    def close(self) -> None:
+        """Write what is pending."""
+
+
+class MemorySink:
+    """Keeps the frames."""
+
+    is_full = False
+
+    def __init__(self) -> None:
+        self.frames: list[bytes] = []
+
+    def start_file(self, first: bytes = b"") -> None:
+        """Append the first frame."""
+        self.frames.append(first)
+
+    def append(self, data: bytes) -> None:
+        """Append a frame."""
+        self.frames.append(data)
+
+    def close(self) -> None:
+        """Nothing is pending."""
 
 
 class RecordingTarget(Protocol):

@@ -88,7 +88,6 @@ class Coordinators(Part):
         self.is_halted = False
         #: Coordinators that arrived before the resources here were started; None after that.
         self._queued_arrivals: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
-        #: The block that was just packed, to be sent at once if there is a link.
         #: Numbers the packed blocks; the last one, 0 if it has waited since then.
         self._packs = self._packed = 0
         #: When mobility may have a time-out. New deadlines are later, so one that is set stays.

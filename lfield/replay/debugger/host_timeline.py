@@ -15,7 +15,7 @@ from typing import Any
 from lfield.bytecode.program import Program
 from lfield.host.recording.host_records import CheckpointRecord
 from lfield.mission.mission import Mission
-from lfield.replay.debugger.moment import Moment, Phase, Target
+from lfield.replay.debugger.moment import HostState, Moment, Phase, Target
 from lfield.replay.debugger.statement_table import StatementTable
 from lfield.replay.debugger.stepping_engine import SteppingEngine
 from lfield.replay.host_recording import HostRecording
@@ -221,8 +221,8 @@ class _Run:
         return self._moment(Phase.REST, ())
 
     def _moment(self, phase: Phase, effects: Any, block: Block | None = None, place: int = 0) -> Moment:
-        replay = self.replay
-        return Moment(replay.core, replay.environment, self._table, phase, self._step, effects, block, place)
+        state = HostState(self.replay.core, self.replay.environment, self._table)
+        return Moment(state, phase, self._step, effects, block, place)
 
     def search_turn(self, target: Target, stops: frozenset[int] | None) -> list[int]:
         """Replay the next turn; returns the numbers of its moments that meet a target."""
@@ -242,7 +242,7 @@ class _Run:
         pending = replay.core.context.effects
         if visit is None:
             engine.watch(frozenset(), None)
-            replay.on_input = None
+            replay.watch_inputs(None)
         else:
 
             def probe(block: Block, place: int) -> None:
@@ -250,7 +250,7 @@ class _Run:
                 visit(self._moment(Phase.STATEMENT, pending, block, place))
 
             engine.watch(stops, probe)
-            replay.on_input = lambda: visit(self._moment(Phase.INPUT, pending))
+            replay.watch_inputs(lambda: visit(self._moment(Phase.INPUT, pending)))
         done = next(self._turns)
         if done.divergence is not None and self.divergence is None:
             self.divergence = done.number, done.divergence

@@ -39,6 +39,14 @@ class ThreadKey(NamedTuple):
     thread: int
 
 
+class HostState(NamedTuple):
+    """The core of a host, what it knows of its environment, and the statements of its program."""
+
+    core: HostCore
+    environment: ReplayEnvironment
+    table: StatementTable
+
+
 class Moment:
     """A point of a replay. It is valid until the replay continues.
 
@@ -48,16 +56,15 @@ class Moment:
 
     def __init__(
         self,
-        core: HostCore,
-        environment: ReplayEnvironment,
-        table: StatementTable,
+        state: HostState,
         phase: Phase,
         step: int = 0,
         effects: Sequence[Effect] = (),
         block: Block | None = None,
         place: int = 0,
     ) -> None:
-        self.core, self.environment, self.table, self.phase, self.step = core, environment, table, phase, step
+        self.core, self.environment, self.table = state
+        self.phase, self.step = phase, step
         #: The effects of this turn until now.
         self.effects = effects
         self.block, self.place = block, place

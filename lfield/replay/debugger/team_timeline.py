@@ -20,7 +20,7 @@ from lfield.replay.debugger.host_timeline import HostTimeline, Step
 from lfield.replay.debugger.moment import Moment, Target
 from lfield.replay.debugger.statement_table import StatementTable
 from lfield.replay.host_recording import HostRecording
-from lfield.replay.team_order import Hop, TeamOrder
+from lfield.replay.team_order import TeamOrder, TransferKey
 
 #: A coordinator arrives at least this much after its departure, in seconds.
 MIN_TRANSIT = 1e-6
@@ -183,14 +183,14 @@ def _corrected_times(hosts: Sequence[HostTimeline], order: TeamOrder) -> list[ar
 def _shifts(order: TeamOrder) -> list[list[tuple[int, float]]]:
     """For each recording the turns from which it is moved later, and by how much in all."""
     shifts = [[(0, 0.0)] for _ in order.parts]
-    events: list[list[tuple[int, bool, Hop, float]]] = [[] for _ in order.parts]
+    events: list[list[tuple[int, bool, TransferKey, float]]] = [[] for _ in order.parts]
     for hop, sent in order.sends.items():
         events[sent.part].append((sent.turn, True, hop, sent.at))
     for hop, places in order.arrivals.items():
         for place in places:
             events[place.part].append((place.turn, False, hop, place.at))
     waiting = [deque(sorted(each)) for each in events]
-    departed: dict[Hop, float] = {}
+    departed: dict[TransferKey, float] = {}
     # An arrival waits until the time of its departure is known.
     is_changed = True
     while is_changed:
@@ -203,8 +203,8 @@ def _shift(
     order: TeamOrder,
     number: int,
     shifts: list[tuple[int, float]],
-    waiting: deque[tuple[int, bool, Hop, float]],
-    departed: dict[Hop, float],
+    waiting: deque[tuple[int, bool, TransferKey, float]],
+    departed: dict[TransferKey, float],
 ) -> bool:
     """Process the transfers of a recording as far as possible; false if there is none."""
     count = len(waiting)
