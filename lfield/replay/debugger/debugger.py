@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 from lfield.replay.debugger.device_readings import DeviceReading, device_readings
-from lfield.replay.debugger.expressions import Expression, Scope
+from lfield.replay.debugger.expressions import WatchExpression, WatchScope
 from lfield.replay.debugger.frames import (
     StackFrame,
     display_key,
@@ -58,7 +58,7 @@ class Breakpoint:
 
     file: str
     line: int
-    condition: Expression | None = None
+    condition: WatchExpression | None = None
 
 
 class Debugger:
@@ -176,7 +176,7 @@ class Debugger:
         moment, frames = self._stack(None if frame is None else frame.key)
         if frame in frames:
             frames = frames[frames.index(frame) :]
-        expression, scope = Expression(text), Scope(moment, frames)
+        expression, scope = WatchExpression(text), WatchScope(moment, frames)
         if (found := expression.variable(scope)) is not None:
             return scope.plain(*found), found[0]
         return expression.value(scope), None
@@ -269,25 +269,25 @@ class Debugger:
 
     def condition_target(self, text: str) -> Target:
         """A condition becomes true. Raises UsageError."""
-        return ConditionTarget(self._value_of(Expression(text)))
+        return ConditionTarget(self._value_of(WatchExpression(text)))
 
     def change_target(self, text: str) -> Target:
         """The value of an expression changes. Raises UsageError."""
-        return ChangeTarget(self._value_of(Expression(text)))
+        return ChangeTarget(self._value_of(WatchExpression(text)))
 
-    def _value_of(self, expression: Expression) -> Callable[[Moment], object]:
+    def _value_of(self, expression: WatchExpression) -> Callable[[Moment], object]:
         focus = self.focus
 
         def value(moment: Moment) -> object:
             frames = [] if focus is None else stack_of(moment, focus)
-            return expression.value_or_none(Scope(moment, frames))
+            return expression.value_or_none(WatchScope(moment, frames))
 
         return value
 
 
-def _holds(condition: Expression) -> Callable[[Moment], bool]:
+def _holds(condition: WatchExpression) -> Callable[[Moment], bool]:
     def holds(moment: Moment) -> bool:
         frames = [] if moment.running is None else stack_of(moment, display_key(moment, moment.running))
-        return condition.value_or_none(Scope(moment, frames)) is True
+        return condition.value_or_none(WatchScope(moment, frames)) is True
 
     return holds

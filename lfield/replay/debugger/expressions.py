@@ -41,7 +41,7 @@ class ValueUnknown(Exception):
     """An expression has no value at this moment; the message says why."""
 
 
-class Scope:
+class WatchScope:
     """The names at a moment: of some frames, innermost first, and of the devices of the host."""
 
     def __init__(self, moment: Moment, frames: Sequence[StackFrame]) -> None:
@@ -75,7 +75,7 @@ class Scope:
         return reader_of(self._moment, agent).plain(variable)
 
 
-class Expression:
+class WatchExpression:
     """A parsed expression. Raises UsageError for a mistake in it."""
 
     def __init__(self, text: str) -> None:
@@ -91,15 +91,15 @@ class Expression:
             raise UsageError(f"'{text}' cannot be evaluated: {why}")
         self._tree = tree
 
-    def value(self, scope: Scope) -> object:
+    def value(self, scope: WatchScope) -> object:
         """Its value. Raises ValueUnknown."""
         return _plain(self._tree, scope)
 
-    def variable(self, scope: Scope) -> tuple[Variable, str] | None:
+    def variable(self, scope: WatchScope) -> tuple[Variable, str] | None:
         """The variable that it names, with its agent; None if it is another expression."""
         return _variable(self._tree, scope)
 
-    def value_or_none(self, scope: Scope) -> object:
+    def value_or_none(self, scope: WatchScope) -> object:
         """Its value; None where it has none."""
         try:
             return self.value(scope)
@@ -107,7 +107,7 @@ class Expression:
             return None
 
 
-def _plain(tree: syntax.Expr, scope: Scope) -> object:
+def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
     match tree:
         case syntax.Literal_(value=value):
             return value
@@ -131,7 +131,7 @@ def _plain(tree: syntax.Expr, scope: Scope) -> object:
     raise ValueUnknown("it has a part that is not evaluated here")
 
 
-def _binary(tree: syntax.Binary, scope: Scope) -> object:
+def _binary(tree: syntax.Binary, scope: WatchScope) -> object:
     left, right = _plain(tree.left, scope), _plain(tree.right, scope)
     try:
         value = _OPERATORS[tree.operator](left, right)
@@ -143,31 +143,31 @@ def _binary(tree: syntax.Binary, scope: Scope) -> object:
     return int(value) if whole and isinstance(value, float) else value
 
 
-def _number(tree: syntax.Expr, scope: Scope) -> float:
+def _number(tree: syntax.Expr, scope: WatchScope) -> float:
     value = _plain(tree, scope)
     if not isinstance(value, int | float):
         raise ValueUnknown("it is not a number")
     return value
 
 
-def _variable(tree: syntax.Expr, scope: Scope) -> tuple[Variable, str] | None:
+def _variable(tree: syntax.Expr, scope: WatchScope) -> tuple[Variable, str] | None:
     match tree:
         case syntax.Name(name=name):
             return scope.variable(name)
         case syntax.This():
             return scope.variable("this")
         case syntax.Member(name=name):
-            wanted = name
+            part = name
         case syntax.Index():
-            wanted = f"[{_plain(tree.index, scope)}]"
+            part = f"[{_plain(tree.index, scope)}]"
         case _:
             return None
     owner = _variable(tree.object if isinstance(tree, syntax.Member) else tree.array, scope)
     if owner is None:
         return None
-    found = next((each for each in scope.parts(*owner) if each.name == wanted), None)
+    found = next((each for each in scope.parts(*owner) if each.name == part), None)
     if found is None:
-        raise ValueUnknown(f"{owner[0].name} has no {wanted}")
+        raise ValueUnknown(f"{owner[0].name} has no {part}")
     return found, owner[1]
 
 

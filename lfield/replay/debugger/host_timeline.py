@@ -15,7 +15,7 @@ from typing import Any
 from lfield.bytecode.program import Program
 from lfield.host.recording.host_records import CheckpointRecord
 from lfield.mission.mission import Mission
-from lfield.replay.debugger.moment import HostState, Moment, Phase, Target
+from lfield.replay.debugger.moment import Moment, Phase, ReplayState, Target
 from lfield.replay.debugger.statement_table import StatementTable
 from lfield.replay.debugger.stepping_engine import SteppingEngine
 from lfield.replay.host_recording import HostRecording
@@ -221,39 +221,39 @@ class _Run:
         return self._moment(Phase.REST, ())
 
     def _moment(self, phase: Phase, effects: Any, block: Block | None = None, place: int = 0) -> Moment:
-        state = HostState(self.replay.core, self.replay.environment, self._table)
+        state = ReplayState(self.replay.core, self.replay.environment, self._table)
         return Moment(state, phase, self._step, effects, block, place)
 
     def search_turn(self, target: Target, stops: frozenset[int] | None) -> list[int]:
         """Replay the next turn; returns the numbers of its moments that meet a target."""
         found: list[int] = []
 
-        def visit(moment: Moment) -> None:
+        def on_moment(moment: Moment) -> None:
             if target.is_met(moment):
                 found.append(moment.step)
 
-        self.replay_turn(self._table.starts if stops is None else stops, visit)
+        self.replay_turn(self._table.starts if stops is None else stops, on_moment)
         return found
 
-    def replay_turn(self, stops: frozenset[int], visit: Callable[[Moment], None] | None) -> None:
-        """Replay the next turn, and call `visit` with its moments: its input, these statements, its end."""
+    def replay_turn(self, stops: frozenset[int], on_moment: Callable[[Moment], None] | None) -> None:
+        """Replay the next turn, and call `on_moment` with its moments: its input, these statements, its end."""
         self._step = 0
         replay, engine = self.replay, self._engine
         pending = replay.core.context.effects
-        if visit is None:
+        if on_moment is None:
             engine.watch(frozenset(), None)
             replay.watch_inputs(None)
         else:
 
             def probe(block: Block, place: int) -> None:
                 self._step += 1
-                visit(self._moment(Phase.STATEMENT, pending, block, place))
+                on_moment(self._moment(Phase.STATEMENT, pending, block, place))
 
             engine.watch(stops, probe)
-            replay.watch_inputs(lambda: visit(self._moment(Phase.INPUT, pending)))
+            replay.watch_inputs(lambda: on_moment(self._moment(Phase.INPUT, pending)))
         done = next(self._turns)
         if done.divergence is not None and self.divergence is None:
             self.divergence = done.number, done.divergence
-        if visit is not None:
+        if on_moment is not None:
             self._step += 1
-            visit(self._moment(Phase.END, done.effects))
+            on_moment(self._moment(Phase.END, done.effects))

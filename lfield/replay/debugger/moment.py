@@ -39,7 +39,7 @@ class ThreadKey(NamedTuple):
     thread: int
 
 
-class HostState(NamedTuple):
+class ReplayState(NamedTuple):
     """The core of a host, what it knows of its environment, and the statements of its program."""
 
     core: HostCore
@@ -56,7 +56,7 @@ class Moment:
 
     def __init__(
         self,
-        state: HostState,
+        state: ReplayState,
         phase: Phase,
         step: int = 0,
         effects: Sequence[Effect] = (),
