@@ -243,7 +243,19 @@ class Debugger:
             return StatementTarget(self.focus.logical)
         return StepTarget(top.key, top.depth, deepest, top.line if by_line else None)
 
-    # --- targets --------------------------------------------------------------------------------------
+    # --- breakpoints and other targets ----------------------------------------------------------------
+
+    def add_breakpoint(self, breakpoint: Breakpoint) -> None:
+        """Add a breakpoint for `resume`."""
+        self.breakpoints.append(breakpoint)
+
+    def remove_breakpoint(self, breakpoint: Breakpoint) -> None:
+        """Remove a breakpoint."""
+        self.breakpoints.remove(breakpoint)
+
+    def replace_breakpoints(self, breakpoints: list[Breakpoint]) -> None:
+        """Set all breakpoints."""
+        self.breakpoints = breakpoints
 
     def target_of(self, breakpoint: Breakpoint) -> Target:
         """The statements of a line, where its condition holds."""
