@@ -220,15 +220,15 @@ class DebuggerCommands:
 def _parsed(text: str) -> tuple[str, str, bool]:
     """The command, its argument, and whether it goes backward."""
     name, _, rest = text.strip().partition(" ")
-    words = f"{SHORT.get(name, name)} {rest}".split()
-    is_back = bool(words) and words[0] == "back"
+    parts = f"{SHORT.get(name, name)} {rest}".split()
+    is_back = bool(parts) and parts[0] == "back"
     if is_back:
-        words = words[1:]
-        if words:
-            words = [*SHORT.get(words[0], words[0]).split(), *words[1:]]
-    elif len(words) > 1 and words[-1] == "back":
-        is_back, words = True, words[:-1]
-    return (words[0], " ".join(words[1:]), is_back) if words else ("", "", False)
+        parts = parts[1:]
+        if parts:
+            parts = [*SHORT.get(parts[0], parts[0]).split(), *parts[1:]]
+    elif len(parts) > 1 and parts[-1] == "back":
+        is_back, parts = True, parts[:-1]
+    return (parts[0], " ".join(parts[1:]), is_back) if parts else ("", "", False)
 
 
 def _required(text: str) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 from prompt_toolkit.application import Application
 from prompt_toolkit.buffer import Buffer
+from prompt_toolkit.formatted_text import StyleAndTextTuples
 from prompt_toolkit.history import InMemoryHistory
 from prompt_toolkit.key_binding import KeyBindings, KeyPressEvent
 from prompt_toolkit.layout import (
@@ -33,10 +34,6 @@ KEYS = {
     "f11": "step",
     "f12": "out",
     "f5": "continue",
-    "s-f10": "back next",
-    "s-f11": "back step",
-    "s-f12": "back out",
-    "s-f5": "back continue",
     "f22": "back next",
     "f23": "back step",
     "f24": "back out",
@@ -127,8 +124,8 @@ class DebugScreen:
         return FormattedTextControl(lambda: "\n".join(self._texts.get(name, [])))
 
     def _source_control(self) -> FormattedTextControl:
-        def shown() -> list[tuple[str, str]]:
-            parts = []
+        def shown() -> StyleAndTextTuples:
+            parts: StyleAndTextTuples = []
             for text in self._texts.get("source", []):
                 if text.startswith(">"):
                     # The window scrolls to its cursor.

@@ -218,10 +218,8 @@ class DapSession:
 
     def _set_breakpoints(self, given: Row) -> Row:
         path = str(given.get("source", {}).get("path") or given.get("source", {}).get("name", ""))
-        rows, found = [], []
-        for each in given.get("breakpoints", []):
-            row = self._breakpoint(path, each, found)
-            rows.append(row)
+        found: list[Breakpoint] = []
+        rows = [self._breakpoint(path, each, found) for each in given.get("breakpoints", [])]
         self._breakpoints[path] = found
         self._ready.replace_breakpoints([each for group in self._breakpoints.values() for each in group])
         return {"breakpoints": rows}
