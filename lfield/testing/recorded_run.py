@@ -34,17 +34,26 @@ def record_mission(
     options = FleetOptions(mission.bindings.unreachable_after, SETTLE_TIME, time_of_day=DAY[0], record=memory)
     fleet = Fleet(mission, seed, plug=fakes.plug, options=options)
     try:
-        while fleet.now < seconds and (fleet.lives or not fleet.left):
-            fleet.run(min(1.0, seconds - fleet.now))
-            for trouble in fakes.trouble:
-                raise trouble
-            on_progress(fleet.now)
+        _run(fleet, fakes, seconds, on_progress)
         run = fleet.mission
     finally:
         fleet.close()
-    recordings = [
-        HostRecording([record for data in sink.frames for record in SegmentReader(MAGIC + data)])
+    return recordings_in(memory), run
+
+
+def recordings_in(memory: RecordingMemory) -> list[HostRecording]:
+    """The recordings of the incarnations of hosts, in the order of their starts."""
+    frames = [
+        [record for data in sink.frames for record in SegmentReader(MAGIC + data)]
         for _, _, sink in memory.sinks
-        if sink.frames
     ]
-    return recordings, run
+    return [HostRecording(each) for each in frames if each]
+
+
+def _run(fleet: Fleet, fakes: MissionFakes, seconds: float, on_progress: Callable[[float], None]) -> None:
+    """Run until all hosts have ended, and raise what a simulated device has raised."""
+    while fleet.now < seconds and (fleet.lives or not fleet.left):
+        fleet.run(min(1.0, seconds - fleet.now))
+        for trouble in fakes.trouble:
+            raise trouble
+        on_progress(fleet.now)
