@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import FleetDesk, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import FleetDesk, failure_status, open_desk, report_unreached, split_answers
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -116,5 +116,5 @@ def _report(
             print(escape_line(f"{host}: {reason}"), file=sys.stderr)
         print(escape_line(text), file=sys.stdout if done else sys.stderr)
     if failed:
-        return exit_status.UNAVAILABLE
+        return failure_status(failed)
     return exit_status.DONE if done else exit_status.FAILED
