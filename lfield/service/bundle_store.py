@@ -120,6 +120,12 @@ class BundleStore:
             return self.path(digest).read_bytes()
         return None
 
+    def require(self, digest: bytes) -> bytes:
+        """The bytes of a stored bundle. Raises InputFileError without one."""
+        if (data := self.read(digest)) is None:
+            raise InputFileError(str(self.path(digest)), "it was deleted")
+        return data
+
     def add(self, digest: bytes, data: bytes, kept: Collection[bytes]) -> None:
         """Store a bundle, and remove the oldest others that are not `kept`."""
         write_private(self.path(digest), data, durable=True)
