@@ -71,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
             "directory with --keys"
         )
     # The next service finds a host that runs by the path in its command line.
-    state = versioned_state((args.state or state_dir()).absolute(), __version__)
+    state = versioned_state(args.state or state_dir(), __version__).absolute()
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
     files = inventory.path.absolute().parent
