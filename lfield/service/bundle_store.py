@@ -86,7 +86,11 @@ class BundleStore:
         except FileNotFoundError:
             return ServiceRecord()
         except msgspec.MsgspecError as error:
-            raise DamagedFileError(str(path), f"not the state of a service: {error}") from None
+            reason = (
+                f"not the state of a service: {error}; restore it from a backup, or rename it and repeat "
+                "'lfield push': without it no bundle is active here, and the votes of this host are forgotten"
+            )
+            raise DamagedFileError(str(path), reason) from None
         except OSError as error:
             raise InputFileError(str(path), error.strerror or str(error)) from None
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.mission_argument import add_running_mission, selected_runs, selected_teams
+from lfield.cli.mission_argument import add_running_mission, named_mission, selected_runs, selected_teams
 from lfield.errors import UsageError
 from lfield.text.suggestions import did_you_mean, listed
 
@@ -148,6 +148,9 @@ def print_events(
 
     parties = selected_teams(args, selected_runs(args))
     names = _limit_foreign(_select_hosts(display_names(parties), only))
+    if follow and named_mission(args) is None and not any(party.runs for party in parties):
+        # No mission has to run there, so nothing else may be printed.
+        print("lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True)
 
     def current_teams() -> list[TargetTeam]:
         return selected_teams(args, selected_runs(args))

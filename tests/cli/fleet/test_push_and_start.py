@@ -82,8 +82,11 @@ def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_di
     checked = here("service", "--host", "alpha", "--state", "state-alpha", "--check")
     assert (checked.status, checked.out) == (1, ["coordinator tom of mission has not ended: moved"])
     # It continues where it was, until it is discarded.
-    assert here("start").status == 0
+    started = here("start")
+    assert started.status == 0
+    assert any(line.startswith("tom continues: it has not ended") for line in started.out)
     team.services["bravo"].wait_for("restarted")
+    assert told(here("start", "--json"))["continues"] == []
     gone = told(here("stop", "--discard", "--json"))
     assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
     assert here("service", "--host", "alpha", "--state", "state-alpha", "--check").status == 0
