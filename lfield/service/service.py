@@ -231,7 +231,9 @@ class Service:
         await self._release()
 
     async def _end_other_bundle(self) -> None:
-        if self._runner.record.bundle not in (b"", self._activation.active):
+        active = self._activation.active
+        # Without an active bundle the state was deleted while the host ran: no activation ends it.
+        if active and self._runner.record.bundle not in (b"", active):
             # A pause is in the journal: the host of the next bundle would start paused.
             await self._release()
             await self._runner.stop("another bundle was activated")

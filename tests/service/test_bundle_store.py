@@ -62,8 +62,10 @@ def test_a_damaged_state_is_reported(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
     store.save(ServiceRecord())
     (tmp_path / "state.json").write_bytes(b'{"held": 3')
-    with pytest.raises(DamagedFileError):
+    with pytest.raises(DamagedFileError) as damaged:
         store.load()
+    # What to do about it.
+    assert "lfield push" in str(damaged.value)
 
 
 def test_an_interrupted_upload_continues(tmp_path: Path) -> None:

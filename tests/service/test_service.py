@@ -341,6 +341,27 @@ def test_a_stop_with_discard_ends_what_is_parked() -> None:
     run_jumping(story())
 
 
+def test_a_service_whose_state_was_deleted_leaves_its_host_alone_and_votes_no() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.kill_service()
+        robot.files.record = ServiceRecord()
+        robot.probe.motion = "its vehicles are unknown"
+        robot.boot_service()
+        task = asyncio.create_task(robot.service.resolve(unreachable))
+        await asyncio.sleep(2 * RESOLVE_EVERY)
+        assert robot.processes.alive == {101: OLD}
+        answer = await robot.propose()
+        assert (answer.votes, answer.reasons) == ({"alpha": "no"}, {"alpha": "its vehicles are unknown"})
+        await robot.command(MissionCommand("stop"))
+        assert not robot.processes.alive
+        assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
+        task.cancel()
+
+    run_jumping(story())
+
+
 # --- ballots without a decision ------------------------------------------------------------------------
 
 

@@ -70,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
             f"{args.host} has no keys: 'lfield provision {args.host}' makes and copies them, or name their "
             "directory with --keys"
         )
-    state = versioned_state(args.state or state_dir(), __version__)
+    # The next service finds a host that runs by the path in its command line.
+    state = versioned_state(args.state or state_dir(), __version__).absolute()
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
     files = inventory.path.absolute().parent

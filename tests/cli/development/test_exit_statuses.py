@@ -126,6 +126,8 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("push", 69): "fleet/test_push_and_start.py",
     ("rollback", 1): "fleet/test_ballot_report.py",
     ("rollback", 4): "fleet/test_ballot_report.py",
+    ("status", 1): "fleet/test_fleet_refusals.py",
+    ("stop", 1): "fleet/test_fleet_refusals.py",
     ("service", 1): "fleet/test_push_and_start.py",
     ("sign", 73): "development/test_keys_commands.py",
     ("replay", 1): "../replay/test_replay_commands.py",
