@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from msgspec.structs import astuple
+from msgspec import structs
 
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
@@ -51,16 +51,24 @@ class ReplayedTurn(NamedTuple):
 class HostReplay:
     """Replays `recording` of a host of `mission`, from its first turn or checkpoint on.
 
-    `engines` makes the engine, by default the reference engine. `turn` is the number of the next turn.
+    `engines` makes the engine, by default the reference engine. `turn` is the number of the next turn: the
+    replay begins there if `checkpoint` has the state before it, otherwise at the last one in the recording.
     """
 
     def __init__(
-        self, recording: HostRecording, mission: Mission, engines: Engines = ReferenceEngine, turn: int = 0
+        self,
+        recording: HostRecording,
+        mission: Mission,
+        engines: Engines = ReferenceEngine,
+        turn: int = 0,
+        checkpoint: CheckpointRecord | None = None,
     ) -> None:
-        self.recording, self._engines = recording, engines
-        self.turn, checkpoint = recording.checkpoint_before(turn)
-        start = recording.start if checkpoint is None else checkpoint.start
-        mission = replace(mission, release=BundleId(*astuple(start.release)))
+        self.recording, self._engines, self.turn = recording, engines, turn
+        if checkpoint is None:
+            self.turn, checkpoint = recording.checkpoint_before(turn)
+        self._on_input: Callable[[], None] | None = None
+        start = self._start = recording.start if checkpoint is None else checkpoint.start
+        mission = replace(mission, release=BundleId(*structs.astuple(start.release)))
         self.mission, team, program = mission, mission.team, mission.program
         self.clock = TurnReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
@@ -82,6 +90,10 @@ class HostReplay:
             self._restore(checkpoint)
         self._turns = recording.turns_from(self.turn)
 
+    def watch_inputs(self, on_input: Callable[[], None] | None) -> None:
+        """Set the function that is called in each turn after its input and before the core runs."""
+        self._on_input = on_input
+
     def draw(self, drawn: list[bytes]) -> None:
         """Add random bytes that the next turn may draw."""
         self._bytes.extend(drawn)
@@ -92,7 +104,18 @@ class HostReplay:
     def _restore(self, checkpoint: CheckpointRecord) -> None:
         self.environment.restore(checkpoint.answers, checkpoint.readings)
         self._snapshots.restore(checkpoint.snapshot, self.environment.readings)
+        self.core.recorder.hybrid_clock.restore(checkpoint.start.clock)
         self.clock.set(checkpoint.at, None)
+
+    def checkpoint(self) -> CheckpointRecord:
+        """The present state, between two turns: a replay can begin at `turn` with it."""
+        start = structs.replace(
+            self._start, wall=self.clock.wall, clock=self.core.recorder.hybrid_clock.state
+        )
+        environment = self.environment
+        return CheckpointRecord(
+            self.clock.at, start, self._snapshots.capture(), environment.answers, environment.reading_changes
+        )
 
     def __iter__(self) -> Iterator[ReplayedTurn]:
         for number, record in self._turns:
@@ -102,6 +125,8 @@ class HostReplay:
         core = self.core
         if isinstance(record, IdleTurn):
             self.clock.set(record.at, None)
+            if self._on_input is not None:
+                self._on_input()
             core.run()
             effects = core.drain_effects()
             self.turn = number + 1
@@ -115,6 +140,8 @@ class HostReplay:
             core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
             record.entry.enter(core)
+        if self._on_input is not None:
+            self._on_input()
         if record.run:
             core.run()
         effects = core.drain_effects() if record.run else []

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any
+
+from msgspec.structs import replace
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
@@ -21,6 +23,8 @@ class TurnReplayClock:
 
     def __init__(self, at: float, wall: float) -> None:
         self.at, self.wall = at, wall
+        #: Monotonic seconds. One object, as in `CoreTurns`: a checkpoint refers to it.
+        self.monotonic: Callable[[], float] = self._monotonic
 
     def set(self, at: float, wall: float | None) -> None:
         """Set the times of the next turn; the wall-clock time stays if it was not read."""
@@ -28,7 +32,7 @@ class TurnReplayClock:
         if wall is not None:
             self.wall = wall
 
-    def monotonic(self) -> float:
+    def _monotonic(self) -> float:
         return self.at
 
     def time(self) -> float:
@@ -86,6 +90,26 @@ class ReplayEnvironment:
         for reading in readings:
             self._add_reading(reading.raw, reading.until)
         self.apply(answers, ())
+
+    @property
+    def known(self) -> Collection[RecordedAnswer]:
+        """The last answers to all questions."""
+        return self._answers.values()
+
+    @property
+    def answers(self) -> list[RecordedAnswer]:
+        """The last answers to all questions, for `restore`."""
+        return [
+            replace(answer, value=answer.value[0])
+            if answer.question == Question.READING and isinstance(answer.value, list)
+            else answer
+            for answer in self._answers.values()
+        ]
+
+    @property
+    def reading_changes(self) -> list[ReadingChange]:
+        """The readings as they are now, for `restore`."""
+        return [ReadingChange(n, each.word, each.until) for n, each in enumerate(self.readings)]
 
     def _add_reading(self, raw: int, until: float) -> None:
         self.readings.append(Reading())

@@ -155,7 +155,9 @@ class FlightRecorder:
         environment = self._environment
         record = CheckpointRecord(
             now,
-            replace(self._start, metered=self._core.machine.hooks.meter is not None),
+            replace(
+                self._start, metered=self._core.machine.hooks.meter is not None, clock=self._hybrid.state
+            ),
             self._snapshots.capture(),
             environment.answers,
             environment.readings,
