@@ -56,6 +56,7 @@ def test_it_votes_yes_when_all_is_at_rest_and_pauses_its_host() -> None:
         assert robot.files.record.activation.ballot == answer
         assert robot.probe.paused
         assert robot.files.record.held
+        assert robot.verifications == 1
 
     run_jumping(story())
 

@@ -129,7 +129,7 @@ def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lf
     assert here("sign", "mission.lfm").status == 0
     staged = told(here("push", "mission.lfm", "--stage", "--json"))
     assert staged["outcome"] == "staged"
-    # Another push in between is none of its business.
+    # Another push in between does not remove it.
     team.mission(text="call")
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
     later = told(here("push", "mission.lfm", "--json"))
