@@ -118,6 +118,7 @@ def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) ->
 
 def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
+    # The clocks of the processes cannot be set, and the shortest certificate is valid for a second.
     time.sleep(1.5)
     refused = here("status")
     assert refused.status == 1
