@@ -191,6 +191,8 @@ class Robot:
         self.files.bundles = {OLD: b"old", NEW: b"new"}
         self.files.record = ServiceRecord(ActivationState(active=active))
         self.log: list[LogLine] = []
+        #: How often a bundle was verified.
+        self.verifications = 0
 
     def boot_service(self) -> Service:
         clock = LoopClock()
@@ -201,6 +203,7 @@ class Robot:
         return self.service
 
     def _verify(self, data: bytes) -> BundleInfo:
+        self.verifications += 1
         if data not in (b"old", b"new"):
             raise BundleError("it is no bundle")
         return BundleInfo(sha256(data).digest(), data.decode())

@@ -271,7 +271,7 @@ def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
         assert computer.processes.started == [OLD]
         assert computer.runner.info.phase == "stopped"
         assert computer.disk.bundle == b""
-        # Whatever it flew when it was killed may still fly.
+        # A vehicle that it flew when it was killed may still fly.
         assert bool(computer.disk.unsafe) is (status < 0)
 
     run_jumping(story())

@@ -94,8 +94,8 @@ def _check(args: argparse.Namespace) -> int:
     state = versioned_state(args.state or state_dir(), __version__)
     bound = BundleStore(state / "service").load().activation.open_ballot
     if bound is not None:
-        missing = [host for host in bound.ballot.hosts if host not in bound.votes] if bound.ballot else []
-        print(escape_line(f"an activation is not decided: the votes of {listed(missing)} are unknown"))
+        missing = listed(bound.missing)
+        print(escape_line(f"an activation has no result yet: the votes of {missing} are unknown"))
     probe = LocalProbe(args.host, state, lambda: 0, list, SystemClock())
     unfinished = asyncio.run(probe.unfinished())
     for one in unfinished:

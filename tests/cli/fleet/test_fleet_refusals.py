@@ -118,6 +118,7 @@ def test_a_damaged_bundle_is_named_and_repaired_by_a_push(lfield, here, team) ->
 
 def test_keys_of_a_person_that_have_expired_are_named(lfield, here, team) -> None:
     lfield.keys.put("me", lfield.keys.made("person", "anna", *ALL_RIGHTS, lasts=1.0))
+    # The clocks of the processes cannot be set, and the shortest certificate is valid for a second.
     time.sleep(1.5)
     refused = here("status")
     assert refused.status == 1
@@ -129,7 +130,7 @@ def test_a_bundle_that_was_staged_is_activated_later_without_being_sent_again(lf
     assert here("sign", "mission.lfm").status == 0
     staged = told(here("push", "mission.lfm", "--stage", "--json"))
     assert staged["outcome"] == "staged"
-    # Another push in between is none of its business.
+    # Another push in between does not remove it.
     team.mission(text="call")
     assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
     later = told(here("push", "mission.lfm", "--json"))
