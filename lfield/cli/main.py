@@ -53,6 +53,7 @@ COMMANDS = {
     "recover": "continue a coordinator on another host when its own host is permanently lost",
     "inspect": "print the contents of an agent dump, a host's journal, or a bundle",
     "replay": "replay recordings of hosts and report the first difference",
+    "export": "write the events and telemetry of a recording as MCAP or CSV",
     "doctor": "check ports, permissions, libraries, clock and devices",
     "driver": "list installed drivers, or create a new one",
     "setup": "write the required parameters into devices, or restore the old ones",
@@ -60,7 +61,8 @@ COMMANDS = {
     "sim": "run a simulated device, or inject faults into one",
 }
 _PACKAGES = {
-    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign", "replay"),
+    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
+    "recordings": ("replay", "export"),
     "run": ("up",),
     "operations": (
         "ps",

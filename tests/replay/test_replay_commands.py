@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import os
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+from mcap.reader import make_reader
 
 from lfield.host.recording.recording_target import RecordingDirectory
 from lfield.mission.bundle import encode
@@ -132,3 +135,33 @@ def test_a_changed_input_is_a_difference(recorded: Path, tmp_path: Path) -> None
     assert found["first"]["recorded"] != found["first"]["replayed"]
     text = lfield("replay", copied, "--bundle", tmp_path / "other.lfm", cwd=tmp_path).stdout
     assert "first difference: " in text
+
+
+@pytest.mark.process
+def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path) -> None:
+    file, tables = tmp_path / "flight.mcap", tmp_path / "tables"
+    ran = lfield("export", recorded / "records", "--mcap", file, "--csv", tables, cwd=tmp_path)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    with file.open("rb") as stream:
+        lines = [
+            json.loads(message.data)["message"]
+            for _, channel, message in make_reader(stream).iter_messages()
+            if channel.topic == "/log"
+        ]
+    assert any("climbed 5.0" in line for line in lines)
+    with (tables / "hops.csv").open(newline="") as table:
+        hops = list(csv.DictReader(table))
+    assert [(hop["agent"], hop["from"], hop["to"]) for hop in hops] == [("boss", "alpha", "bravo")]
+    again = lfield("export", recorded / "records", "--mcap", file, cwd=tmp_path)
+    assert again.returncode == 73
+    assert lfield("export", recorded / "records", "--csv", tables, cwd=tmp_path).returncode == 73
+
+
+@pytest.mark.process
+def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -> None:
+    (tmp_path / "mcap.py").write_text("raise ImportError('no module mcap')")
+    command = [sys.executable, "-m", "lfield", "export", str(recorded / "records"), "--mcap", "x.mcap"]
+    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, env=environment)
+    assert ran.returncode == 69
+    assert not (tmp_path / "x.mcap").exists()
