@@ -255,10 +255,17 @@ class WireError(LfieldError):
 
 
 class HandshakeError(LfieldError):
-    """A peer has another protocol version, program, deployment or name, or is not a member of the team."""
+    """A peer has another protocol version, program, deployment or name, or is not a member of the team.
+
+    `answered_by` is the host that answered at the address of another one, '' in all other cases.
+    """
 
     exit_status = exit_status.PROTOCOL
     code, remedy = "handshake", "start all hosts with the same bundle, and check their addresses and keys"
+
+    def __init__(self, reason: str, *, answered_by: str = "") -> None:
+        self.answered_by = answered_by
+        super().__init__(reason)
 
 
 class CpuBudgetExceeded(WireError):

@@ -48,7 +48,7 @@ class EventRecording:
     def finish(self) -> str:
         """Complete the file; returns what it contains."""
         self._mcap.finish()
-        self._file.flush()
+        self._file.finish()
         recorded = self._mcap
         dropped = f"; {recorded.dropped} messages left out: too many channels" if recorded.dropped else ""
         return (

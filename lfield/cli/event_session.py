@@ -66,6 +66,9 @@ def run_session(args: argparse.Namespace, lines: Lines, plan: SessionPlan) -> in
         parties = [single_target(parties)]
         mission = _mission_of(args, parties[0])
     names = _limit_foreign(display_names(parties))
+    if plan.follow and named_mission(args) is None and not any(party.runs for party in parties):
+        # No mission has to run there, so nothing else may be printed.
+        print("lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True)
     shown = _select_hosts(names, plan.only)
     session = _Session(args, lines, plan, parties, names if plan.until_done else shown, set(shown.values()))
     try:

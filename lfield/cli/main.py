@@ -54,6 +54,7 @@ COMMANDS = {
     "inspect": "print the contents of an agent dump, a host's journal, or a bundle",
     "debug": "debug recordings, or a mission in virtual time, forwards and backwards",
     "replay": "replay recordings of hosts and report the first difference",
+    "export": "write the events and telemetry of a recording as MCAP or CSV",
     "doctor": "check ports, permissions, libraries, clock and devices",
     "driver": "list installed drivers, or create a new one",
     "setup": "write the required parameters into devices, or restore the old ones",
@@ -61,8 +62,9 @@ COMMANDS = {
     "sim": "run a simulated device, or inject faults into one",
 }
 _PACKAGES = {
-    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign", "replay"),
+    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
     "debugging": ("debug",),
+    "recordings": ("replay", "export"),
     "run": ("up",),
     "operations": (
         "ps",

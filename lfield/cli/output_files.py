@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from contextlib import suppress
 from pathlib import Path
@@ -32,66 +33,67 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 
 class RecordingFile:
-    """A new file that grows until it is closed, readable at any time up to the last `flush`.
+    """A new file that grows, and is complete after each `flush`: it then ends with `trailer`.
 
-    An existing file is never overwritten; a device or pipe is written to. When the disk is full, the bytes
-    since the last flush are removed, and `trailer` is written if possible; from then on all methods raise
-    OutputFileError.
+    The next bytes replace the trailer. So the process may be killed at any time, and the disk may become
+    full. An existing file is never overwritten; a device or pipe is written to, without a trailer. After a
+    first OutputFileError all methods raise it again.
     """
-
-    #: Bytes that are collected between two flushes before they are written.
-    _BUFFER = 1 << 20
 
     def __init__(self, path: Path, trailer: bytes = b"") -> None:
         """Raises OutputFileError."""
-        self._path, self._trailer, self._buffer = path, trailer, bytearray()
+        self._path, self._buffer = path, bytearray()
         self._failure: OutputFileError | None = None
-        #: Bytes up to the last flush, and bytes that were written since.
-        self._flushed = self._written = 0
+        #: The size of the file without the trailer.
+        self._size = 0
         existing = os.O_EXCL if not path.exists() or path.is_file() else 0
         try:
             self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | existing, 0o644)
+            self._is_regular = stat.S_ISREG(os.fstat(self._file).st_mode)
         except FileExistsError:
             raise OutputFileError(str(path), "the file exists: remove it, or name another one") from None
         except OSError as error:
             raise self._error(error) from None
+        self._trailer = trailer if self._is_regular else b""
 
     def write(self, data: bytes) -> None:
         """Append bytes."""
-        self._check()
-        self._buffer += data
-        if len(self._buffer) >= self._BUFFER:
-            self._write_buffer()
-
-    def flush(self) -> None:
-        """Write all bytes so far."""
-        self._write_buffer()
-        self._flushed, self._written = self._flushed + self._written, 0
-
-    def _write_buffer(self) -> None:
-        self._check()
-        data, self._buffer = self._buffer, bytearray()
-        try:
-            while data:
-                written = os.write(self._file, data)
-                self._written += written
-                del data[:written]
-        except OSError as error:
-            self._failure = self._error(error)
-            # A pipe cannot be cut.
-            with suppress(OSError):
-                self._write_trailer()
-            raise self._failure from None
-
-    def _check(self) -> None:
         if self._failure is not None:
             raise self._failure
+        self._buffer += data
 
-    def _write_trailer(self) -> None:
-        os.ftruncate(self._file, self._flushed)
-        os.lseek(self._file, 0, os.SEEK_END)
-        if os.write(self._file, self._trailer) < len(self._trailer):
-            os.ftruncate(self._file, self._flushed)
+    def flush(self) -> None:
+        """Write all bytes so far, and the trailer."""
+        if self._buffer or self._failure is not None:
+            self._write_buffer(self._trailer)
+
+    def finish(self) -> None:
+        """Write all bytes so far: they are the end of the file."""
+        self._write_buffer(b"")
+
+    def _write_buffer(self, trailer: bytes) -> None:
+        if self._failure is not None:
+            raise self._failure
+        data, self._buffer = bytes(self._buffer), bytearray()
+        try:
+            # In one call, so that a process that is killed leaves the old or the new end.
+            self._write(data + trailer)
+        except OSError as error:
+            self._failure = self._error(error)
+            with suppress(OSError):
+                self._write(self._trailer)
+            raise self._failure from None
+        self._size += len(data)
+
+    def _write(self, data: bytes) -> None:
+        """Write behind the bytes that were flushed."""
+        if self._is_regular:
+            os.lseek(self._file, self._size, os.SEEK_SET)
+        size = len(data)
+        while data:
+            data = data[os.write(self._file, data) :]
+        if self._is_regular:
+            os.ftruncate(self._file, self._size + size)
 
     def close(self) -> None:
         """Close the file; what was not flushed is not written."""

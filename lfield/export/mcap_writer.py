@@ -1,8 +1,7 @@
 """MCAP files (https://mcap.dev/spec) with JSON messages, through the package `mcap`. Pure.
 
-The file consists of chunks, each complete in itself, and a summary with indexes at the end. A file whose
-writer was killed has no summary: readers without indexes and `mcap recover` read all chunks that were
-flushed.
+The file consists of chunks, each complete in itself, and a summary with indexes at the end. A file with
+`END_WITHOUT_SUMMARY` behind its chunks is valid too: readers read it from its beginning.
 """
 
 from __future__ import annotations

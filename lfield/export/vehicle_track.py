@@ -62,7 +62,8 @@ TRANSFORMS = Channel("/tf", FRAME_TRANSFORMS)
 class Track:
     """The line behind a vehicle: at most `MAX_POINTS` points over the whole way."""
 
-    points: list[MapPoint] = field(default_factory=list)
+    points: list[dict[str, float]] = field(default_factory=list)
+    last: MapPoint | None = None
     distance: float = FIRST_DISTANCE
     drawn_at: float = -TRACK_INTERVAL
     #: Whether it has points that are not drawn yet.
@@ -70,9 +71,10 @@ class Track:
 
     def add(self, point: MapPoint) -> None:
         """Add a position, if it is far enough from the last one."""
-        if self.points and _distance(self.points[-1], point) < self.distance:
+        if self.last is not None and _distance(self.last, point) < self.distance:
             return
-        self.points.append(point)
+        self.last = point
+        self.points.append(rounded(point))
         self.is_longer = True
         if len(self.points) > MAX_POINTS:
             del self.points[1:-1:2]
@@ -225,7 +227,7 @@ def _drawing(sample: TelemetrySample, vehicle: _Vehicle) -> dict[str, Any]:
         "pose": pose(MapPoint(0.0, 0.0, 0.0)),
         "thickness": 0.1,
         "scale_invariant": False,
-        "points": [rounded(point) for point in vehicle.track.points],
+        "points": vehicle.track.points,
         "color": color(*vehicle.color),
         "colors": [],
         "indices": [],

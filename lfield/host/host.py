@@ -223,7 +223,7 @@ class Host:
     def step(self) -> bool:
         """Run the core; returns False after a failure. Guards get a heartbeat only after a completed turn."""
         self.dispatch()
-        return self.failure is None
+        return self._failures.failure is None
 
     def dispatch(
         self, entry: inputs.HostInput | None = None, on_result: ResultCallback | None = None
@@ -232,7 +232,7 @@ class Host:
 
         An input caused by an effect waits until all effects are executed.
         """
-        if self._stopped or self.failure:
+        if self._stopped or self._failures.failure:
             return
         self._pending.append((entry, on_result))
         if self._is_dispatching:

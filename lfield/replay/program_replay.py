@@ -7,7 +7,7 @@ arrives with the block that this program has sent. Records count as durable at o
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import count
 
@@ -16,7 +16,8 @@ from lfield.errors import RecordingError
 from lfield.host.effects import CallDevice, Effect, PersistRecords
 from lfield.host.inputs import BatchDurable, DeviceAnswered, HostInput, TransferArrived
 from lfield.host.recording.effect_summary import decode_effects
-from lfield.host.recording.host_records import IdleTurn, TurnRecord
+from lfield.host.recording.host_records import IdleTurn, RecordedAnswer, TurnRecord
+from lfield.host.recording.recorded_environment import Question
 from lfield.mission.mission import Mission
 from lfield.replay.call_log import CallLog
 from lfield.replay.host_recording import HostRecording, Turn
@@ -48,6 +49,7 @@ class ProgramRun:
         self._core, self._host = self._replay.core, recording.host
         self._log, self._sent = log, sent
         self._replay.environment.use_calls(numbers_of(mission.program, recorded))
+        self._replay.environment.preset(_first_answers(recording))
         self._core.machine.hooks.replace_observer(PortalCallObserver(self))
         self._at = 0.0
         #: The agent and the position among its calls of each recorded device call, by number.
@@ -132,6 +134,13 @@ class ProgramRun:
             if effect[0] == "CallDevice":
                 agent = effect[1]
                 self._recorded[effect[-1]] = agent, next(self._counts.setdefault(agent, count()))
+
+
+def _first_answers(recording: HostRecording) -> Iterator[RecordedAnswer]:
+    """The answers to queries, and of devices about their state; a reading is known from its turn on."""
+    for _, turn in recording.turns_from(0):
+        if isinstance(turn, TurnRecord):
+            yield from (answer for answer in turn.answers if answer.question != Question.READING)
 
 
 class PortalCallObserver:

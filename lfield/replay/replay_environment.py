@@ -74,6 +74,11 @@ class ReplayEnvironment:
         """Use other numbers of device calls: those of the recorded program, for the calls of another one."""
         self._calls = calls
 
+    def preset(self, answers: Iterable[RecordedAnswer]) -> None:
+        """Set answers for questions without one: another program may ask earlier than the recorded one."""
+        for answer in answers:
+            self._answers.setdefault((answer.question, *answer.arguments), answer)
+
     def apply(self, answers: Sequence[RecordedAnswer], changes: Sequence[ReadingChange]) -> None:
         """Set what has changed for the next turn."""
         for change in changes:
@@ -167,7 +172,10 @@ class ReplayEnvironment:
 
     def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:
         """See `Environment`. Raises DeviceError."""
-        value = self._value(Question.QUERY, agent, self._calls[call])
+        key = Question.QUERY, agent, self._calls[call]
+        if key not in self._answers and call.effect != "query":
+            return PENDING
+        value = self._value(*key)
         found: DeviceValue | Pending = PENDING if value == PENDING_ANSWER else value
         return found
 

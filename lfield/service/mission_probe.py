@@ -69,7 +69,11 @@ class LocalProbe:
         except LfieldError as error:
             return f"the mission's host does not answer: {error}"
         devices = status.devices
-        troubles = [_motion(name, devices.get(name)) for name in self._vehicles_of()]
+        try:
+            vehicles = self._vehicles_of()
+        except LfieldError as error:
+            return f"the vehicles of the mission's host are unknown: {error}; 'lfield stop' ends it"
+        troubles = [_motion(name, devices.get(name)) for name in vehicles]
         troubles += [f"{name} moves" for name, one in devices.items() if one.telemetry.get("moving") is True]
         return "; ".join(trouble for trouble in troubles if trouble)
 

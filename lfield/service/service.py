@@ -187,7 +187,7 @@ class Service:
             refusal = await self._refusal(ballot.digest)
             if not refusal and ballot.digest != self._activation.active:
                 # Again when nothing can arm any more: a vehicle may have started in between.
-                refusal = await self._hold() or await self._refusal(ballot.digest)
+                refusal = await self._hold() or await self._refusal(None)
         try:
             self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
         finally:
@@ -231,7 +231,9 @@ class Service:
         await self._release()
 
     async def _end_other_bundle(self) -> None:
-        if self._runner.record.bundle not in (b"", self._activation.active):
+        active = self._activation.active
+        # Without an active bundle the state was deleted while the host ran: no activation ends it.
+        if active and self._runner.record.bundle not in (b"", active):
             # A pause is in the journal: the host of the next bundle would start paused.
             await self._release()
             await self._runner.stop("another bundle was activated")
@@ -290,7 +292,7 @@ class Service:
     async def _ask_for_votes(self, bound: BallotState, ask: AskPeer) -> None:
         since = self._bound_since
         waited = 0.0 if since is None else self._clock.monotonic() - since
-        missing = [host for host in ballots.missing_votes(bound) if host != self._host]
+        missing = [host for host in bound.missing if host != self._host]
         closes = waited >= CLOSE_AFTER
         if closes and self._clock.monotonic() - self._reported_at >= REPORT_EVERY:
             self._reported_at = self._clock.monotonic()
@@ -337,8 +339,8 @@ class Service:
         """Why the host of a bundle may not start here now; '' if it may."""
         bound = self._activation.open_ballot
         if bound is not None:
-            missing = listed(ballots.missing_votes(bound))
-            return f"the activation of a bundle is not decided yet: the votes of {missing} are unknown"
+            missing = listed(bound.missing)
+            return f"the activation of a bundle has no result yet: the votes of {missing} are unknown"
         if not self._activation.active:
             return "no bundle is active: 'lfield push' sends and activates one"
         if bundle != self._activation.active:

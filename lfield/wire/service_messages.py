@@ -34,6 +34,11 @@ def ballot_outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOut
     return "activated" if all(votes.get(host) == "yes" for host in hosts) else "open"
 
 
+def missing_votes(hosts: Iterable[str], votes: Mapping[str, Vote]) -> list[str]:
+    """The hosts whose votes are not known."""
+    return [host for host in hosts if host not in votes]
+
+
 #: What the mission's host does, as its service sees it.
 RunPhase = Literal["stopped", "starting", "running", "stopping", "waiting", "ended", "interrupted"]
 
@@ -72,6 +77,11 @@ class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     votes: Annotated[dict[Name, Vote], Meta(max_length=MAX_HOSTS)]
     reasons: Annotated[dict[Name, Label], Meta(max_length=MAX_HOSTS)]
     outcome: BallotOutcome
+
+    @property
+    def missing(self) -> list[str]:
+        """The hosts whose votes are not known; none without the ballot."""
+        return [] if self.ballot is None else missing_votes(self.ballot.hosts, self.votes)
 
 
 class UnfinishedCoordinator(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -7,7 +7,6 @@ import asyncio
 import pytest
 from scripted_snapshots import states_of
 
-from lfield.errors import HostFailure
 from lfield.host.inputs import HostExited
 from lfield.host.process.mission_completion import wait_until_done
 from lfield.journal.records import RunMarker, StartCounter
@@ -232,7 +231,7 @@ def crash(running) -> None:
     """As by SIGKILL: nothing that it does from now on comes anywhere."""
     running.host.peers.close()
     running.host.options.journal.close()
-    running.host.failure = HostFailure(running.host.name, RuntimeError("killed"))
+    running.host.fail(RuntimeError("killed"))
 
 
 def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(fleet):

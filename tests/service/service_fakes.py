@@ -10,7 +10,7 @@ from hashlib import sha256
 from lfield.errors import AddressError, BundleError, OutputFileError
 from lfield.service.ballots import ActivationState
 from lfield.service.bundle_store import RunRecord, ServiceRecord
-from lfield.service.mission_runner import HostEnd, MissionRunner, ProcessId
+from lfield.service.mission_runner import HostEnd, HostProcess, MissionRunner, ProcessId
 from lfield.service.service import Service
 from lfield.simulate.jumping_loop import LoopClock
 from lfield.text.log_messages import LogLine
@@ -45,6 +45,7 @@ class FakeProcesses:
     def __init__(self) -> None:
         self.boot = "first boot"
         self.started: list[bytes] = []
+        #: The bundle of each process, b"" for one that is no host.
         self.alive: dict[int, bytes] = {}
         self.ends: dict[int, asyncio.Future[HostEnd]] = {}
         #: Raised by the next starts.
@@ -62,8 +63,9 @@ class FakeProcesses:
         self.ends[pid] = asyncio.get_running_loop().create_future()
         return ProcessId(pid, 7 * pid)
 
-    def find(self, bundle: bytes) -> ProcessId | None:
-        return next((ProcessId(pid, 7 * pid) for pid, each in self.alive.items() if each == bundle), None)
+    def find(self) -> HostProcess | None:
+        hosts = [(pid, bundle) for pid, bundle in self.alive.items() if bundle]
+        return next((HostProcess(bundle, ProcessId(pid, 7 * pid)) for pid, bundle in hosts), None)
 
     def is_alive(self, process: ProcessId) -> bool:
         return process.pid in self.alive and process.started == 7 * process.pid
@@ -189,6 +191,8 @@ class Robot:
         self.files.bundles = {OLD: b"old", NEW: b"new"}
         self.files.record = ServiceRecord(ActivationState(active=active))
         self.log: list[LogLine] = []
+        #: How often a bundle was verified.
+        self.verifications = 0
 
     def boot_service(self) -> Service:
         clock = LoopClock()
@@ -199,6 +203,7 @@ class Robot:
         return self.service
 
     def _verify(self, data: bytes) -> BundleInfo:
+        self.verifications += 1
         if data not in (b"old", b"new"):
             raise BundleError("it is no bundle")
         return BundleInfo(sha256(data).digest(), data.decode())

@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _run_on_recording(args: argparse.Namespace) -> int:
     """Check the program of a deployment against a recording."""
-    from lfield.cli.development.program_check import check_program, named_mission_file
-    from lfield.cli.development.replay import named_engine
+    from lfield.cli.recordings.program_check import check_program, named_mission_file
+    from lfield.cli.recordings.replay import named_engine
     from lfield.replay.recording_files import load_team
 
     recording = load_team([args.recording])

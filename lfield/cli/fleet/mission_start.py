@@ -7,11 +7,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import FleetDesk, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import FleetDesk, failure_status, open_desk, report_unreached, split_answers
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -56,7 +56,7 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
     if others := _runs_of_other_bundles(desk, args.without, digest):
         text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
         return _report(args, {}, {}, text)
-    return _start(desk, list(statuses), digest, args)
+    return _start(desk, statuses, digest, args)
 
 
 def _runs_of_other_bundles(desk: FleetDesk, hosts: list[str], digest: bytes) -> list[str]:
@@ -69,15 +69,22 @@ def _runs_of_other_bundles(desk: FleetDesk, hosts: list[str], digest: bytes) -> 
     ]
 
 
-def _start(desk: FleetDesk, hosts: list[str], digest: bytes, args: argparse.Namespace) -> int:
+def _start(
+    desk: FleetDesk, before: Mapping[str, ServiceStatus], digest: bytes, args: argparse.Namespace
+) -> int:
+    """Start the hosts, whose states `before` are known, and wait until they are up; the exit status."""
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
+    hosts, continues = list(before), _suspended(before)
     order = MissionCommand("start", digest, without=args.without)
     results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
     report_unreached(failed, ", not started")
     refusals = {host: result.trouble for host, result in results.items() if result.trouble}
     if refusals or failed:
         return _report(args, refusals, failed, "the mission was not started on all hosts")
+    if not args.json:
+        for agent in continues:
+            print(escape_line(f"{agent} continues: it has not ended ('lfield stop --discard' would end it)"))
     end = time.monotonic() + SETTLE_TIMEOUT
     while True:
         statuses, failed = split_answers(desk.statuses(hosts))
@@ -87,8 +94,22 @@ def _start(desk: FleetDesk, hosts: list[str], digest: bytes, args: argparse.Name
             break
         time.sleep(POLL_INTERVAL)
     if not waits and not failed:
-        return _report(args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", done=True)
-    return _report(args, waits, failed, "the mission does not run on all hosts yet: 'lfield status' shows it")
+        return _report(
+            args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", continues, done=True
+        )
+    text = "the mission does not run on all hosts yet: 'lfield status' shows it"
+    return _report(args, waits, failed, text, continues)
+
+
+def _suspended(statuses: Mapping[str, ServiceStatus]) -> list[str]:
+    """The coordinators that have not ended on hosts that do not run: a start continues them."""
+    found = [
+        one.agent
+        for status in statuses.values()
+        if status.run.phase not in ACTIVE_PHASES
+        for one in status.unfinished
+    ]
+    return list(dict.fromkeys(found))
 
 
 def _waiting(status: ServiceStatus) -> str:
@@ -104,17 +125,19 @@ def _report(
     waits: Mapping[str, str],
     failed: Mapping[str, LfieldError],
     text: str,
+    continues: Sequence[str] = (),
     *,
     done: bool = False,
 ) -> int:
     """Print the result; returns the exit status."""
     if args.json:
         errors = {host: error.as_data() for host, error in failed.items()}
-        print(json.dumps({"started": done, "waits": dict(waits), "errors": errors, "text": text}))
+        data = {"started": done, "continues": list(continues), "waits": dict(waits), "errors": errors}
+        print(json.dumps({**data, "text": text}))
     else:
         for host, reason in waits.items():
             print(escape_line(f"{host}: {reason}"), file=sys.stderr)
         print(escape_line(text), file=sys.stdout if done else sys.stderr)
     if failed:
-        return exit_status.UNAVAILABLE
+        return failure_status(failed)
     return exit_status.DONE if done else exit_status.FAILED

@@ -7,13 +7,13 @@ import asyncio
 import json
 from typing import TYPE_CHECKING
 
-from lfield import exit_status
 from lfield.cli.fleet.desk import (
     TIMEOUT,
     FleetDesk,
     add_desk,
     add_without,
     ask_all_services,
+    failure_status,
     open_desk,
     report_unreached,
     split_answers,
@@ -62,7 +62,7 @@ async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace)
         statuses, failed = split_answers(answers)
         if failed:
             report_unreached(failed, "; nothing was changed")
-            return exit_status.UNAVAILABLE
+            return failure_status(failed)
         digest = _common_previous(statuses)
         report = PushReport(digest, as_json=args.json)
         report.start(f"bundle {short_digest(digest)}")
@@ -111,7 +111,7 @@ def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:
         print(json.dumps({"aborted": ended, "errors": errors}))
     elif ended:
         print(escape_line(f"activation aborted on {listed(ended)}"))
-    return exit_status.UNAVAILABLE if failed else exit_status.DONE
+    return failure_status(failed)
 
 
 def _require_unknown_result(

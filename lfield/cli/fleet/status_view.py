@@ -70,10 +70,9 @@ def open_ballot_text(state: BallotState) -> str:
     """The sentence about an open ballot."""
     ballot = state.ballot
     assert ballot is not None
-    missing = listed([host for host in ballot.hosts if host not in state.votes])
     return (
-        f"activation of {short_digest(ballot.digest)} by {ballot.by} not decided: the votes of {missing} are "
-        "unknown; no mission starts until they are known"
+        f"activation of {short_digest(ballot.digest)} by {ballot.by} has no result yet: the votes of "
+        f"{listed(state.missing)} are unknown; no mission starts until they are known"
     )
 
 

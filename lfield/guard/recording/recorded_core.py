@@ -6,6 +6,11 @@ like the others, and a replay is bit-exact.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+from operator import getitem
+from typing import cast
+
 from lfield.clock import Clock
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Effect, Execute, Interrupt
@@ -19,16 +24,14 @@ class EventClock:
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
-        self._now = clock.monotonic()
+        self._times = [clock.monotonic()]
+        #: The time of the present event. Not a method of this class: a core reads it several times.
+        self.monotonic: Callable[[], float] = cast("Callable[[], float]", partial(getitem, self._times, 0))
 
     def latch(self) -> float:
         """Reads the time for the next event, and returns it."""
-        self._now = self._clock.monotonic()
-        return self._now
-
-    def monotonic(self) -> float:
-        """The time of the present event."""
-        return self._now
+        self._times[0] = now = self._clock.monotonic()
+        return now
 
     def time(self) -> float:
         """The wall-clock time, which no event depends on."""
@@ -40,6 +43,8 @@ class RecordedCore:
 
     def __init__(self, core: GuardCore, clock: EventClock, recorder: GuardRecorder | None) -> None:
         self._core, self._clock, self._recorder = core, clock, recorder
+        #: When the next timer must expire; None without a deadline.
+        self.due = core.due
         #: The accepted calls that the driver has not started, by token: a segment must contain them.
         self._unstarted: dict[int, GuardCall] = {}
         if recorder is not None:
@@ -69,10 +74,6 @@ class RecordedCore:
             self._recorder.on_call_start(now, CallStarting(call.token), refusal)
             self._start_segment_if_full()
         return refusal
-
-    def due(self) -> float | None:
-        """When the next timer must expire; None without a deadline."""
-        return self._core.due()
 
     def _start_segment_if_full(self) -> None:
         assert self._recorder is not None

@@ -102,7 +102,7 @@ class RecordingSession:
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle = encode(self._mission)
+        bundle = self._target.bundle or encode(self._mission)
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
         try:

@@ -56,6 +56,10 @@ class MemorySink:
 class RecordingTarget(Protocol):
     """Opens the recordings of incarnations."""
 
+    @property
+    def bundle(self) -> bytes:
+        """The bundle of the mission; b"" to encode the mission as it runs."""
+
     def open_sink(
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
     ) -> RecordSink:
@@ -70,10 +74,12 @@ class RecordingTarget(Protocol):
 
 
 class RecordingDirectory:
-    """Recordings as folders in `parent`, each with at most `limit` bytes."""
+    """Recordings as folders in `parent`, each with at most `limit` bytes; `bundle` is as in
+    `RecordingTarget`.
+    """
 
-    def __init__(self, parent: Path, limit: int) -> None:
-        self._parent, self._limit = parent, limit
+    def __init__(self, parent: Path, limit: int, bundle: bytes = b"") -> None:
+        self._parent, self._limit, self.bundle = parent, limit, bundle
         self._folder: Path | None = None
 
     def open_sink(
@@ -95,6 +101,8 @@ class RecordingDirectory:
 
 class RecordingMemory:
     """Recordings in memory, by host and incarnation, in the order of their starts."""
+
+    bundle = b""
 
     def __init__(self) -> None:
         self.sinks: list[tuple[str, int, MemorySink]] = []

@@ -95,7 +95,7 @@ def test_a_call_that_was_accepted_before_a_segment_starts_in_the_next(tmp_path):
 
 
 def test_a_file_that_is_cut_anywhere_is_replayed_up_to_there(tmp_path):
-    guard = DrawnStory(3, RecordedGuard()).run(12)
+    guard = DrawnStory(3, RecordedGuard()).run(5)
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     data = path.read_bytes()

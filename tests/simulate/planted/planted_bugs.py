@@ -222,7 +222,7 @@ BUGS = [
         silence_is_a_loss,
         "a host without an answer counts as lost: one cut link makes a live coordinator 'lost'",
         frozenset({"lost", "stuck"}),
-        507,
+        775,
     ),
     Bug(
         two_starts_on_one_host,

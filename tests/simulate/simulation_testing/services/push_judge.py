@@ -88,7 +88,7 @@ class PushJudge:
         self.counts["starts"] += 1
         activation = self.records.get(robot, ServiceRecord()).activation
         if activation.open_ballot is not None:
-            self.breaches.add("start while bound", (robot,), "its ballot is not decided")
+            self.breaches.add("start while bound", (robot,), "its ballot has no result")
         if bundle != activation.active:
             self.breaches.add("start of another bundle", (robot,), "its bundle is not active there")
         if self.missions[robot].host is not None:

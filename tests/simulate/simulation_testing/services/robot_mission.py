@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from lfield import exit_status
-from lfield.service.mission_runner import HostEnd, ProcessId
+from lfield.service.mission_runner import HostEnd, HostProcess, ProcessId
 from lfield.simulate.computers.process_loop import ProcessLoop
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -185,10 +185,10 @@ class ModelProcesses:
             raise ProcessKilled
         return ProcessId(self._mission.start_host(bundle), 1)
 
-    def find(self, bundle: bytes) -> ProcessId | None:
-        """The process of the host of a bundle."""
+    def find(self) -> HostProcess | None:
+        """The process of the host that an earlier service has started."""
         hosts = self._mission.hosts.items()
-        return next((ProcessId(pid, 1) for pid, host in hosts if host.bundle == bundle), None)
+        return next((HostProcess(host.bundle, ProcessId(pid, 1)) for pid, host in hosts), None)
 
     def is_alive(self, process: ProcessId) -> bool:
         """Whether the process still runs."""

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.development.program_check import check_program
+from lfield.cli.recordings.program_check import check_program
 
 if TYPE_CHECKING:
     from lfield.replay.recording_files import TeamRecording
@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     recording = load_team(args.paths, args.bundle)
     if args.program is not None:
         if not args.json:
-            print_gaps(recording)
+            print("\n".join(gap_lines(recording)), end="\n" * bool(gap_lines(recording)))
         return check_program(recording, args.program, named_engine(args.engine), as_json=args.json)
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
     with replay_progress(turns, quiet=args.json) as on_progress:
@@ -121,19 +121,20 @@ def _print(recording: TeamRecording, result: ReplaySummary) -> None:
     for part in result.parts:
         state = "differs" if part.differences else "equal"
         print(f"{part.host}: {part.turns} turns, {part.seconds:.1f} s, {part.digests} digests: {state}")
-    print_gaps(recording)
+    for line in gap_lines(recording):
+        print(line)
     if result.first is not None:
         print("\n".join(difference_lines(result.first)))
 
 
-def print_gaps(recording: TeamRecording) -> None:
-    """Print what is missing of a recording."""
-    for problem in recording.problems:
-        print(f"incomplete: {problem}")
+def gap_lines(recording: TeamRecording) -> list[str]:
+    """What is missing of a recording, a line each."""
+    lines = [f"incomplete: {problem}" for problem in recording.problems]
     if recording.missing:
-        print(f"no recording of: {', '.join(recording.missing)}")
+        lines.append(f"no recording of: {', '.join(recording.missing)}")
     if recording.others:
-        print(f"not used, of other runs: {', '.join(path.name for path in recording.others)}")
+        lines.append(f"not used, of other runs: {', '.join(path.name for path in recording.others)}")
+    return lines
 
 
 def difference_lines(first: FirstDifference) -> list[str]:
