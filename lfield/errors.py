@@ -240,6 +240,13 @@ class ForeignJournal(JournalError):
     code, remedy = "journal-foreign", "name another directory with --state, or install the newer version"
 
 
+class RecordingError(LfieldError):
+    """A recording cannot be used: it is damaged, of a newer version, or of another mission."""
+
+    exit_status = exit_status.DATA
+    code, remedy = "recording", "see the message; `lfield replay` names the parts that can be used"
+
+
 class WireError(LfieldError):
     """A peer violated the protocol between hosts; its link is closed."""
 

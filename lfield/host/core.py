@@ -1,18 +1,19 @@
 """The core of one host: it owns the parts, dispatches messages and events, and runs the machine. Pure.
 
-Events in, effects out. It has no event loop, socket, process, disk, clock or RNG of its own: the shell
-(host.py) calls a method for each event, then `run`, and executes the effects that `drain_effects` returns. A
-simulator does the same. Only this module creates the parts.
+Inputs in, effects out. It has no event loop, socket, process, disk, clock or RNG of its own: the shell
+(host.py) passes each input (inputs.py) to `on_input`, calls `run`, and executes the effects that
+`drain_effects` returns. A simulator and a replay do the same. Only this module creates the parts.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Protocol, get_args
+from collections.abc import Callable, Iterable
+from typing import Any, Protocol, get_args
 
 from msgspec import structs
 
 from lfield.errors import DeviceError
+from lfield.host import inputs
 from lfield.host.context import (
     EventHandler,
     HostContext,
@@ -23,7 +24,7 @@ from lfield.host.context import (
     RecordsDurable,
     WriteFailed,
 )
-from lfield.host.effects import WAKE_WAITERS, CallDevice, Effect, OpenLink
+from lfield.host.effects import WAKE_WAITERS, Effect, OpenLink
 from lfield.host.events.migration_events import MigrationEvents
 from lfield.host.location.locator import Locator
 from lfield.host.migration.delayed_acks import DelayedAcks
@@ -40,7 +41,6 @@ from lfield.host.team.reachability import Reachability
 from lfield.host.team.reservation_service import ReservationService
 from lfield.host.team.startup import Startup
 from lfield.host.team_directory import TeamDirectory
-from lfield.manifest import DeviceValue
 from lfield.replication.lease.quorum_members import FencingTokens
 from lfield.replication.locate.outcomes import CoordinatorOutcome
 from lfield.replication.membership.membership import Membership
@@ -79,7 +79,7 @@ class HostCore:
         #: Answers the queries of the machine; it looks the parts up at each query.
         self.services = HostServices(context, self)
         view = MachineTeam(self.team.members, self.here, self.incarnation, mission.fenced)
-        hooks = VmHooks(rules=mission.calls, liveness=self.services)
+        hooks = VmHooks(rules=mission.calls, liveness=self.services, run_limit=context.run_limit)
         self.machine = machine = Machine(
             mission.program, view, self.services, context.clock, context.rng, context.engines, hooks
         )
@@ -120,8 +120,40 @@ class HostCore:
             kind: [part.observes[kind] for part in self._parts if kind in part.observes]
             for kind in get_args(HostEvent)
         }
+        #: The handler of each input.
+        self._inputs: dict[type[inputs.HostInput], Callable[[Any], object]] = self._input_handlers()
         #: The parts with due times.
         self._timed: list[Timed] = [*self._parts, self._inits, self.coordinators.write_ahead]
+
+    def _input_handlers(self) -> dict[type[inputs.HostInput], Callable[[Any], object]]:
+        return {
+            inputs.ResourcesStart: lambda entry: self.start_resources(first=entry.first),
+            inputs.CoordinatorsStart: lambda entry: self.start_coordinators(first=entry.first),
+            inputs.AgentsHalt: lambda entry: self.stop_agents(),
+            inputs.BatchFailed: lambda entry: self.on_write_failed(entry.reason),
+            inputs.BatchDurable: lambda entry: self.on_durable(entry.number),
+            inputs.DiskSpaceChanged: lambda entry: self.on_disk_space(entry.trouble),
+            inputs.Linked: lambda entry: self.on_linked(entry.hello),
+            inputs.Unlinked: lambda entry: self.on_unlinked(entry.host, quietly=entry.quietly),
+            inputs.LinkRejected: lambda entry: self.on_link_refused(entry.host, entry.reason, entry.bundle),
+            inputs.TransferArrived: lambda entry: self.on_transfer(entry.host, entry.header, entry.block),
+            inputs.OversizeArrived: lambda entry: self.on_oversize(entry.host, entry.header, entry.size),
+            inputs.MessageArrived: lambda entry: self.on_message(entry.host, entry.message),
+            inputs.DeviceAnswered: self.on_device_answer,
+            inputs.HostExited: lambda entry: self.on_host_exited(entry.host),
+            inputs.PauseOrdered: lambda entry: self.set_paused(on=entry.on, order=entry.order),
+            inputs.StopOrdered: lambda entry: self.set_emergency_stop(entry.reason, entry.order),
+            inputs.OrderExecuted: lambda entry: self.orders.on_executed(entry.kind, entry.id),
+            inputs.ForgetOrdered: lambda entry: self.forget(entry.agent),
+            inputs.RecoveryOrdered: lambda entry: self.recover(entry.request),
+            inputs.StartOrdered: lambda entry: self.startup.start(entry.without),
+            inputs.OutcomesFound: lambda entry: self.broadcast_outcomes(entry.found),
+            inputs.LinksPlanned: lambda entry: self.needed_hosts(),
+        }
+
+    def on_input(self, entry: inputs.HostInput) -> object:
+        """Pass an input to the part that handles it; returns the answer to an operator's order."""
+        return self._inputs[type(entry)](entry)
 
     def drain_effects(self) -> list[Effect]:
         """The pending effects, in order; each is returned once."""
@@ -338,9 +370,11 @@ class HostCore:
         if (handler := self._handlers.get(type(message))) is not None:
             handler(host, message)
 
-    def on_device_answer(self, call: CallDevice, value: DeviceValue | DeviceError) -> None:
+    def on_device_answer(self, answered: inputs.DeviceAnswered) -> None:
         """The result of a device call."""
-        self.commands.on_device_answer(call, value)
+        error = answered.error
+        value = DeviceError(error[0], error[1], kind=error[2]) if error else answered.value
+        self.commands.on_device_answer(answered.number, value)
 
 
 def _membership(context: HostContext) -> Membership:

@@ -1,6 +1,6 @@
 """The shell of one host: sockets, guards, timers and the log around a core that decides.
 
-`_dispatch` passes each event to the core, runs it, and executes its effects. An exception there is a bug of
+`dispatch` passes each input to the core, runs it, and executes its effects. An exception there is a bug of
 lfield: the host stops sending heartbeats to its guards, which make the devices safe, logs it and ends.
 """
 
@@ -13,14 +13,15 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Collection, Iterable
 from contextlib import suppress
-from functools import partial
 from mmap import mmap
+from random import Random
 from typing import TYPE_CHECKING, Any
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.devices.guard_process import STOPPING
 from lfield.devices.jitter_measurement import require_timely
 from lfield.errors import AddressError, DeviceError, HostFailure
+from lfield.host import inputs
 from lfield.host.agent_dump import write_agent_dump
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
@@ -42,7 +43,9 @@ from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
+from lfield.host.recording.recording_session import open_recording
 from lfield.host.status import status_of
+from lfield.host.turn_clock import TurnClock
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.net.link_manager import LinkManager
@@ -54,6 +57,7 @@ from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.text import log_messages
 from lfield.vm.machine import Machine
+from lfield.vm.run_limit import RunLimit
 from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observer_messages import Status
@@ -67,6 +71,8 @@ if TYPE_CHECKING:
 INITIAL_CONTACT_TIMEOUT = 1.5
 #: Bytes reserved for ending a host without memory; until then it is address space only.
 RESERVE_BYTES = 4 << 20
+#: Receives what `HostCore.on_input` returns.
+ResultCallback = Callable[[object], None]
 #: The resource that is exhausted when a socket call fails.
 SCARCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
 
@@ -80,7 +86,9 @@ class Host:
         self.mission, self.name, self.options = mission, name, options
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
-        self.recorder = EventRecorder(self.clock, self.note)
+        self._turn_clock = TurnClock(self.clock)
+        self._turn_clock.begin_turn()
+        self.recorder = EventRecorder(self._turn_clock, self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
         overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)
@@ -97,14 +105,17 @@ class Host:
         )
         self.journal_writer = JournalWriter(
             options.journal,
-            lambda number: self._dispatch(partial(self.core.on_durable, number)),
-            lambda why: self._dispatch(partial(self.core.on_write_failed, why)),
-            lambda trouble: self._dispatch(partial(self.core.on_disk_space, trouble)),
+            lambda number: self.dispatch(inputs.BatchDurable(number)),
+            lambda why: self.dispatch(inputs.BatchFailed(why)),
+            lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
         )
+        self._recording = open_recording(options.record, mission)
         self.core = HostCore(self._context(overlay))
+        self._recording.attach(self.core, self._turn_clock, options.engine)
+        self._turn_clock.end_turn()
         core, flush = self.core, self.journal_writer.flush
         self._observers = ObserverSessions(
-            core, self.guards, self.peers, self._dispatch, self.status, self.note, flush
+            core, self.guards, self.peers, self.dispatch, self.status, self.note, flush
         )
         self._datagrams = self._order_datagrams(transport)
         self.broken_agents: dict[str, bool] = {}  # agents that died here; True if due to a bug of lfield
@@ -113,19 +124,23 @@ class Host:
         self.failure: HostFailure | None = None
         self._loop, self.address, self._due = asyncio.get_running_loop(), "", 0.0
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
-        self._events: deque[Callable[[], None]] = deque()
+        self._pending: deque[tuple[inputs.HostInput | None, ResultCallback | None]] = deque()
         self._reserve = mmap(-1, RESERVE_BYTES)
         self._is_dispatching = self._stopped = False
         options.admission.serve(self.is_mission_active, mission.access.denied_rights, self.note)
 
     def _context(self, overlay: Overlay) -> HostContext:
         """The environment that the parts of the core share."""
-        options, writer = self.options, self.journal_writer
+        options, writer, monotonic = self.options, self.journal_writer, self.clock.monotonic
+        recording, seed = self._recording, options.rng.getrandbits(64)
+        recording.set_seed(seed)
         return HostContext(
-            self.mission, self.name, options.rng.getrandbits(62) + 1, self.clock,
-            HostEnvironment(self.peers, self.guards), options.rng, options.unreachable_after, overlay,
-            self.recorder, writer.journal_id, writer.records, writer.times,
-            select_engine(options.engine, self.note), options.random_bytes, options.stopwatch,
+            self.mission, self.name, options.rng.getrandbits(62) + 1, self._turn_clock,
+            recording.environment(HostEnvironment(self.peers, self.guards)), Random(seed),
+            options.unreachable_after, overlay, self.recorder,
+            writer.journal_id, writer.records, writer.times,
+            select_engine(options.engine, self.note, monotonic), recording.random_bytes(options.random_bytes),
+            options.stopwatch or monotonic, RunLimit(monotonic),
         )  # fmt: skip
 
     def _order_datagrams(self, transport: Transport) -> DatagramShell | None:
@@ -169,11 +184,11 @@ class Host:
             self.note(line)
         self.journal_writer.delete(self.core.coordinators.recovery.outdated)
         self.journal_writer.poll_disk_space()
-        self._dispatch(partial(self.core.start_resources, first=self.options.first_start))
+        self.dispatch(inputs.ResourcesStart(self.options.first_start))
         if not self.core.has_coordinators:
             return
         await self.peers.wait_for_initial_contact(INITIAL_CONTACT_TIMEOUT)
-        self._dispatch(partial(self.core.start_coordinators, first=self.options.first_start))
+        self.dispatch(inputs.CoordinatorsStart(self.options.first_start))
         await self.journal_writer.flush()
 
     async def _open_control_socket(self, path: str) -> None:
@@ -195,7 +210,7 @@ class Host:
             return {}
         if self.failure is None:
             self.recorder.on_host_stopping("", STOPPING)
-        self._dispatch(self.core.stop_agents)
+        self.dispatch(inputs.AgentsHalt())
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=why))
@@ -203,6 +218,7 @@ class Host:
         self._observers.subscriptions.flush_and_close()
         await self.journal_writer.close()
         self._stopped = True
+        self._recording.close(self.clock.monotonic())
         if self._timer:
             self._timer.cancel()
         self.peers.close()
@@ -215,30 +231,55 @@ class Host:
 
     def step(self) -> bool:
         """Run the core; returns False after a failure. Guards get a heartbeat only after a completed turn."""
-        self._dispatch(lambda: None)
+        self.dispatch()
         return self.failure is None
 
-    def _dispatch(self, event: Callable[[], None]) -> None:
-        """Pass an event to the core. An event caused by an effect waits until all effects are executed."""
+    def dispatch(
+        self, entry: inputs.HostInput | None = None, on_result: ResultCallback | None = None
+    ) -> None:
+        """Pass an input to the core, or none, and run it; `on_result` gets what `HostCore.on_input` returns.
+
+        An input caused by an effect waits until all effects are executed.
+        """
         if self._stopped or self.failure:
             return
-        self._events.append(event)
+        self._pending.append((entry, on_result))
         if self._is_dispatching:
             return
         self._is_dispatching = True
         try:
-            while self._events:
-                self._events.popleft()()
-                pause = self.core.run()
-                for effect in self.core.drain_effects():
+            while self._pending:
+                entry, on_result = self._pending.popleft()
+                pause, effects = self._turn(entry, on_result)
+                for effect in effects:
                     self._execute(effect)
             if self.logbook.pending:
                 self.logbook.flush()
+            self._recording.write_due(self.clock.monotonic())
             self._schedule_step(pause)
         except Exception as error:
             self.fail(error)
         finally:
             self._is_dispatching = False
+
+    def _turn(
+        self, entry: inputs.HostInput | None, on_result: ResultCallback | None
+    ) -> tuple[float | None, list[Effect]]:
+        """One turn of the core, at one time; returns the pause until the next one and the effects."""
+        core, clock, flight = self.core, self._turn_clock, self._recording.flight
+        at = clock.begin_turn()
+        try:
+            if flight is not None:
+                flight.begin_turn(at, entry)
+            result = core.on_input(entry) if entry is not None else None
+            pause, effects = core.run(), core.drain_effects()
+            if flight is not None:
+                flight.end_turn(effects)
+        finally:
+            clock.end_turn()
+        if on_result is not None:
+            on_result(result)
+        return pause, effects
 
     def _schedule_step(self, pause: float | None) -> None:
         """Schedule the next turn after so many seconds; an earlier timer stays."""
@@ -314,7 +355,11 @@ class Host:
 
     def _call_device(self, request: CallDevice) -> None:
         def answered(value: DeviceValue | DeviceError) -> None:
-            self._dispatch(partial(self.core.on_device_answer, request, value))
+            if isinstance(value, DeviceError):
+                error = value.device, value.reason, value.kind
+                self.dispatch(inputs.DeviceAnswered(request.number, None, error))
+            else:
+                self.dispatch(inputs.DeviceAnswered(request.number, value))
 
         call = request.call
         try:
@@ -337,27 +382,27 @@ class Host:
 
     def on_linked(self, hello: Hello) -> None:
         """A link with a host opened."""
-        self._dispatch(partial(self.core.on_linked, hello))
+        self.dispatch(inputs.Linked(hello))
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
         """No link with a host can be made; '' as the reason: it can again."""
-        self._dispatch(partial(self.core.on_link_refused, host, reason, bundle))
+        self.dispatch(inputs.LinkRejected(host, reason, bundle))
 
     def on_unlinked(self, host: str, *, quietly: bool) -> None:
         """The link with a host closed."""
-        self._dispatch(partial(self.core.on_unlinked, host, quietly=quietly))
+        self.dispatch(inputs.Unlinked(host, quietly))
 
     def desired_hosts(self) -> Collection[str]:
         """The hosts to have links with now."""
-        return self.core.needed_hosts()
+        return self._recording.needed_hosts(self.core, self._turn_clock)
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator arrived."""
-        self._dispatch(partial(self.core.on_transfer, host, header, block))
+        self.dispatch(inputs.TransferArrived(host, header, block))
 
     def on_oversize(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator with an oversized block arrived."""
-        self._dispatch(partial(self.core.on_oversize, host, header, size))
+        self.dispatch(inputs.OversizeArrived(host, header, size))
 
     def on_message(self, host: str, message: Control, link: Link) -> None:
         """A message arrived; `host` is '' for an observer."""
@@ -366,7 +411,7 @@ class Host:
         elif not host:
             self._observers.on_message(message, link)
         else:
-            self._dispatch(partial(self.core.on_message, host, message))
+            self.dispatch(inputs.MessageArrived(host, message))
 
     def is_mission_active(self) -> bool:
         """Whether a device is in use here, or a coordinator runs that is neither paused nor stopped."""
@@ -379,11 +424,11 @@ class Host:
 
     def on_host_exited(self, host: str) -> None:
         """A host has ended permanently, as reported by the process that started it."""
-        self._dispatch(partial(self.core.on_host_exited, host))
+        self.dispatch(inputs.HostExited(host))
 
     def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
         """This host is about to stop: announce all known terminations, and the outcomes found."""
-        self._dispatch(partial(self.core.broadcast_outcomes, found))
+        self.dispatch(inputs.OutcomesFound(list(found)))
 
     def note(self, line: log_messages.LogLine, *, lines: bool = False) -> None:
         """Write a log line; the output of a program may have several `lines`."""

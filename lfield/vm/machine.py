@@ -20,6 +20,7 @@ from lfield.vm.agent import Agent, MachineTeam, TeamMember
 from lfield.vm.cancellation import CANCELLED, Cancellation
 from lfield.vm.deadlines import HOST_DOWN, IN_TRANSIT, Deadlines
 from lfield.vm.engine_interface import (
+    BUDGET_EXHAUSTED,
     AgentLimits,
     BudgetExhausted,
     EngineExit,
@@ -47,6 +48,7 @@ from lfield.vm.pending_call import PendingCall
 from lfield.vm.reference import ReferenceEngine
 from lfield.vm.reservations.held_reservations import HeldReservations
 from lfield.vm.reservations.reserve_handlers import ReserveHandlers
+from lfield.vm.run_limit import RunCuts, RunLimit
 from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.itinerary import Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
@@ -54,8 +56,9 @@ from lfield.vm.together.together_handlers import TogetherHandlers
 
 #: Instructions of a thread's turn.
 SLICE = 2000
-#: Limits of one call of `run`, after which the host handles its events: slices, turns, and seconds.
-SLICES_PER_RUN, TURNS_PER_RUN, SECONDS_PER_RUN = 20, 100, 0.005
+#: Limits of one call of `run`, after which the host handles its events: slices, turns. `RunLimit` limits its
+#: duration.
+SLICES_PER_RUN, TURNS_PER_RUN = 20, 100
 
 
 class Machine:
@@ -78,6 +81,7 @@ class Machine:
     ) -> None:
         self.program, self.team, self.hooks = program, view.members, hooks or VmHooks()
         self._here, self._fenced, self._host, self._now = view.here, view.fenced, host, clock.monotonic
+        self._limit = self.hooks.run_limit or RunLimit(clock.monotonic)
         incarnation = 1 + view.incarnation % (layout.START_LIMIT - 1)
         self._scheduler = scheduler = Scheduler(
             program, incarnation, host, clock, portal_calls.fail, engines or ReferenceEngine, self.hooks
@@ -322,21 +326,27 @@ class Machine:
         turns, ready = self._turns, self._turns.ready
         if turns.timers or turns.alarms:
             self._wake()
-        now, long = self._now, SLICE * self.engine.pace
-        remaining, until = SLICES_PER_RUN * long, now() + SECONDS_PER_RUN
-        for _ in range(TURNS_PER_RUN):
+        limit, long = self._limit, SLICE * self.engine.pace
+        remaining = SLICES_PER_RUN * long
+        limit.start()
+        for number in range(1, TURNS_PER_RUN + 1):
             if not ready or remaining <= 0:
                 break
             agent, thread = ready.popleft()
             # Where no other thread can become ready, a long turn delays none.
             is_alone = not (ready or agent.pollers or agent.blocked or self.hooks.meter)
             try:
-                remaining -= self._turn(agent, thread, long if is_alone else SLICE)
+                remaining -= self._turn(agent, thread, long if is_alone else SLICE, number)
             except Exception as error:
                 self._fail_agent(agent, thread, error)
-            if now() > until:
+            if limit.is_over(number):
                 break
         return turns.seconds_until_due() if ready or turns.timers or turns.alarms else None
+
+    @property
+    def cuts(self) -> RunCuts:
+        """Where time has cut the last run."""
+        return self._limit.cuts
 
     def _wake(self) -> None:
         for agent, ring in self._turns.pop_due():
@@ -356,15 +366,22 @@ class Machine:
             # Its stack cannot be printed; its callers must still get their exception.
             self._scheduler.die(agent, reason, broken=True)
 
-    def _turn(self, agent: Agent, thread: int, budget: int) -> int:
-        """Run at most `budget` instructions of a thread and handle its exit; returns the number executed."""
+    def _turn(self, agent: Agent, thread: int, budget: int, number: int) -> int:
+        """Run at most `budget` instructions of a thread and handle its exit; returns how many it executed.
+
+        `number` is that of the turn in this run.
+        """
         if agent.ended or agent.frozen:
             return 0
         engine, block = self.engine, agent.block
         places = block.index_threads() if block.places is None else block.places
         place = self._place = places.get(thread, 0)
+        if self._limit.budgets:
+            budget = self._limit.budgets.get(number, budget)
         leave = engine.run(block, place, budget, agent.limits, agent.readings)
         used = budget - engine.unused_budget
+        if leave is BUDGET_EXHAUSTED and used < budget:
+            self._limit.on_early_end(number, used)
         if self.hooks.meter is not None:
             self.hooks.meter(used)
         if agent.poll_counts and engine.has_read_external:

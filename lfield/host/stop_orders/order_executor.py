@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from typing import Protocol
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.event_loop import spawn
 from lfield.host.core import HostCore
+from lfield.host.inputs import HostInput, OrderExecuted, PauseOrdered, StopOrdered
 from lfield.host.order_history.executed_orders import effect_of
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
@@ -34,6 +36,12 @@ OrderResponse = EmergencyStopResult | OrderChallenge
 OrderCallback = Callable[[OrderResponse], None]
 
 
+class Dispatch(Protocol):
+    """Passes an input to the core, see `Host.dispatch`."""
+
+    def __call__(self, entry: HostInput, on_result: Callable[[object], None] | None = None) -> None: ...
+
+
 class OrderExecutor:
     """Executes stop, pause and lift orders on one host.
 
@@ -45,7 +53,7 @@ class OrderExecutor:
         self,
         core: HostCore,
         guards: DeviceGuards,
-        dispatch: Callable[[Callable[[], None]], None],
+        dispatch: Dispatch,
         note: Callable[[LogLine], None],
         flush: Callable[[float | None], Awaitable[bool]],
     ) -> None:
@@ -70,13 +78,9 @@ class OrderExecutor:
 
     def on_lock_out(self, device: str, reason: str) -> None:
         """A lock-out is stored like an emergency stop, so that the next start opens the devices locked."""
-        self._core.orders.on_lock_out()
+        self._dispatch(OrderExecuted(""))
         if not self._core.coordinators.stopped:
-            self._dispatch(
-                lambda: self._core.set_emergency_stop(
-                    truncate(escape_line(f"{device} is locked out: {reason}"))
-                )
-            )
+            self._dispatch(StopOrdered(truncate(escape_line(f"{device} is locked out: {reason}"))))
 
     # --- orders ---------------------------------------------------------------------------------------
 
@@ -85,7 +89,7 @@ class OrderExecutor:
         orders, kind = self._core.orders, message.kind
         match orders.standing_of(kind, message.id, message.epoch):
             case "new":
-                orders.mark_executed(kind, message.id)
+                self._dispatch(OrderExecuted(kind, message.id))
                 spawn(self._execute(message, sender, answer))
             case "holds":
                 spawn(self._confirm(message, answer))
@@ -121,12 +125,12 @@ class OrderExecutor:
         if message.lift:
             self._note(log_messages.EMERGENCY_STOP_LIFTED.line(operator=who))
             devices = self._guards.clear_emergency_stop()
-            self._dispatch(lambda: self._core.set_emergency_stop("", message.id))
+            self._dispatch(StopOrdered("", message.id))
         else:
             self._note(log_messages.EMERGENCY_STOP.line(operator=who, reason=reason))
             # The devices first: they wait neither for the core nor for the disk.
             self._guards.inhibit(reason)
-            self._dispatch(lambda: self._core.set_emergency_stop(reason, message.id))
+            self._dispatch(StopOrdered(reason, message.id))
             devices = await self._safe_states()
         trouble = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=message.lift)
         self._answer(message, answer, devices, trouble)
@@ -136,9 +140,9 @@ class OrderExecutor:
         if message.lift:
             # A resumed agent must find its devices in use.
             devices = await self._guards.release_held(PAUSED) if self._core.coordinators.paused else {}
-            self._dispatch(lambda: self._core.set_paused(on=False, order=message.id))
+            self._dispatch(PauseOrdered(False, message.id))
         else:
-            self._dispatch(lambda: self._core.set_paused(on=True, order=message.id))
+            self._dispatch(PauseOrdered(True, message.id))
             devices = await self._guards.enter_safe_state(PAUSED)
         if await self._flush(None):
             self._answer(message, answer, devices)

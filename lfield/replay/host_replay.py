@@ -1,0 +1,161 @@
+"""Replays one host: the real core on recorded inputs, compared turn by turn with the recording."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from lfield.host.context import HostContext
+from lfield.host.core import HostCore
+from lfield.host.effects import Effect
+from lfield.host.events.event_recorder import EventRecorder
+from lfield.host.recording.core_snapshot import CoreSnapshots
+from lfield.host.recording.effect_summary import decode_effects, encode_effects
+from lfield.host.recording.flight_recorder import block_digest
+from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn
+from lfield.mission.mission import Mission
+from lfield.replay.host_recording import HostRecording, Turn
+from lfield.replay.replay_environment import ReplayClock, ReplayedBytes, ReplayEnvironment
+from lfield.replication.membership.overlay import Overlay
+from lfield.vm.engine_interface import Engines
+from lfield.vm.reference import ReferenceEngine
+from lfield.vm.run_limit import ReplayedRunLimit
+
+
+class Divergence(NamedTuple):
+    """The first thing that differs in a turn: what, and its value in the recording and in the replay."""
+
+    what: str
+    recorded: object
+    replayed: object
+
+
+class ReplayedTurn(NamedTuple):
+    """A turn that was replayed: its number, its record, its effects, and how it differs, None if it does not.
+
+    `digests` is the number of digests and effects that were compared.
+    """
+
+    number: int
+    record: Turn
+    effects: list[Effect]
+    divergence: Divergence | None
+    digests: int
+
+
+class HostReplay:
+    """Replays `recording` of a host of `mission`, from its first turn or checkpoint on.
+
+    `engines` makes the engine, by default the reference engine. `turn` is the number of the next turn.
+    """
+
+    def __init__(
+        self, recording: HostRecording, mission: Mission, engines: Engines = ReferenceEngine, turn: int = 0
+    ) -> None:
+        self.recording, self.mission, self._engines = recording, mission, engines
+        self.turn, checkpoint = recording.checkpoint_before(turn)
+        start = recording.start if checkpoint is None else checkpoint.start
+        team, program = mission.team, mission.program
+        self.clock = ReplayClock(start.at, start.wall)
+        self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
+        self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()
+        self._bytes.extend(start.drawn)
+        recorder = EventRecorder(self.clock)
+        recorder.hybrid_clock.restore(start.clock)
+        overlay = Overlay(team.hosts, team.number(start.host), is_full_mesh=mission.registry is not None)
+        context = HostContext(
+            mission, start.host, start.incarnation, self.clock, self.environment, random.Random(start.seed),
+            start.unreachable_after, overlay, recorder, start.journal_id, start.records, dict(start.times),
+            with_pace(engines, start.pace), self._bytes, float, self._limit,
+        )  # fmt: skip
+        self.core = HostCore(context)
+        if start.metered:
+            self.core.machine.hooks.attach_meter(lambda executed: None)
+        self._snapshots = CoreSnapshots(self.core, self._number_of)
+        if checkpoint is not None:
+            self._restore(checkpoint)
+        self._turns = recording.turns_from(self.turn)
+
+    def _number_of(self, reading: object) -> int:
+        return next(n for n, each in enumerate(self.environment.readings) if each is reading)
+
+    def _restore(self, checkpoint: CheckpointRecord) -> None:
+        self.environment.restore(checkpoint.answers, checkpoint.readings)
+        self._snapshots.restore(checkpoint.snapshot, self.environment.readings)
+        self.clock.set(checkpoint.at, None)
+
+    def __iter__(self) -> Iterator[ReplayedTurn]:
+        for number, record in self._turns:
+            yield self._replay(number, record)
+
+    def _replay(self, number: int, record: Turn) -> ReplayedTurn:
+        core = self.core
+        if isinstance(record, IdleTurn):
+            self.clock.set(record.at, None)
+            core.run()
+            effects = core.drain_effects()
+            self.turn = number + 1
+            found = Divergence("effects", [], _plain(effects)) if effects else None
+            return ReplayedTurn(number, record, effects, found, 1)
+        self.clock.set(record.at, record.wall)
+        self.environment.apply(record.answers, record.readings)
+        self._bytes.extend(record.drawn)
+        self._limit.repeat(record.cuts)
+        if record.clock is not None:
+            core.recorder.hybrid_clock.restore(record.clock)
+        if record.entry is not None:
+            core.on_input(record.entry)
+        if record.run:
+            core.run()
+        effects = core.drain_effects() if record.run else []
+        self.turn = number + 1
+        found = self._compare(record.effects, effects, record.digests)
+        return ReplayedTurn(number, record, effects, found, 1 + len(record.digests))
+
+    def _compare(
+        self, recorded: bytes, effects: list[Effect], digests: list[BlockDigest]
+    ) -> Divergence | None:
+        replayed = encode_effects(effects)
+        if recorded != replayed:
+            return _first_difference(decode_effects(recorded), decode_effects(replayed))
+        agents = self.core.machine.agents
+        found = {name: block_digest(name, agents[name].block) for name in agents} if digests else {}
+        if digests and found.keys() != {each.agent for each in digests}:
+            return Divergence("agents of the host", sorted(each.agent for each in digests), sorted(found))
+        for each in digests:
+            if found[each.agent] != each:
+                return Divergence(f"block of {each.agent}", each, found[each.agent])
+        return None
+
+
+def with_pace(engines: Engines, pace: int) -> Engines:
+    """The same engines with the pace of another one: turns then have the same budgets."""
+
+    def make(program: Any, now: Callable[[], float]) -> Any:
+        return PacedEngine(engines(program, now), pace)
+
+    return make
+
+
+class PacedEngine:
+    """An engine with another pace."""
+
+    def __init__(self, engine: Any, pace: int) -> None:
+        self._engine, self.pace = engine, pace
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._engine, name)
+
+
+def _plain(effects: list[Effect]) -> list[list[Any]]:
+    return decode_effects(encode_effects(effects))
+
+
+def _first_difference(recorded: list[list[Any]], replayed: list[list[Any]]) -> Divergence:
+    for number in range(max(len(recorded), len(replayed))):
+        one = recorded[number] if number < len(recorded) else None
+        other = replayed[number] if number < len(replayed) else None
+        if one != other:
+            return Divergence(f"effect {number + 1}", one, other)
+    return Divergence("effects", recorded, replayed)
