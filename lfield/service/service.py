@@ -329,6 +329,10 @@ class Service:
                 f"bundle {short_digest(command.digest)} is not active here, but "
                 f"{short_digest(active)}: 'lfield push' activates one on all hosts"
             )
+        if not refusal and (info := self._bundles.info(active)) is not None:
+            # Before the start: a refused start has started nothing.
+            unknown = [host for host in command.without if info.hosts and host not in info.hosts]
+            refusal = f"its mission has no host {listed(unknown)}" if unknown else ""
         if not refusal:
             await self._runner.start(active)
             if command.without:

@@ -27,6 +27,8 @@ from lfield.wire.service_messages import (
 )
 
 HOSTS = ["alpha", "bravo"]
+#: The coordinators of the mission, and where they start.
+HOMES = {"walker": "alpha", "pilot": "bravo"}
 OLD, NEW = (sha256(name).digest() for name in (b"old", b"new"))
 WALKER = UnfinishedCoordinator("walker", "parked", "bravo", "patrol")
 
@@ -203,7 +205,7 @@ class Robot:
     def _verify(self, data: bytes) -> BundleInfo:
         if data not in (b"old", b"new"):
             raise BundleError("it is no bundle")
-        return BundleInfo(sha256(data).digest(), data.decode())
+        return BundleInfo(sha256(data).digest(), data.decode(), hosts=HOSTS, coordinators=HOMES)
 
     def kill_service(self) -> None:
         """Only what is on disk stays."""

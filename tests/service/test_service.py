@@ -307,6 +307,17 @@ def test_a_start_names_the_bundle_that_must_be_active() -> None:
     run_jumping(story())
 
 
+def test_a_start_without_a_host_that_the_mission_does_not_have_starts_nothing() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        result = await robot.command(MissionCommand("start", OLD, without=["carol"]))
+        assert (bool(result.trouble), result.run.phase) == (True, "stopped")
+        assert robot.processes.started == []
+
+    run_jumping(story())
+
+
 def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_vehicles_rest() -> None:
     async def story() -> None:
         robot = Robot()
