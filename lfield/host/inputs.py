@@ -162,6 +162,12 @@ class LinksPlanned(HostInput, frozen=True, tag=22):
     """The shell asks for the hosts to have links with now (`HostCore.needed_hosts`)."""
 
 
+class BallotHeld(HostInput, frozen=True, tag=23):
+    """The ballot about an activation that holds this host, b"" for none (`HostCore.set_ballot_hold`)."""
+
+    ballot: bytes
+
+
 RecordedInput = (
     ResourcesStart
     | CoordinatorsStart
@@ -185,4 +191,5 @@ RecordedInput = (
     | StartOrdered
     | OutcomesFound
     | LinksPlanned
+    | BallotHeld
 )

@@ -73,7 +73,7 @@ def _report_no_mission(
 
     if found:
         each = [f"{one.name or short_digest(one.digest)} on {listed(one.hosts)}" for one in found]
-        text = f"several missions are active ({'; '.join(each)}): --without leaves out the hosts of the others"
+        text = f"several missions are active ({'; '.join(each)}): --without leaves out hosts of the others"
         return _report(args, {}, {}, f"nothing was started: {text}")
     if divided := divided_hosts(statuses):
         active = [f"{host}: {short_digest(statuses[host].active) or 'none'}" for host in divided]
