@@ -52,7 +52,8 @@ def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
         assert robot.files.record.activation.ballot == answer
         assert robot.probe.held
         assert robot.files.record.held
-        assert robot.verifications == 1
+        # The proposed bundle, and the running one, whose coordinators must have ended.
+        assert robot.verifications == 2
 
     run_jumping(story())
 
