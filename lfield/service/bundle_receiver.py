@@ -64,6 +64,8 @@ class BundleReceiver:
 
     def on_offer(self, offer: BundleOffer) -> PieceRequest:
         """The pieces of an offer that are missing."""
+        if self._has_file(offer.digest, offer.file):
+            return PieceRequest(offer.file, offer.first, [])
         try:
             self._files.start_upload(offer.file)
             pieces = [Piece(*each) for each in offer.pieces]
@@ -82,6 +84,10 @@ class BundleReceiver:
 
     def on_stage(self, request: StageRequest) -> StageResult:
         """Store the bundle that all pieces make, if it is valid."""
+        if self._has_file(request.digest, request.file) and self.is_valid(request.digest):
+            # Another desk has sent the same file at the same time.
+            self._files.drop(request.file)
+            return StageResult(request.digest)
         try:
             data = self._files.joined(request.file)
             if sha256(data).digest() != request.file:
@@ -102,6 +108,11 @@ class BundleReceiver:
             messages.BUNDLE_STORED.line(bundle=short_digest(info.digest), mission=info.name, by=info.by)
         )
         return StageResult(request.digest)
+
+    def _has_file(self, digest: bytes, file: bytes) -> bool:
+        """Whether exactly this file of a bundle, with its signature, is stored."""
+        data = self._files.read(digest)
+        return data is not None and sha256(data).digest() == file
 
     def is_valid(self, digest: bytes) -> bool:
         """Whether a bundle is stored and valid now: keys may have been revoked since it was received."""

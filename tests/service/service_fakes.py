@@ -96,6 +96,7 @@ class FakeFiles:
     def __init__(self) -> None:
         self.record = ServiceRecord()
         self.bundles: dict[bytes, bytes] = {}
+        self.pieces: dict[int, bytes] = {}
         self.saves = 0
         self.is_full = False
         self.on_save: Callable[[float], None] = lambda at: None
@@ -118,7 +119,7 @@ class FakeFiles:
         self.bundles[digest] = data
 
     def start_upload(self, file: bytes) -> None:
-        self.pieces: dict[int, bytes] = {}
+        self.pieces = {}
 
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]:
         return [

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from hashlib import sha256
 
 import pytest
 from service_fakes import (
@@ -26,6 +27,8 @@ from lfield.wire.service_messages import (
     MissionCommand,
     ServiceQuery,
     ServiceStatus,
+    StageRequest,
+    StageResult,
     Vote,
     VoteReport,
 )
@@ -180,6 +183,22 @@ def test_activating_the_active_bundle_changes_nothing() -> None:
         assert not robot.probe.held
         assert robot.service.activation.active == OLD
         assert robot.service.activation.previous == b""
+
+    run_jumping(story())
+
+
+def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        file = sha256(b"new").digest()
+        for _ in range(2):
+            answer = await robot.service.answer(StageRequest(NEW, file), "anna")
+            assert answer == StageResult(NEW)
+        # Another file of the same bundle, with another signature, is not stored.
+        other = await robot.service.answer(StageRequest(NEW, bytes(32)), "anna")
+        assert isinstance(other, StageResult)
+        assert other.trouble
 
     run_jumping(story())
 
