@@ -107,6 +107,15 @@ class HostReplay:
         self.core.recorder.hybrid_clock.restore(checkpoint.start.clock)
         self.clock.set(checkpoint.at, None)
 
+    def rewind(self, turn: int, checkpoint: CheckpointRecord) -> None:
+        """Go to a turn with the state before it, also after a turn that was not completed."""
+        self.turn, self._start = turn, checkpoint.start
+        self.environment.clear()
+        self._bytes.clear()
+        self.clock.set(checkpoint.at, checkpoint.start.wall)
+        self._restore(checkpoint)
+        self._turns = self.recording.turns_from(turn)
+
     def checkpoint(self) -> CheckpointRecord:
         """The present state, between two turns: a replay can begin at `turn` with it."""
         start = structs.replace(

@@ -49,6 +49,10 @@ class ReplayedBytes:
         """Add what was drawn in the next turn."""
         self._drawn.extend(drawn)
 
+    def clear(self) -> None:
+        """Forget what was not drawn."""
+        self._drawn.clear()
+
     def __call__(self, size: int) -> bytes:
         # A replay that has diverged may draw more than was recorded.
         return self._drawn.popleft() if self._drawn else bytes(size)
@@ -84,6 +88,11 @@ class ReplayEnvironment:
                 _, raw, until = answer.value
                 self._add_reading(raw, until)
             self._answers[answer.question, *answer.arguments] = answer
+
+    def clear(self) -> None:
+        """Forget all answers and readings."""
+        self._answers.clear()
+        self.readings.clear()
 
     def restore(self, answers: Sequence[RecordedAnswer], readings: Sequence[ReadingChange]) -> None:
         """Set all answers and readings of a checkpoint."""

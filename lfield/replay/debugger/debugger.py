@@ -13,6 +13,7 @@ from lfield.replay.debugger.expressions import WatchExpression, WatchScope
 from lfield.replay.debugger.frames import (
     StackFrame,
     display_key,
+    frame_places,
     live_agents,
     reader_of,
     stack_of,
@@ -176,9 +177,10 @@ class Debugger:
         moment, frames = self._stack(None if frame is None else frame.key)
         if frame in frames:
             frames = frames[frames.index(frame) :]
-        expression, scope = WatchExpression(text), WatchScope(moment, frames)
+        scope = WatchScope(moment, [(each.key.agent, each.frame) for each in frames])
+        expression = WatchExpression(text)
         if (found := expression.variable(scope)) is not None:
-            return scope.plain(*found), found[0]
+            return scope.plain(found), scope.shown(text, found)
         return expression.value(scope), None
 
     # --- moves ----------------------------------------------------------------------------------------
@@ -243,7 +245,19 @@ class Debugger:
             return StatementTarget(self.focus.logical)
         return StepTarget(top.key, top.depth, deepest, top.line if by_line else None)
 
-    # --- targets --------------------------------------------------------------------------------------
+    # --- breakpoints and other targets ----------------------------------------------------------------
+
+    def add_breakpoint(self, breakpoint: Breakpoint) -> None:
+        """Add a breakpoint for `resume`."""
+        self.breakpoints.append(breakpoint)
+
+    def remove_breakpoint(self, breakpoint: Breakpoint) -> None:
+        """Remove a breakpoint."""
+        self.breakpoints.remove(breakpoint)
+
+    def replace_breakpoints(self, breakpoints: list[Breakpoint]) -> None:
+        """Set all breakpoints."""
+        self.breakpoints = breakpoints
 
     def target_of(self, breakpoint: Breakpoint) -> Target:
         """The statements of a line, where its condition holds."""
@@ -279,7 +293,7 @@ class Debugger:
         focus = self.focus
 
         def value(moment: Moment) -> object:
-            frames = [] if focus is None else stack_of(moment, focus)
+            frames = [] if focus is None else frame_places(moment, focus)
             return expression.value_or_none(WatchScope(moment, frames))
 
         return value
@@ -287,7 +301,8 @@ class Debugger:
 
 def _holds(condition: WatchExpression) -> Callable[[Moment], bool]:
     def holds(moment: Moment) -> bool:
-        frames = [] if moment.running is None else stack_of(moment, display_key(moment, moment.running))
+        running = moment.running
+        frames = [] if running is None else frame_places(moment, display_key(moment, running))
         return condition.value_or_none(WatchScope(moment, frames)) is True
 
     return holds

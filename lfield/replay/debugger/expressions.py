@@ -9,17 +9,18 @@ from __future__ import annotations
 import operator
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import Any, NamedTuple
 
+from lfield.bytecode.program import DEVICE
 from lfield.errors import UsageError
 from lfield.lang import syntax
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import scan
 from lfield.replay.debugger.device_readings import reading_named
-from lfield.replay.debugger.frames import StackFrame, reader_of
+from lfield.replay.debugger.frames import reader_of
 from lfield.replay.debugger.moment import Moment
-from lfield.replay.debugger.value_tree import Variable
+from lfield.replay.debugger.value_tree import ValueReader, Variable
 from lfield.text.source_text import Diagnostics, Source
 
 _OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
@@ -41,38 +42,59 @@ class ValueUnknown(Exception):
     """An expression has no value at this moment; the message says why."""
 
 
-class WatchScope:
-    """The names at a moment: of some frames, innermost first, and of the devices of the host."""
+class FoundValue(NamedTuple):
+    """A value in the block of an agent: its type by index, and the word."""
 
-    def __init__(self, moment: Moment, frames: Sequence[StackFrame]) -> None:
+    agent: str
+    kind: int
+    word: int
+
+
+class WatchScope:
+    """The names at a moment: of some frames, innermost first, and of the devices of the host.
+
+    A frame is given by its agent and its place.
+    """
+
+    def __init__(self, moment: Moment, frames: Sequence[tuple[str, int]]) -> None:
         self._moment, self._frames = moment, frames
 
-    def variable(self, name: str) -> tuple[Variable, str] | None:
-        """The variable or field of that name, and the agent that has it."""
-        for frame in self._frames:
-            reader = reader_of(self._moment, frame.key.agent)
-            known = reader.locals(frame.frame)
-            fields = [part for each in known if each.name == "this" for part in reader.parts(each)]
-            for each in (*known, *fields):
-                if each.name == name and each.type != "device":
-                    return each, frame.key.agent
+    def variable(self, name: str) -> FoundValue | None:
+        """The variable or field of that name."""
+        types = self._moment.table.program.core.types
+        for agent, frame in self._frames:
+            found = self._reader(agent).local(frame, name)
+            if found is not None and types[found[0]].kind != DEVICE:
+                return FoundValue(agent, *found)
         return None
 
     def reading(self, path: tuple[str, ...]) -> object:
         """The value of a device reading. Raises ValueUnknown."""
-        agent = self._frames[0].key.agent if self._frames else ""
+        agent = self._frames[0][0] if self._frames else ""
         found = reading_named(self._moment, path, agent)
         if found is None:
             raise ValueUnknown(f"{'.'.join(path)} is not known here")
         return found.value
 
-    def parts(self, variable: Variable, agent: str) -> list[Variable]:
-        """The parts of a variable of an agent."""
-        return reader_of(self._moment, agent).parts(variable)
+    def part(self, owner: FoundValue, name: str) -> FoundValue | None:
+        """A field or an element of a value."""
+        found = self._reader(owner.agent).part(owner[1:], name)
+        return None if found is None else FoundValue(owner.agent, *found)
 
-    def plain(self, variable: Variable, agent: str) -> object:
-        """The value of a variable, for comparisons."""
-        return reader_of(self._moment, agent).plain(variable)
+    def length(self, owner: FoundValue) -> int | None:
+        """The number of elements of an array."""
+        return self._reader(owner.agent).length(owner[1:])
+
+    def plain(self, value: FoundValue) -> object:
+        """A value, for comparisons."""
+        return self._reader(value.agent).plain(value[1:])
+
+    def shown(self, name: str, value: FoundValue) -> Variable:
+        """A value with its texts."""
+        return reader_of(self._moment, value.agent).variable(name, value.kind, value.word)
+
+    def _reader(self, agent: str) -> ValueReader:
+        return ValueReader(self._moment.agents[agent].block, self._moment.table.program)
 
 
 class WatchExpression:
@@ -95,8 +117,8 @@ class WatchExpression:
         """Its value. Raises ValueUnknown."""
         return _plain(self._tree, scope)
 
-    def variable(self, scope: WatchScope) -> tuple[Variable, str] | None:
-        """The variable that it names, with its agent; None if it is another expression."""
+    def variable(self, scope: WatchScope) -> FoundValue | None:
+        """The variable that it names; None if it is another expression. Raises ValueUnknown."""
         return _variable(self._tree, scope)
 
     def value_or_none(self, scope: WatchScope) -> object:
@@ -122,10 +144,10 @@ def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
         case syntax.Binary() if tree.operator in _OPERATORS:
             return _binary(tree, scope)
         case syntax.Member(name="length") if (found := _variable(tree.object, scope)) is not None:
-            return len(scope.parts(*found))
+            return _length(found, scope)
         case syntax.Name() | syntax.Member() | syntax.Index() | syntax.This():
             if (found := _variable(tree, scope)) is not None:
-                return scope.plain(*found)
+                return scope.plain(found)
             if path := _path(tree):
                 return scope.reading(path)
     raise ValueUnknown("it has a part that is not evaluated here")
@@ -143,6 +165,15 @@ def _binary(tree: syntax.Binary, scope: WatchScope) -> object:
     return int(value) if whole and isinstance(value, float) else value
 
 
+def _length(owner: FoundValue, scope: WatchScope) -> object:
+    length = scope.length(owner)
+    if length is not None:
+        return length
+    if (found := scope.part(owner, "length")) is None:
+        raise ValueUnknown("it has no length")
+    return scope.plain(found)
+
+
 def _number(tree: syntax.Expr, scope: WatchScope) -> float:
     value = _plain(tree, scope)
     if not isinstance(value, int | float):
@@ -150,25 +181,23 @@ def _number(tree: syntax.Expr, scope: WatchScope) -> float:
     return value
 
 
-def _variable(tree: syntax.Expr, scope: WatchScope) -> tuple[Variable, str] | None:
+def _variable(tree: syntax.Expr, scope: WatchScope) -> FoundValue | None:
     match tree:
         case syntax.Name(name=name):
             return scope.variable(name)
         case syntax.This():
             return scope.variable("this")
         case syntax.Member(name=name):
-            part = name
+            owner, part = _variable(tree.object, scope), name
         case syntax.Index():
-            part = f"[{_plain(tree.index, scope)}]"
+            owner, part = _variable(tree.array, scope), f"[{_plain(tree.index, scope)}]"
         case _:
             return None
-    owner = _variable(tree.object if isinstance(tree, syntax.Member) else tree.array, scope)
     if owner is None:
         return None
-    found = next((each for each in scope.parts(*owner) if each.name == part), None)
-    if found is None:
-        raise ValueUnknown(f"{owner[0].name} has no {part}")
-    return found, owner[1]
+    if (found := scope.part(owner, part)) is None:
+        raise ValueUnknown(f"it has no {part}")
+    return found
 
 
 def _path(tree: syntax.Expr) -> tuple[str, ...]:

@@ -4,13 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import TypeGuard
 
 from lfield.replay.debugger.moment import PORTAL_DEPTH, Moment, ThreadKey, thread_key
 from lfield.replay.debugger.statement_table import SourceLine
 from lfield.replay.debugger.value_tree import ValueReader
 from lfield.vm.agent import Agent
 from lfield.vm.inspection.traceback import stack
-from lfield.vm.memory.layout import FRAME_DEPTH, STATE_NAMES, THREAD_ID, THREAD_STATE
+from lfield.vm.memory.layout import (
+    FRAME_CALLER,
+    FRAME_DEPTH,
+    STATE_NAMES,
+    THREAD_FRAME,
+    THREAD_ID,
+    THREAD_STATE,
+)
 from lfield.vm.memory.threads import only_thread, place_of, threads
 
 
@@ -76,6 +84,35 @@ def stack_of(moment: Moment, key: ThreadKey) -> list[StackFrame]:
     if isinstance(caller, Agent):
         frames += _frames(moment, ThreadKey(caller.id, caller.id, only_thread(caller.block)))
     return frames
+
+
+def frame_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
+    """The agents and places of the frames of `stack_of`."""
+    agent = moment.agents.get(key.agent)
+    if agent is None or agent.ended or not place_of(agent.block, key.thread):
+        return []
+    found: list[tuple[str, int]] = []
+    if agent.member.kind == "coordinator":
+        served = next(_served(moment, agent), None)
+        found = [] if served is None else _places(moment, served.agent, served.thread)
+        return [*found, *_places(moment, key.agent, key.thread)]
+    found = _places(moment, key.agent, key.thread)
+    caller = moment.core.machine.caller(agent, key.thread)
+    return [*found, *_places(moment, caller.id, only_thread(caller.block))] if _is_here(caller) else found
+
+
+def _is_here(caller: object) -> TypeGuard[Agent]:
+    return isinstance(caller, Agent)
+
+
+def _places(moment: Moment, name: str, thread: int) -> list[tuple[str, int]]:
+    block = moment.agents[name].block
+    place = block.w[place_of(block, thread) + THREAD_FRAME]
+    found = []
+    while place:
+        found.append((name, place))
+        place = block.w[place + FRAME_CALLER]
+    return found
 
 
 def _served(moment: Moment, coordinator: Agent) -> Iterator[ThreadKey]:

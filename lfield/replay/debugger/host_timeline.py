@@ -26,6 +26,8 @@ from lfield.vm.reference import ReferenceEngine
 
 #: Seconds of replaying after which a checkpoint is made in memory, and the bytes of all of them.
 CHECKPOINT_EVERY, MAX_CHECKPOINT_BYTES = 0.1, 128 << 20
+#: Replays that are kept for use again: a rewind costs a quarter of a new one.
+MAX_USED = 3
 
 #: A turn, and the number of a moment in it: 0 after its input, then its statements, then its end.
 Step = tuple[int, int]
@@ -52,8 +54,11 @@ class HostTimeline:
         self._checkpoints: dict[int, CheckpointRecord] = {}
         self._checkpoint_turns: list[int] = []
         self._checkpoint_bytes = 0
-        #: A replay at rest, to continue forwards.
+        #: A replay at rest, to continue forwards; and used ones, to rewind.
         self._idle: _Run | None = None
+        self._used: list[_Run] = []
+        #: The replay of the last moment that was given out.
+        self._stopped: _Run | None = None
         #: The first turn whose replay differs from the recording, and how.
         self.divergence: tuple[int, Divergence] | None = None
 
@@ -74,6 +79,9 @@ class HostTimeline:
         if run.turn >= self.turns:
             return run.rest(), 0
         self._store_checkpoint(run)
+        if self._stopped is not None:
+            self._keep(self._stopped)
+        self._stopped = run
         try:
             run.replay_turn(self.table.starts, lambda moment: _stop_at(moment, number))
         except _Reached as reached:
@@ -126,7 +134,9 @@ class HostTimeline:
         """The numbers of the moments of a turn that meet a target."""
         run = self._restored(turn)
         target.start(run.rest())
-        return run.search_turn(target, self.table.starts)
+        found = run.search_turn(target, self.table.starts)
+        self._keep(run)
+        return found
 
     # --- replays --------------------------------------------------------------------------------------
 
@@ -136,11 +146,24 @@ class HostTimeline:
         if idle is not None and self._nearest(turn) <= idle.turn <= turn:
             self._advance(idle, turn)
             return idle
+        if idle is not None:
+            self._keep(idle)
         return self._restored(turn)
+
+    def _keep(self, run: _Run) -> None:
+        """Keep a replay that is not used any more, also one that was stopped within a turn."""
+        if len(self._used) < MAX_USED:
+            self._used.append(run)
 
     def _restored(self, turn: int) -> _Run:
         at = self._nearest(turn)
-        run = _Run(self, at, self._checkpoints.get(at))
+        checkpoint = self._checkpoints.get(at) or self.recording.checkpoint_before(at)[1]
+        if checkpoint is not None and self._used:
+            run = self._used.pop()
+            run.rewind(at, checkpoint)
+        else:
+            run = _Run(self, at, checkpoint)
+            self._store_checkpoint(run)
         self._advance(run, turn)
         return run
 
@@ -210,6 +233,12 @@ class _Run:
         self.divergence: tuple[int, Divergence] | None = None
         self.checkpoint_due = 0.0
         self._step = 0
+
+    def rewind(self, turn: int, checkpoint: CheckpointRecord) -> None:
+        """Go to a turn with the state before it."""
+        self.replay.rewind(turn, checkpoint)
+        self._turns = iter(self.replay)
+        self.divergence, self._step = None, 0
 
     @property
     def turn(self) -> int:

@@ -58,6 +58,10 @@ class Variable:
     has_parts: bool = False
 
 
+#: A type, by index, and the value as in a slot.
+RawValue = tuple[int, int]
+
+
 class ValueReader:
     """Reads the values of one block; `members` are the ids of the deployment, for proxies."""
 
@@ -117,10 +121,45 @@ class ValueReader:
             if field.name != SUPPRESSED_FIELD
         ]
 
-    def plain(self, variable: Variable) -> object:
+    # --- without texts, for expressions ---------------------------------------------------------------
+
+    def local(self, frame: int, name: str) -> RawValue | None:
+        """The variable of that name in the frame at a place, or the field of its object."""
+        w, core, debug = self._block.w, self._program.core, self._program.debug.methods
+        index = w[frame] >> 8 & 0xFFFFFF
+        slots = core.methods[index].slots
+        own: RawValue | None = None
+        for slot, known in debug[index].names if debug else ():
+            found = slots[slot], w[frame + FRAME_SLOTS + slot]
+            if known == name:
+                return found
+            own = found if known == "this" else own
+        return None if own is None else self.part(own, name)
+
+    def part(self, value: RawValue, name: str) -> RawValue | None:
+        """The field of an object, or the element `[NUMBER]` of an array; None if it has none."""
+        kind, place = value
+        w, core = self._block.w, self._program.core
+        if core.types[kind].kind not in (ARRAY, OBJECT, ANY) or not place:
+            return None
+        index, size = w[place] >> 8 & 0xFFFFFF, (w[place] >> 32) - 1
+        if w[place] & 0xFF == layout.OBJECT:
+            fields = enumerate(core.classes[index].fields)
+            return next(((f.type, w[place + 1 + n]) for n, f in fields if f.name == name), None)
+        if w[place] & 0xFF == layout.ARRAY and name.startswith("[") and name[1:-1].isdigit():
+            number = int(name[1:-1])
+            return (core.types[index].of, w[place + 1 + number]) if number < size else None
+        return None
+
+    def length(self, value: RawValue) -> int | None:
+        """The number of elements of an array; None for other values."""
+        kind, place = value
+        is_array = self._program.core.types[kind].kind == ARRAY and place
+        return (self._block.w[place] >> 32) - 1 if is_array else None
+
+    def plain(self, value: RawValue) -> object:
         """The value for comparisons: a number, a text, None for null, or the place of an object."""
-        kind = self._program.core.types[variable.kind].kind
-        word = variable.word
+        kind, word = self._program.core.types[value[0]].kind, value[1]
         if kind == BOOLEAN:
             return bool(word)
         if kind == REAL:
