@@ -216,10 +216,7 @@ class HostCore:
         self.startup.open(first=first)
 
     def stop_agents(self) -> None:
-        """The host is stopping: no agent runs any more, and no coordinator is admitted.
-
-        Transfers under way continue, and so do events and status.
-        """
+        """The host stops: no agent runs or is admitted any more. Transfers, events and status continue."""
         self.coordinators.suspend_all()
         self.startup.on_halted()
 
@@ -257,6 +254,14 @@ class HostCore:
     def set_paused(self, *, on: bool, order: bytes = b"") -> None:
         """An operator pauses the mission on this host, or resumes it."""
         operator_commands.set_paused(self.coordinators, self.machine, on=on, order=order)
+        self._on_pause_changed()
+
+    def set_ballot_hold(self, ballot: bytes) -> None:
+        """The service of this robot holds the mission until the result of a ballot is known; b"": no more."""
+        operator_commands.set_ballot_hold(self.coordinators, self.machine, ballot)
+        self._on_pause_changed()
+
+    def _on_pause_changed(self) -> None:
         self.reservations.postpone()
         self._send_backpressure()
         self.startup.check()

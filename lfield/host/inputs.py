@@ -262,6 +262,15 @@ class ContactRestored(HostInput, frozen=True, tag=25):
         core.membership.suspected.clear()
 
 
+class BallotHeld(HostInput, frozen=True, tag=26):
+    """The ballot about an activation that holds this host, b"" for none (`HostCore.set_ballot_hold`)."""
+
+    ballot: bytes
+
+    def enter(self, core: HostCore) -> None:
+        core.set_ballot_hold(self.ballot)
+
+
 RecordedInput = (
     ResourcesStart
     | CoordinatorsStart
@@ -288,4 +297,5 @@ RecordedInput = (
     | DirectorySampled
     | SilenceChecked
     | ContactRestored
+    | BallotHeld
 )

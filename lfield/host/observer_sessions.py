@@ -20,6 +20,7 @@ from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.wire.messages import Control
 from lfield.wire.observer_messages import (
+    BallotHold,
     EmergencyStop,
     ForgetRequest,
     ForgetResponse,
@@ -81,6 +82,8 @@ class ObserverSessions:
                 self.order_executor.on_order(
                     message, str(link.who), lambda answer: self._answer(link, answer)
                 )
+            case BallotHold():
+                self.order_executor.on_ballot_hold(message, lambda answer: self._answer(link, answer))
             case ForgetRequest():
                 spawn(self._answer_when_durable(link, ForgetOrdered(message.agent), _forget_response))
             case RecoverRequest():

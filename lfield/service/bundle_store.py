@@ -50,7 +50,7 @@ class RunRecord(Struct, frozen=True):
 
 
 class ServiceRecord(Struct, frozen=True):
-    """The durable state of a service. `held`: it has paused the mission's host for a ballot."""
+    """The durable state of a service. `held`: it may hold the mission's host for a ballot."""
 
     activation: ActivationState = ActivationState()
     run: RunRecord = RunRecord()

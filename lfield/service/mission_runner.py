@@ -103,6 +103,11 @@ class MissionRunner:
         return self._info
 
     @property
+    def process(self) -> ProcessId | None:
+        """The process of the host, None if it does not run."""
+        return self._process
+
+    @property
     def is_running(self) -> bool:
         """Whether the process of the host exists."""
         return self._process is not None

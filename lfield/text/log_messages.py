@@ -312,6 +312,12 @@ MISSION_STILL_PAUSED = _message(
     "warning",
 )
 MISSION_RESUMED = _message("mission-resumed", "mission resumed")
+MISSION_HELD = _message(
+    "mission-held",
+    "mission held: no agent runs here until the result of a vote about an activation is known",
+    meaning="the service of this robot votes about activating a bundle; 'lfield resume' does not end this",
+)
+MISSION_HOLD_ENDED = _message("mission-hold-ended", "mission no longer held by a vote")
 ORDER_DENIED = _message("order-denied", "order of {operator} not executed: {reason}", "warning")
 STOP_NOT_STORED = _message(
     "stop-not-stored",

@@ -41,6 +41,7 @@ from lfield.wire.fields import (
     ValueSource,
 )
 from lfield.wire.observer_messages import (
+    BallotHold,
     EmergencyStop,
     EmergencyStopResult,
     ForgetRequest,
@@ -266,6 +267,7 @@ Control = (
     | ForgetRequest
     | ForgetResponse
     | Pause
+    | BallotHold
     | RecoverRequest
     | RecoverResponse
     | StartRequest

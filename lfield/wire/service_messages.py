@@ -20,6 +20,8 @@ PIECE_DIGEST_SIZE = 16
 PieceDigest = Annotated[bytes, Meta(min_length=PIECE_DIGEST_SIZE, max_length=PIECE_DIGEST_SIZE)]
 #: The most hosts of a ballot, unfinished coordinators, and stored bundles in a message.
 MAX_HOSTS, MAX_UNFINISHED, MAX_BUNDLES = 256, 64, 16
+#: The most coordinators of a mission that are described.
+MAX_COORDINATORS = 256
 
 #: A vote: not yet known, or stored by its host.
 Vote = Literal["yes", "no"]
@@ -44,12 +46,17 @@ RunPhase = Literal["stopped", "starting", "running", "stopping", "waiting", "end
 
 
 class BundleInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A stored bundle: its digest, its mission's name, its signer and the time of the signature."""
+    """A stored bundle: its digest, its mission's name, its signer and the time of the signature.
+
+    `hosts` are those of the mission, `coordinators` its coordinators with the hosts on which they start.
+    """
 
     digest: Hash
     name: Label
     by: Text = ""
     at: Moment = 0.0
+    hosts: Annotated[list[Name], Meta(max_length=MAX_HOSTS)] = []
+    coordinators: Annotated[dict[Name, Name], Meta(max_length=MAX_COORDINATORS)] = {}
 
 
 class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -159,9 +158,8 @@ def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path)
 
 @pytest.mark.process
 def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -> None:
-    (tmp_path / "mcap.py").write_text("raise ImportError('no module mcap')")
-    command = [sys.executable, "-m", "lfield", "export", str(recorded / "records"), "--mcap", "x.mcap"]
-    environment = {**os.environ, "PYTHONPATH": str(tmp_path)}
-    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, env=environment)
+    code = "import sys; sys.modules['mcap'] = None; from lfield.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "export", str(recorded / "records"), "--mcap", "x.mcap"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert ran.returncode == 69
     assert not (tmp_path / "x.mcap").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+from hashlib import sha256
 
 import pytest
 from service_fakes import (
@@ -26,6 +27,8 @@ from lfield.wire.service_messages import (
     MissionCommand,
     ServiceQuery,
     ServiceStatus,
+    StageRequest,
+    StageResult,
     Vote,
     VoteReport,
 )
@@ -43,16 +46,17 @@ async def running(robot: Robot) -> None:
 # --- votes ---------------------------------------------------------------------------------------------
 
 
-def test_it_votes_yes_when_all_is_at_rest_and_pauses_its_host() -> None:
+def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
         answer = await robot.propose()
         assert (answer.votes, answer.outcome) == ({"alpha": "yes"}, "open")
         assert robot.files.record.activation.ballot == answer
-        assert robot.probe.paused
+        assert robot.probe.held
         assert robot.files.record.held
-        assert robot.verifications == 1
+        # The proposed bundle, and the running one, whose coordinators must have ended.
+        assert robot.verifications == 2
 
     run_jumping(story())
 
@@ -85,7 +89,7 @@ def test_it_votes_no_with_a_reason(why: str) -> None:
         assert answer.votes == {"alpha": "no"}
         assert answer.outcome == "aborted"
         assert answer.reasons["alpha"]
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert robot.files.record.activation.open_ballot is None
         status = await robot.service.answer(ServiceQuery(), "anna")
         assert isinstance(status, ServiceStatus)
@@ -105,13 +109,13 @@ def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
         robot.probe.on_hold = take_off
         answer = await robot.propose()
         assert answer.votes == {"alpha": "no"}
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
 
     run_jumping(story())
 
 
-def test_a_host_that_cannot_be_paused_votes_no_and_is_resumed_later() -> None:
+def test_a_host_that_cannot_be_held_votes_no_and_is_released_later() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
@@ -119,10 +123,10 @@ def test_a_host_that_cannot_be_paused_votes_no_and_is_resumed_later() -> None:
         task = asyncio.create_task(robot.service.resolve(unreachable))
         assert (await robot.propose()).votes == {"alpha": "no"}
         assert robot.files.record.held
-        # The pause was received after all.
-        robot.probe.paused, robot.probe.release_trouble = True, ""
+        # The hold was received after all.
+        robot.probe.held, robot.probe.release_trouble = ballot().id, ""
         await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
         task.cancel()
 
@@ -150,7 +154,7 @@ def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() -> Non
         assert closed.votes == {"alpha": "no"}
         answer = await asking
         assert answer.votes == {"alpha": "no"}
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
 
     run_jumping(story())
@@ -163,7 +167,7 @@ def test_two_proposals_at_once_get_one_yes() -> None:
         answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
         assert [answer.votes["alpha"] for answer in answers] == ["yes", "no"]
         assert answers[1].reasons["alpha"]
-        assert robot.probe.paused
+        assert robot.probe.held
 
     run_jumping(story())
 
@@ -176,9 +180,25 @@ def test_activating_the_active_bundle_changes_nothing() -> None:
         await robot.propose(ballot(digest=OLD))
         await robot.service.answer(VoteReport(ballot().id, YES), "anna")
         assert robot.runner.is_running
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert robot.service.activation.active == OLD
         assert robot.service.activation.previous == b""
+
+    run_jumping(story())
+
+
+def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        file = sha256(b"new").digest()
+        for _ in range(2):
+            answer = await robot.service.answer(StageRequest(NEW, file), "anna")
+            assert answer == StageResult(NEW)
+        # Another file of the same bundle, with another signature, is not stored.
+        other = await robot.service.answer(StageRequest(NEW, bytes(32)), "anna")
+        assert isinstance(other, StageResult)
+        assert other.trouble
 
     run_jumping(story())
 
@@ -213,7 +233,7 @@ def test_after_an_abort_the_host_is_resumed() -> None:
         await robot.propose()
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
         assert robot.runner.is_running
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
         robot.processes.end(-11)
         await asyncio.sleep(SOON)
@@ -222,21 +242,40 @@ def test_after_an_abort_the_host_is_resumed() -> None:
     run_jumping(story())
 
 
-def test_a_pause_of_a_person_stays_after_an_abort() -> None:
+@pytest.mark.parametrize("moment", ["before", "after"])
+def test_a_pause_of_a_person_stays_after_an_abort(moment: str) -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
-        robot.probe.paused = True
+        robot.probe.paused = moment == "before"
         await robot.propose()
+        assert robot.probe.held == ballot().id
+        robot.probe.paused = True
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert robot.probe.paused
+        assert (robot.probe.paused, robot.probe.held) == (True, b"")
 
     run_jumping(story())
 
 
-def test_a_host_that_crashed_while_paused_is_resumed_when_it_runs_again() -> None:
-    """A pause is in the journal of the host: it starts paused."""
+def test_a_host_that_is_restarted_during_the_vote_votes_no() -> None:
+    """The new process is not held."""
 
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+
+        def restart() -> None:
+            robot.processes.end(-11)
+
+        robot.probe.on_hold = restart
+        robot.probe.delay = SOON
+        assert (await robot.propose()).votes == {"alpha": "no"}
+        assert robot.processes.started == [OLD, OLD]
+
+    run_jumping(story())
+
+
+def test_a_host_that_crashed_while_held_is_not_held_when_it_runs_again() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
@@ -245,12 +284,42 @@ def test_a_host_that_crashed_while_paused_is_resumed_when_it_runs_again() -> Non
         robot.processes.end(-11)
         await asyncio.sleep(SOON)
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert robot.files.record.held
         await robot.start()
         await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
         task.cancel()
+
+    run_jumping(story())
+
+
+def test_a_host_stays_held_until_it_has_ended_after_an_activation() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        robot.processes.obeys = False
+        ending = asyncio.create_task(robot.service.on_votes(ballot().id, {"bravo": "yes"}))
+        await asyncio.sleep(30.0)
+        assert robot.processes.terminated == [101]
+        assert robot.probe.held
+        robot.processes.end(0)
+        await ending
+        assert not robot.files.record.held
+
+    run_jumping(story())
+
+
+def test_a_service_whose_state_was_deleted_releases_a_host_that_is_held() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        robot.kill_service()
+        robot.files.record = ServiceRecord()
+        robot.boot_service()
+        await robot.service.settle()
+        assert not robot.probe.held
 
     run_jumping(story())
 
@@ -264,8 +333,7 @@ def test_an_activation_ends_the_host_of_another_bundle() -> None:
         assert robot.service.activation.active == NEW
         assert robot.processes.terminated == [101]
         assert not robot.runner.is_running
-        # The journal of the next host has no pause.
-        assert not robot.probe.paused
+        assert not robot.files.record.held
         await robot.start()
         assert robot.processes.started == [OLD, NEW]
 
@@ -300,6 +368,17 @@ def test_a_start_names_the_bundle_that_must_be_active() -> None:
         robot = Robot(active=b"")
         robot.boot_service()
         assert (await robot.start()).trouble
+
+    run_jumping(story())
+
+
+def test_a_start_without_a_host_that_the_mission_does_not_have_starts_nothing() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        result = await robot.command(MissionCommand("start", OLD, without=["carol"]))
+        assert (bool(result.trouble), result.run.phase) == (True, "stopped")
+        assert robot.processes.started == []
 
     run_jumping(story())
 

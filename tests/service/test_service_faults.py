@@ -88,7 +88,7 @@ def test_it_closes_a_ballot_after_half_a_minute() -> None:
         assert bravo.queries[-1].closes
         assert robot.service.activation.open_ballot is None
         assert robot.service.activation.active == OLD
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert "service-ballot-open" in robot.codes
         task.cancel()
 
@@ -118,7 +118,7 @@ def test_a_service_that_was_restarted_still_asks() -> None:
         robot.kill_service()
         robot.boot_service()
         await robot.service.settle()
-        assert robot.probe.paused
+        assert robot.probe.held
         bravo.state = propose(bravo.state, "bravo", ballot(), "")
         task = asyncio.create_task(robot.service.resolve(bravo.ask))
         await asyncio.sleep(2 * RESOLVE_EVERY)
@@ -142,7 +142,7 @@ def test_a_full_disk_before_the_vote_changes_nothing() -> None:
             await robot.propose()
         assert robot.files.record == before
         assert robot.service.activation == before.activation
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert (await robot.query(ballot().id)).votes == {}
         with pytest.raises(OutputFileError):
             await robot.query(ballot().id, closes=True)
@@ -165,7 +165,7 @@ def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
         with pytest.raises(OutputFileError):
             await robot.propose()
         assert (await robot.query(ballot().id)).votes == {}
-        assert not robot.probe.paused
+        assert not robot.probe.held
         task = asyncio.create_task(robot.service.resolve(unreachable))
         await asyncio.sleep(2 * RESOLVE_EVERY)
         robot.files.is_full = False
@@ -186,7 +186,7 @@ def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
         with pytest.raises(OutputFileError):
             await robot.service.answer(VoteReport(ballot().id, YES), "anna")
         assert robot.service.activation.open_ballot is not None
-        assert robot.probe.paused
+        assert robot.probe.held
         task = asyncio.create_task(robot.service.resolve(bravo.ask))
         bravo.state = propose(bravo.state, "bravo", ballot(), "")
         await asyncio.sleep(2 * RESOLVE_EVERY)
@@ -240,7 +240,7 @@ def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates
         # A host that runs is supervised again, whenever the service ended.
         assert robot.runner.is_running is bool(alive)
         await robot.service.settle()
-        assert robot.probe.paused is (voted and bool(alive)), moment
+        assert bool(robot.probe.held) is (voted and bool(alive)), moment
         assert robot.files.record.held is voted or not alive
         await robot.propose()
         await robot.service.on_votes(ballot().id, {"bravo": "yes" if activates else "no"})
@@ -252,7 +252,7 @@ def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates
         await robot.start()
         await robot.service.settle()
         assert list(robot.processes.alive.values()) == [robot.service.activation.active]
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
 
     async def story() -> None:

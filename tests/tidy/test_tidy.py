@@ -34,6 +34,7 @@ TABLES: dict[str, str] = {
 SMALL = {
     "lfield/inventory/location.py": "which inventory counts, without YAML",
     "lfield/service/messages.py": "the log lines of the service",
+    "lfield/service/service_interfaces.py": "what surrounds the service, as types",
     "lfield/service/restart_policy.py": "whether a host is restarted, a rule without I/O",
     "drivers/lfield_can/log_messages.py": "the log lines of a driver",
     "drivers/lfield_dynamixel/log_messages.py": "the log lines of a driver",

@@ -100,8 +100,11 @@ async def _push(
         refused = [host for host, progress in sent.items() if progress.refusal]
         if failed or refused:
             report_unreached(failed, "")
-            hint = "".join(f" --without {host}" for host in (*failed, *refused))
-            why = f"nothing was activated; repeat it, or activate without them:{hint}"
+            out = [*failed, *refused]
+            hint = "".join(f" --without {host}" for host in out)
+            # Without all of them there is no mission.
+            rest = f", or activate without them:{hint}" if len(out) < len(hosts) else ""
+            why = f"this push has activated nothing; repeat it{rest}"
             report.finish("staged", failed, why)
             return failure_status(failed) if failed else exit_status.FAILED
         if args.stage:

@@ -8,13 +8,19 @@ from typing import Protocol
 from lfield.devices.device_guards import DeviceGuards
 from lfield.event_loop import spawn
 from lfield.host.core import HostCore
-from lfield.host.inputs import HostInput, OrderExecuted, PauseOrdered, StopOrdered
+from lfield.host.inputs import BallotHeld, HostInput, OrderExecuted, PauseOrdered, StopOrdered
 from lfield.host.order_history.executed_orders import effect_of
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import truncate
-from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.observer_messages import (
+    BallotHold,
+    EmergencyStop,
+    EmergencyStopResult,
+    OrderChallenge,
+    Pause,
+)
 
 #: Why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
@@ -26,6 +32,13 @@ ALREADY_ENDED = "this {} was carried out, and a later order has ended it"
 IN_USE = "in use again"
 #: For a device that is not open when the host is stopped.
 NOT_OPEN = "its host has not opened it yet, and opens it in its safe state: repeat the order"
+#: The answer to a resume on a host that has voted about an activation.
+STILL_HELD = (
+    "the pause has ended, but the host is held until the result of a vote about an activation is known: "
+    "'lfield status' shows it"
+)
+#: What holds a host that has voted.
+VOTE = "the vote about an activation"
 #: Seconds for which the answer to an emergency stop, which is in force already, waits for the disk.
 DURABLE_TIMEOUT = 2.0
 #: The sender of a stop or pause that is still in force when a host starts.
@@ -137,15 +150,44 @@ class OrderExecutor:
 
     async def _pause(self, message: Pause, who: str, answer: OrderCallback) -> None:
         self._recorder.on_pause(who, PAUSED, lifted=message.lift)
+        team = self._core.coordinators
         if message.lift:
-            # A resumed agent must find its devices in use.
-            devices = await self._guards.release_held(PAUSED) if self._core.coordinators.paused else {}
-            self._dispatch(PauseOrdered(False, message.id))
+            is_held = team.is_pause_ordered and bool(team.ballot)
+            devices = await self._end_pause(PauseOrdered(False, message.id), is_last=not team.ballot)
         else:
+            is_held = False
             self._dispatch(PauseOrdered(True, message.id))
             devices = await self._guards.enter_safe_state(PAUSED)
         if await self._flush(None):
-            self._answer(message, answer, devices)
+            self._answer(message, answer, devices, STILL_HELD if is_held else "")
+
+    async def _end_pause(self, end: HostInput, *, is_last: bool) -> dict[str, str]:
+        """Release the devices unless something else still pauses the mission, then resume the agents."""
+        team = self._core.coordinators
+        # A resumed agent must find its devices in use.
+        devices = await self._guards.release_held(PAUSED) if is_last and team.paused else {}
+        self._dispatch(end)
+        if is_last and team.paused:
+            # Another pause came while the devices were released.
+            devices = await self._guards.enter_safe_state(PAUSED)
+        return devices
+
+    # --- votes ----------------------------------------------------------------------------------------
+
+    def on_ballot_hold(self, message: BallotHold, answer: OrderCallback) -> None:
+        """The service of this robot votes: nothing arms until the result is known. A person cannot end it."""
+        spawn(self._hold(message, answer))
+
+    async def _hold(self, message: BallotHold, answer: OrderCallback) -> None:
+        team, devices = self._core.coordinators, dict[str, str]()
+        if not message.lift:
+            self._recorder.on_pause(VOTE, PAUSED, lifted=False, is_vote=True)
+            self._dispatch(BallotHeld(message.id))
+            devices = await self._guards.enter_safe_state(PAUSED)
+        elif team.ballot == message.id:
+            self._recorder.on_pause(VOTE, PAUSED, lifted=True, is_vote=True)
+            devices = await self._end_pause(BallotHeld(b""), is_last=not team.is_pause_ordered)
+        answer(EmergencyStopResult(devices, "", message.id, self._core.orders.epochs))
 
     async def _confirm(self, message: EmergencyStop | Pause, answer: OrderCallback) -> None:
         """Confirm an executed order that is in force again, with the present states of the devices."""

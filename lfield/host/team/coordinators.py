@@ -72,13 +72,13 @@ class Coordinators(Part):
             [] if self.recovery.has_program_record else [program_record(mission, hello.mission_hash)]
         )
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
-        #: The mission is paused: the time-outs of waiting coordinators are suspended.
-        self.paused = self.recovery.paused
+        #: An operator has paused the mission, and the ballot that holds it (b"": none); either of them has.
+        self.is_pause_ordered, self.ballot = self.recovery.paused, b""
+        self.paused = self.is_pause_ordered
         #: Why an emergency stop locks the devices here, '' for none.
         self.stopped = self.recovery.stopped
         #: Why the disk should admit nothing more, '' if it may.
         self.space_trouble = ""
-        #: Whether the number of a start is recorded here.
         self._has_record = self.recovery.last_start is not None
         #: Why records cannot be written now, '' if they can.
         self.write_trouble = ""
@@ -116,10 +116,11 @@ class Coordinators(Part):
         self._deadline = self.mobility.next_deadline()
         self.due = None if self.paused else self._deadline
 
-    def set_paused(self, *, on: bool) -> None:
-        """The mission is paused on this host, or resumed: restart the time-outs of coordinators that wait for
-        another host."""
-        self.paused = on
+    def set_paused(self, *, ordered: bool, ballot: bytes) -> None:
+        """An operator or a ballot pauses the mission on this host, or does no more. When nothing does, the
+        time-outs of coordinators that wait for another host restart."""
+        self.is_pause_ordered, self.ballot = ordered, ballot
+        self.paused = on = ordered or bool(ballot)
         if not on:
             self.mobility.postpone(self._clock.monotonic())
         self.due = None if on else self._deadline
@@ -208,7 +209,7 @@ class Coordinators(Part):
         return self.write_ahead.add_record(StartCounter(generation), now)
 
     def record_existence(self) -> None:
-        """Record that this host has a journal, though no start may have been made."""
+        """Record that this host has a journal, though no start may have been made, unless one is recorded."""
         if not self._has_record:
             self.persist(StartCounter(0))
 
