@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import io
+import shutil
 import socket
 import sys
+from pathlib import Path
 
 import pytest
 from debugger_recordings import EXAMPLES
 
 from lfield import exit_status
 from lfield.cli.main import main
+from lfield.host.recording.recording_target import RecordingDirectory
+from lfield.mission.bundle import encode
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, FleetOptions
 
 SERVER = str(EXAMPLES / "10-client-server" / "mission.dL")
 
@@ -52,3 +58,36 @@ def test_an_empty_directory_is_no_recording(tmp_path):
 def test_a_port_in_use_is_unavailable():
     with socket.create_server(("127.0.0.1", 0)) as other:
         assert main(["debug", "--dap", "--port", str(other.getsockname()[1])]) == exit_status.UNAVAILABLE
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Recordings of two hosts in files."""
+    folder = tmp_path_factory.mktemp("recorded")
+    mission = load_mission(Path(SERVER))
+    fleet = Fleet(mission, options=FleetOptions(record=RecordingDirectory(folder, 1 << 20, encode(mission))))
+    fleet.run(4.0)
+    for name in list(fleet.lives):
+        fleet.stop(name)
+    fleet.run(2.0)
+    fleet.close()
+    return folder
+
+
+def test_recordings_in_files_are_debugged(recorded, capsys):
+    assert main(["debug", str(recorded), "-c", "end", "-c", "back hop", "-c", "where"]) == exit_status.DONE
+    printed = capsys.readouterr()
+    assert "input received" in printed.out
+    assert not printed.err
+
+
+def test_missing_hosts_are_named_and_a_cut_file_is_debugged(recorded, tmp_path, capsys):
+    folders = sorted(path for path in recorded.iterdir() if path.is_dir())
+    kept = tmp_path / folders[0].name
+    shutil.copytree(folders[0], kept)
+    file = next(kept.glob("core-*.lfrec"))
+    file.write_bytes(file.read_bytes()[: file.stat().st_size * 2 // 3])
+    assert main(["debug", str(kept), "-c", "end", "-c", "back step", "-c", "where"]) == exit_status.DONE
+    error = capsys.readouterr().err
+    assert "no recording of" in error
+    assert file.name in error
