@@ -138,6 +138,9 @@ def _read_commands(commands: DebuggerCommands) -> int:
                 print(line)
         except LfieldError as error:
             print(f"lfield: {error}", file=sys.stderr)
+        except KeyboardInterrupt:
+            # A search may last long. It has moved nothing yet.
+            print("interrupted", file=sys.stderr)
     return exit_status.DONE
 
 
