@@ -240,6 +240,13 @@ class ForeignJournal(JournalError):
     code, remedy = "journal-foreign", "name another directory with --state, or install the newer version"
 
 
+class RecordingError(LfieldError):
+    """A recording cannot be used: it is damaged, of a newer version, or of another mission."""
+
+    exit_status = exit_status.DATA
+    code, remedy = "recording", "see the message; `lfield replay` names the parts that can be used"
+
+
 class WireError(LfieldError):
     """A peer violated the protocol between hosts; its link is closed."""
 
@@ -248,10 +255,17 @@ class WireError(LfieldError):
 
 
 class HandshakeError(LfieldError):
-    """A peer has another protocol version, program, deployment or name, or is not a member of the team."""
+    """A peer has another protocol version, program, deployment or name, or is not a member of the team.
+
+    `answered_by` is the host that answered at the address of another one, '' in all other cases.
+    """
 
     exit_status = exit_status.PROTOCOL
     code, remedy = "handshake", "start all hosts with the same bundle, and check their addresses and keys"
+
+    def __init__(self, reason: str, *, answered_by: str = "") -> None:
+        self.answered_by = answered_by
+        super().__init__(reason)
 
 
 class CpuBudgetExceeded(WireError):

@@ -68,6 +68,15 @@ class HybridClock:
         self.last = 0
         self.tick(now)
 
+    @property
+    def state(self) -> tuple[int, float, float, float]:
+        """All that its next timestamps depend on, for `restore`."""
+        return self.last, self._offset, self._known_offset, self._reported_at
+
+    def restore(self, state: tuple[int, float, float, float]) -> None:
+        """Continue from a `state`."""
+        self.last, self._offset, self._known_offset, self._reported_at = state
+
     def set_wall_time(self, now: float, wall: float) -> None:
         """Read the wall clock again."""
         self._offset = wall - now

@@ -13,6 +13,7 @@ from lfield.driver import (
     Driver,
     Manifest,
     Reports,
+    WireLog,
     read_within,
 )
 from lfield_can.axis import CanAxis
@@ -29,8 +30,8 @@ from lfield_can.timing import Sync
 MAX_UNKNOWN_IDS, SHOWN_UNKNOWN_IDS = 64, 5
 
 CanDevice = CanAxis | CanSignals
-#: Creates the bus at an endpoint, with callbacks for frames and log lines.
-MakeBus = Callable[[str, Callable[[Frame], None], Callable[[str], None]], Bus]
+#: Creates the bus at an endpoint, with callbacks for frames and log lines, and the log of its frames.
+MakeBus = Callable[[str, Callable[[Frame], None], Callable[[str], None], WireLog], Bus]
 
 
 class CanDriver(Driver):
@@ -50,7 +51,9 @@ class CanDriver(Driver):
 
     def _set_up(self) -> None:
         first = self.bindings[0].name
-        self._bus = self._make_bus(self.endpoint, self._received, lambda text: self.reports.note(first, text))
+        self._bus = self._make_bus(
+            self.endpoint, self._received, lambda text: self.reports.note(first, text), self.wire_log
+        )
         self._sync = Sync(self.clock, self._bus.post, EVERY)
         self._members: list[CanDevice] = []
         #: One frame of each id that no device receives.

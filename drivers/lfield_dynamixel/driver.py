@@ -48,6 +48,7 @@ class DynamixelDriver(Driver):
             self._lost,
             self._back,
             lambda: self._note(log_messages.ECHO_REMOVED.line()),
+            self.wire_log,
         )
         self._chain = Chain(self._bus)
         # Cleared while the host is silent: a polled servo would not notice it.

@@ -122,9 +122,9 @@ class MavlinkDriver(Driver):
 
     def _make_port(self, number: int, endpoint: str) -> Port:
         signing = sign_link(self._signing, self.bindings, number, endpoint)
-        reader, writer = Reader(signing), Writer(signing)
+        reader, writer = Reader(signing, self.wire_log.log_mavlink), Writer(signing)
         link = self._make_link(endpoint, partial(self._received, number, reader))
-        return Port(link, reader, writer, signing)
+        return Port(link, reader, writer, signing, self.wire_log)
 
     def _counts(self) -> LinkCounts:
         return LinkCounts.over(self._ports, self._signing)

@@ -82,7 +82,7 @@ def verify_bundle(digest: bytes, signature: bytes, authority: bytes) -> BundleSi
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
         raise SignatureError("its signature cannot be read: sign it again with 'lfield sign'") from None
     except KeysError as error:
-        raise SignatureError(f"its signature does not count: {error}") from None
+        raise SignatureError(f"its signature is not accepted: {error}") from None
     if not sound:
         raise SignatureError(
             f"it has changed after {who} signed it: copy it again, or sign it with 'lfield sign'"

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from lfield.authority.identity import Right, sorted_rights
 from lfield.wire.messages import Ping, RevocationUpdate
 from lfield.wire.observer_messages import (
+    BallotHold,
     EmergencyStop,
     ForgetRequest,
     Pause,
@@ -45,6 +46,8 @@ RIGHTS: Mapping[type[Message], tuple[Right | None, Right | None]] = {
     EmergencyStop: (Right.STOP, Right.OPERATE),
     # A pause only makes devices safe, as a stop does.
     Pause: (Right.STOP, Right.OPERATE),
+    # Of its own service only, over the control socket.
+    BallotHold: (Right.COMMAND, Right.COMMAND),
     ForgetRequest: (Right.OPERATE, None),
     RecoverRequest: (Right.OPERATE, None),
     StartRequest: (Right.OPERATE, None),
@@ -67,6 +70,8 @@ def missing_permission(who: Identity, verdict: AdmissionDecision, message: Messa
     rights = RIGHTS.get(type(message))
     if rights is None:
         return f"{who} sent a {type(message).__name__}, which only hosts may send"
+    if isinstance(message, BallotHold) and who.kind != "local":
+        return f"{who} may not hold this host for a vote: only the service of the robot does"
     needed = rights[1] if getattr(message, "lift", False) else rights[0]
     may = verdict.remaining_rights(who.may | HOST_RIGHTS if who.kind == "host" else who.may)
     if needed is None or needed in may:

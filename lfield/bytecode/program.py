@@ -181,7 +181,8 @@ class DeviceCallRecord(msgspec.Struct, frozen=True, array_like=True):
 
 
 class MethodDebug(msgspec.Struct, frozen=True, array_like=True):
-    """The source of a method: rising (pc, line) pairs, and (slot, name) of its named slots."""
+    """The source of a method: (pc, line) of each statement, by rising pc, and (slot, name) of its named
+    slots."""
 
     source: int
     lines: tuple[tuple[int, int], ...]

@@ -52,6 +52,9 @@ COMMANDS = {
     "forget": "end a coordinator that is in doubt, lost or suspended, so that no copy of it continues",
     "recover": "continue a coordinator on another host when its own host is permanently lost",
     "inspect": "print the contents of an agent dump, a host's journal, or a bundle",
+    "debug": "debug recordings, or a mission in virtual time, forwards and backwards",
+    "replay": "replay recordings of hosts and report the first difference",
+    "export": "write the events and telemetry of a recording as MCAP or CSV",
     "doctor": "check ports, permissions, libraries, clock and devices",
     "driver": "list installed drivers, or create a new one",
     "setup": "write the required parameters into devices, or restore the old ones",
@@ -60,6 +63,8 @@ COMMANDS = {
 }
 _PACKAGES = {
     "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
+    "debugging": ("debug",),
+    "recordings": ("replay", "export"),
     "run": ("up",),
     "operations": (
         "ps",
@@ -93,6 +98,7 @@ INTERRUPTIBLE = {
     "doctor": ("operator.diagnostics", "mission.loader"),
     "setup": ("devices.device_setup", "mission.loader"),
     "test": ("mission.loader",),
+    "debug": ("mission.loader", "replay.debugger.debugger", "replay.recording_files"),
     "kit": ("devices.conformance_run", "mission.device_selection"),
     "sim": ("driver.sims",),
     "provision": ("provision.host_provisioning", "provision.team_keys"),

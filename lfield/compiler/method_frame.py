@@ -31,13 +31,14 @@ class CodeBuffer:
         self.lines: list[tuple[int, int]] = []
         #: The source line of the next instructions.
         self.line = 0
+        self._is_new_statement = False
         #: Whether the current position is reachable. Unreachable instructions are dropped.
         self.reachable = True
         self._base = base
 
     def set_line(self, line: int) -> None:
-        """Set the source line of the next instructions."""
-        self.line = line
+        """A statement or a condition begins on that line: the next instructions belong to it."""
+        self.line, self._is_new_statement = line, True
 
     @property
     def position(self) -> int:
@@ -48,8 +49,9 @@ class CodeBuffer:
         """Append an instruction."""
         if not self.reachable:
             return
-        if not self.lines or self.lines[-1][1] != self.line:
+        if self._is_new_statement or not self.lines or self.lines[-1][1] != self.line:
             self.lines.append((self.position, self.line))
+            self._is_new_statement = False
         self.quads.append(Quad(BY_NAME[name].code, a, b, c))
         self.reachable = name not in _TERMINALS
 

@@ -8,6 +8,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import msgspec
+
 from lfield import event_loop
 from lfield.capability.directory.directory_delta import Unavailability
 from lfield.clock import Clock
@@ -21,6 +23,7 @@ from lfield.driver.contract import RELEASE
 from lfield.driver.driver_index import DriverLookup
 from lfield.errors import DeviceError, DevicesError
 from lfield.guard.core import HOST_TIMEOUT
+from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction, Observation
 from lfield.text.log_messages import LogLine
 from lfield.vm.engine_interface import Reading
@@ -67,11 +70,14 @@ class DeviceGuards:
         self._unsafe: dict[str, str] = {}
         self._by_device: dict[str, tuple[GuardProcess, DeviceManifest]] = {}
 
-    async def open(self, devices: Sequence[DeviceBinding]) -> None:
-        """Opens all devices concurrently. Raises DevicesError with all problems; then none stays open."""
+    async def open(self, devices: Sequence[DeviceBinding], recording: GuardRecording = NO_RECORDING) -> None:
+        """Opens all devices concurrently. Raises DevicesError with all problems; then none stays open.
+
+        The folder of `recording` exists; the guards share its limit.
+        """
         problems: list[str] = []
         try:
-            await self._open(devices, problems)
+            await self._open(devices, problems, recording)
         except BaseException:
             await self.close()
             raise
@@ -79,14 +85,20 @@ class DeviceGuards:
             await self.close()
             raise DevicesError(problems, self._not_set_up)
 
-    async def _open(self, devices: Sequence[DeviceBinding], problems: list[str]) -> None:
+    async def _open(
+        self, devices: Sequence[DeviceBinding], problems: list[str], recording: GuardRecording
+    ) -> None:
         problems += _shared_ports(devices)
         placed = await bind_to_fakes(devices, self._fakes, problems) if not problems else []
         if problems:
             return
-        for bus in by_bus(placed).values():
+        buses = by_bus(placed)
+        share = msgspec.structs.replace(recording, limit=recording.limit // max(1, len(buses)))
+        for bus in buses.values():
             driver = self._drivers.by_driver[bus[0].driver]
-            guard = GuardProcess(driver, bus, self.clock, self._note, self.lateness, self._has_progressed)
+            guard = GuardProcess(
+                driver, bus, self.clock, self._note, self.lateness, self._has_progressed, share
+            )
             guard.latched_devices.inhibit(self._barred)
             guard.latched_devices.set_event_handlers(self.on_event, self.on_lock_out)
             self._guards.append(guard)

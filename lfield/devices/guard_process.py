@@ -22,11 +22,13 @@ from lfield.driver.driver_index import DriverInfo
 from lfield.errors import DeviceError, DevicesError, WireError
 from lfield.event_loop import kill, report_exception, spawn, start_process
 from lfield.guard.messages import (
+    NO_RECORDING,
     Beat,
     CallDone,
     ClearStop,
     DevicesOpened,
     GuardMessage,
+    GuardRecording,
     Latched,
     LockedOut,
     MessageReader,
@@ -82,11 +84,12 @@ class GuardProcess(asyncio.SubprocessProtocol):
         note: Callable[[LogLine], None],
         lateness: JitterMonitor,
         has_progressed: Callable[[], bool],
+        recording: GuardRecording = NO_RECORDING,
     ) -> None:
         self._driver = driver.for_types({device.type for device in devices})
         self._clock, self._note = clock, note
         self._silence, self._heartbeats = lateness.limit.silence, HeartbeatJitter(lateness)
-        self._has_progressed = has_progressed
+        self._has_progressed, self._recording = has_progressed, recording
         self._devices = {device.name: device for device in devices}
         self._label = ", ".join(self._devices)
         self.snapshots = Snapshots(driver, devices, clock)
@@ -309,7 +312,8 @@ class GuardProcess(asyncio.SubprocessProtocol):
         # The first message, also when another task stops this guard while `open` waits for the process: a
         # guard that received `Stop` first would end without making its devices safe.
         devices, foreign_controlled = list(self._devices.values()), sorted(self.snapshots.received)
-        self._send(OpenDevices(devices, self._open_reason, self._silence, self._driver, foreign_controlled))
+        opening = self._open_reason, self._silence, self._driver, foreign_controlled
+        self._send(OpenDevices(devices, *opening, self._recording))
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
         """Messages of the guard."""

@@ -11,6 +11,7 @@ from lfield.driver.contract import WATCHDOG, Manifest, Reports
 from lfield.driver.device import Device, Driver
 from lfield.driver.frame import Frame, Origin, Placement, Pose, Vector
 from lfield.driver.plugin import Plugin
+from lfield.driver.recording import WireLog
 from lfield.driver.settings import Setting
 from lfield.errors import DeviceError
 from lfield.text.input_files import read_within
@@ -40,5 +41,6 @@ __all__ = [
     "Source",
     "Span",
     "Vector",
+    "WireLog",
     "read_within",
 ]

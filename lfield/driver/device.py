@@ -20,6 +20,7 @@ from lfield.clock import Clock
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import WATCHDOG, Manifest, Reports
 from lfield.driver.frame import Frame, arguments_from_team, values_to_team
+from lfield.driver.recording import WireLog
 from lfield.driver.settings import Setting, mismatched
 from lfield.driver.value_types import VALUE_CHECKS, ValueCheck, conform
 from lfield.errors import DeviceError, DeviceNotSetUp, PluginError
@@ -318,6 +319,8 @@ class Driver:
     ) -> None:
         self.bindings, self.endpoint = tuple(bindings), bindings[0].endpoint
         self.manifests, self.clock, self.reports = manifests, clock, reports
+        #: The log of what it sends and receives.
+        self.wire_log = WireLog(clock)
         self._tasks: set[asyncio.Task[None]] = set()
         self._set_up()
         self.devices = {binding.name: self._device(binding) for binding in bindings}

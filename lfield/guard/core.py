@@ -15,7 +15,6 @@ one, so `land()` need not wait for a `goTo()` of another thread. A query to the 
 while it is latched.
 
 A device that still moves in its safe state is commanded again, in case it was moved out of it.
-
 A stop makes all devices safe and is over when they are at rest (standstill.py).
 
 While the host is silent the bus is muted, once every device is at rest or one has not confirmed its safe
@@ -35,7 +34,7 @@ from collections.abc import Sequence
 from lfield.clock import Clock
 from lfield.driver.contract import RELEASE
 from lfield.guard.effects import Abandon, CheckRest, Effect, Execute, Exit, Interrupt, MakeSafe, Mute, Notify
-from lfield.guard.guard_device import GuardDevice
+from lfield.guard.guard_device import CoreState, GuardDevice
 from lfield.guard.messages import GuardCall, Latched, Moving, Note, Refused, Released, Stopped, host_silent
 from lfield.guard.running_call import RunningCall, call_kind
 from lfield.guard.standstill import Standstill
@@ -72,6 +71,19 @@ class GuardCore:
         self._last_beat = clock.monotonic()
         self._stopping = self._ended = self._muted = False
 
+    @property
+    def state(self) -> CoreState:
+        """The present state, which the next event changes."""
+        devices, rest = list(self._devices.values()), self._rest.state
+        return CoreState(devices, rest, self._last_beat, self._stopping, self._ended, self._muted)
+
+    def restore(self, state: CoreState) -> None:
+        """Continues from the state of another core with the same devices."""
+        self._devices = {device.name: device for device in state.devices}
+        self._rest.restore(state.rest)
+        self._last_beat = state.last_beat
+        self._stopping, self._ended, self._muted = state.stopping, state.ended, state.muted
+
     # -- events ---------------------------------------------------------------------------------------
 
     def on_opened(self, latched: str) -> list[Effect]:
@@ -94,17 +106,17 @@ class GuardCore:
         device = self._devices.get(call.device)
         instruction = device.manifest.instruction(call.instruction) if device else None
         if device is None or instruction is None:
-            return [*effects, _refusal(call, f"there is no {call.device}.{call.instruction}()")]
+            return [*effects, Notify(call.refusal(f"there is no {call.device}.{call.instruction}()"))]
         if len(call.arguments) != len(instruction.parameters):
-            mismatch = f"{call.instruction}() takes {len(instruction.parameters)} arguments"
-            return [*effects, _refusal(call, mismatch)]
+            count = len(instruction.parameters)
+            return [*effects, Notify(call.refusal(f"{call.instruction}() takes {count} arguments"))]
         asks = call_kind(instruction) == "ask"
         if device.latched and not asks:
             first = LIFT_FIRST if device.lock_reason else "call release() first"
             held = f"held in its safe state: {device.lock_reason or device.latched}; {first}"
-            return [*effects, _refusal(call, held)]
-        if refusal := self._expiry_reason(call):
-            return [*effects, _refusal(call, refusal)]
+            return [*effects, Notify(call.refusal(held))]
+        if late := self._expiry_reason(call):
+            return [*effects, Notify(call.refusal(late))]
         if asks:
             return effects + self._start_query(device, call)
         stopped = self._abandon(device, instruction.channel, f"replaced by {call.instruction}()")
@@ -224,10 +236,7 @@ class GuardCore:
         return [*effects, Notify(Note(name, *report_fields(line)))]
 
     def on_stop(self, reason: str, *, at_once: bool = False) -> list[Effect]:
-        """The host stops: make everything safe, wait until it is at rest, then exit.
-
-        With `at_once` waiting ends.
-        """
+        """The host stops: make everything safe, wait until it is at rest (not `at_once`), then exit."""
         if at_once:
             self._rest.skip_wait()
         return self._stop(reason)
@@ -317,13 +326,12 @@ class GuardCore:
         effects: list[Effect] = []
         if call.instruction == RELEASE.name:
             if self._stopping:
-                return [_refusal(call, "the host is stopping")]
+                return [Notify(call.refusal("the host is stopping"))]
             if device.lock_reason:
-                return [_refusal(call, f"{device.lock_reason}; {LIFT_FIRST}")]
+                return [Notify(call.refusal(f"{device.lock_reason}; {LIFT_FIRST}"))]
             if device.latched and not device.confirmed:
-                return [
-                    _refusal(call, "its safe state is not confirmed yet; call release() again in a moment")
-                ]
+                wait = "its safe state is not confirmed yet; call release() again in a moment"
+                return [Notify(call.refusal(wait))]
             if device.latched:
                 effects += [*([Abandon(device.name)] if device.making else []), Notify(Released(device.name))]
                 device.release()
@@ -353,10 +361,10 @@ class GuardCore:
             for effect in self._abandon(device, channel, f"stopped, since {reason}")
         ]
         return [
-            *_of_kind(Interrupt, stopped),
+            *(effect for effect in stopped if isinstance(effect, Interrupt)),
             *([Abandon(device.name)] if device.making else []),
             _make_safe(device),
-            *_of_kind(Notify, stopped),
+            *(effect for effect in stopped if isinstance(effect, Notify)),
             Notify(Latched(device.name, reason, False, state)),
         ]
 
@@ -390,11 +398,3 @@ class GuardCore:
 def _make_safe(device: GuardDevice) -> MakeSafe:
     device.start_safe_state()
     return MakeSafe(device.name, device.state)
-
-
-def _refusal(call: GuardCall, reason: str) -> Notify:
-    return Notify(Refused(call.token, "DeviceException", reason))
-
-
-def _of_kind(kind: type[Effect], effects: list[Effect]) -> list[Effect]:
-    return [effect for effect in effects if isinstance(effect, kind)]

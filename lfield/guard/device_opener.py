@@ -16,6 +16,7 @@ from lfield.driver.plugin import Plugin, check_same
 from lfield.errors import DeviceError, DeviceNotSetUp, PluginError
 from lfield.guard.endpoint_lock import EndpointGuard
 from lfield.guard.messages import OpenDevices
+from lfield.guard.recording.guard_rings import start_wire_log
 
 #: Seconds to complete the opening of changed devices when the guard must end.
 FINISH_TIMEOUT = 3.0
@@ -58,6 +59,7 @@ class DeviceOpener:
         try:
             await self._lock.acquire(message.devices[0].endpoint)
             self.driver = self._make_driver(message)
+            start_wire_log(self.driver.wire_log, message, self._reports.note)
             self._on_loaded()
             await self.driver.open()
             return await self._open_all(list(self.driver.devices.values()), message.foreign_controlled)
@@ -114,6 +116,7 @@ class DeviceOpener:
         """Closes the bus."""
         if self.driver is not None:
             await self.driver.close()
+            self.driver.wire_log.close()
         self._lock.release()
 
 

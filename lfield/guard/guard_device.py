@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from lfield.guard.messages import GuardCall
 from lfield.guard.running_call import RunningCall, call_kind
+from lfield.guard.standstill import StandstillState
 from lfield.manifest import DeviceManifest, Instruction
 
 
@@ -125,3 +126,15 @@ class GuardDevice:
             return ""
         late = (running.call for running in self.active.values() if now >= running.deadline)
         return next((f"{call.instruction}() is not done after {self.rest_within:g} s" for call in late), "")
+
+
+@dataclass(frozen=True, slots=True)
+class CoreState:
+    """All that a GuardCore stores between two events: `core.state`."""
+
+    devices: list[GuardDevice]
+    rest: StandstillState
+    last_beat: float
+    stopping: bool
+    ended: bool
+    muted: bool

@@ -32,13 +32,28 @@ class GuardMessage(msgspec.Struct, frozen=True, array_like=True):
     """Base class of all messages."""
 
 
+class GuardRecording(msgspec.Struct, frozen=True, array_like=True):
+    """What a guard writes into the folder of a recording, '' for nothing: at most `limit` bytes together.
+
+    `run` is the id of the run, '' where it has none.
+    """
+
+    folder: str = ""
+    limit: int = 0
+    run: str = ""
+
+
+NO_RECORDING = GuardRecording()
+
+
 class OpenDevices(GuardMessage, frozen=True):
     """Host: opens these devices, all on one bus. `latched` is why they must start in their safe states, or
     ''.
 
     `silence` is the host time-out in seconds, after which every device is made safe. `driver` contains the
     manifests; the guard reads none, and refuses if the installed driver has others. With `latched`,
-    `foreign_controlled` lists the devices that were under foreign control when the previous guard died.
+    `foreign_controlled` lists the devices that were under foreign control when the previous guard died. The
+    folder of `recording` exists.
     """
 
     devices: list[DeviceBinding]
@@ -46,6 +61,7 @@ class OpenDevices(GuardMessage, frozen=True):
     silence: float
     driver: DriverInfo
     foreign_controlled: list[str] = []
+    recording: GuardRecording = NO_RECORDING
 
 
 class GuardCall(GuardMessage, frozen=True):
@@ -60,6 +76,10 @@ class GuardCall(GuardMessage, frozen=True):
     arguments: list[DeviceValue]
     sent: float
     until: float
+
+    def refusal(self, reason: str) -> Refused:
+        """The answer that refuses this call."""
+        return Refused(self.token, "DeviceException", reason)
 
 
 class CancelInstruction(GuardMessage, frozen=True):

@@ -65,9 +65,9 @@ def sandbox_for(first: bytes) -> None:
         for message in MessageReader().feed(first):
             if isinstance(message, OpenDevices):
                 code = {*sys.path, sys.prefix, sys.base_prefix, *_packages()}
-                needed = policy_for(
-                    message.devices, message.driver, filter(os.path.isabs, code), str(temporary_dir())
-                )
+                own = filter(os.path.isabs, code)
+                scratch, recording = str(temporary_dir()), message.recording.folder
+                needed = policy_for(message.devices, message.driver, own, scratch, recording)
                 _apply(needed)
 
 

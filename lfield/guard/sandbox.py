@@ -24,6 +24,8 @@ _EXECUTE, _WRITE, _READ, _TRUNCATE, _IOCTL = 1 << 0, 1 << 1, 1 << 2, 1 << 14, 1 
 _FOLDER_RIGHTS = sum(1 << bit for bit in range(4, 13))
 _LATER_RIGHTS = {2: 1 << 13, 3: _TRUNCATE, 5: _IOCTL}
 _FILE_RIGHTS = _EXECUTE | _WRITE | _READ | _TRUNCATE | _IOCTL
+#: In the folder of a recording: write, remove and create files.
+_RECORDING_RIGHTS = _WRITE | 1 << 5 | 1 << 8
 #: Rights to bind and connect by TCP; scope of signals.
 _TCP, _RULE_CALL, _SIGNALS = 3, 2, 2
 
@@ -91,6 +93,7 @@ def _landlock(policy: SandboxPolicy, version: int) -> None:
         _add_paths(rules, policy.readable, handled & (_READ | runs))
         _add_paths(rules, policy.writable, handled & (_FILE_RIGHTS & ~_EXECUTE))
         _add_paths(rules, policy.folders, handled & ~_EXECUTE)
+        _add_paths(rules, [policy.recording] if policy.recording else [], _RECORDING_RIGHTS)
         for port in policy.ports or () if network else ():
             _add_rule(rules, _PORT, struct.pack("=QQ", _RULE_CALL, port))
         _checked(_libc.syscall(_RESTRICT, ctypes.c_int(rules), ctypes.c_uint(0)))

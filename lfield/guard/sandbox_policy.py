@@ -43,13 +43,15 @@ PSEUDO_DEVICES = ("/dev/null", "/dev/zero", "/dev/full", "/dev/random", "/dev/ur
 class SandboxPolicy:
     """The paths and ports that one guard may access; a folder includes everything below it.
 
-    `folders` may be written into. `ports` are the TCP ports that it may connect to, None for any. Without
+    `folders` may be written into. In the folder `recording`, if any, files can be created, appended to and
+    removed, but not read. `ports` are the TCP ports that it may connect to, None for any. Without
     `has_internet` it may only open Unix and CAN sockets; without `may_execute` it may not execute programs.
     """
 
     readable: tuple[str, ...]
     writable: tuple[str, ...] = PSEUDO_DEVICES
     folders: tuple[str, ...] = ()
+    recording: str = ""
     ports: tuple[int, ...] | None = ()
     has_internet: bool = False
     may_execute: bool = False
@@ -85,12 +87,17 @@ class _Requirements:
 
 
 def policy_for(
-    devices: Sequence[DeviceBinding], driver: DriverInfo, code: Iterable[str], scratch: str
+    devices: Sequence[DeviceBinding],
+    driver: DriverInfo,
+    code: Iterable[str],
+    scratch: str,
+    recording: str = "",
 ) -> SandboxPolicy:
     """The policy for the guard of these devices; `code` are the folders that modules come from.
 
-    `scratch` is a folder for temporary files. The needs of an unknown kind of endpoint are unknown: it keeps
-    access to devices, network and other programs, but not to files of its user.
+    `scratch` is a folder for temporary files, `recording` that of a recording, if there is one. The needs of
+    an unknown kind of endpoint are unknown: it keeps access to devices, network and other programs, but not
+    to files of its user.
     """
     needs = _Requirements()
     for endpoint in sorted({device.endpoint for device in devices}):
@@ -101,11 +108,12 @@ def policy_for(
     own = [folder for folder in map(os.path.dirname, files) if _is_writable_by_driver(folder)]
     reads = (*SYSTEM, *_resolver_folders(), *sorted(set(code)), *files)
     if needs.unknown:
+        everywhere = ("/dev", scratch, *own)
         return SandboxPolicy(
-            reads, tuple(needs.writes), ("/dev", scratch, *own), None, has_internet=True, may_execute=True
+            reads, tuple(needs.writes), everywhere, recording, None, has_internet=True, may_execute=True
         )
-    folders = (*sorted(set(needs.folders)), *own)
-    return SandboxPolicy(reads, tuple(needs.writes), folders, tuple(needs.ports), has_internet=needs.internet)
+    folders, ports = (*sorted(set(needs.folders)), *own), tuple(needs.ports)
+    return SandboxPolicy(reads, tuple(needs.writes), folders, recording, ports, has_internet=needs.internet)
 
 
 def _resolver_folders() -> tuple[str, ...]:

@@ -20,8 +20,6 @@ from lfield.guard.endpoint_lock import EndpointGuard, EndpointLock
 from lfield.guard.messages import (
     Beat,
     CallDone,
-    CancelInstruction,
-    ClearStop,
     DevicesOpened,
     GuardCall,
     GuardMessage,
@@ -35,11 +33,15 @@ from lfield.guard.messages import (
     OrphanLog,
     Refused,
     Released,
-    RequestSafeState,
     Stop,
     Stopped,
+    TelemetrySnapshot,
     encode,
 )
+from lfield.guard.recording import guard_inputs
+from lfield.guard.recording.guard_recorder import GuardRecorder
+from lfield.guard.recording.guard_rings import open_recorder
+from lfield.guard.recording.recorded_core import EventClock, RecordedCore
 from lfield.guard.standstill import UNFINISHED
 from lfield.guard.telemetry import Telemetry
 from lfield.text import log_messages
@@ -74,12 +76,13 @@ class Shell(asyncio.Protocol):
         # A callback of a driver (socket, timer) that raises has no task that would report it.
         self._loop.set_exception_handler(self._callback_raised)
         self._reader = MessageReader()
-        self._core: GuardCore | None = None
+        self._core: RecordedCore | None = None
+        self._recorder: GuardRecorder | None = None
         self._opening = DeviceOpener(plugin, clock, self, on_loaded, lock or EndpointLock())
         # How the core ends if the end was requested while the devices were opened.
-        self._leave: Callable[[GuardCore], list[Effect]] | None = None
+        self._leave: guard_inputs.GuardInput | None = None
         self._telemetry = Telemetry(
-            clock, self._send, self._is_foreign, lambda: output.get_write_buffer_size() >= BACKLOG
+            clock, self._send_snapshot, self._is_foreign, lambda: output.get_write_buffer_size() >= BACKLOG
         )
         # Driver reports that go straight to telemetry.
         self.publish, self.heard = self._telemetry.publish, self._telemetry.on_contact
@@ -110,33 +113,21 @@ class Shell(asyncio.Protocol):
 
     def on_host_gone(self, reason: str) -> None:
         """The host has ended."""
-        self._end(lambda core: core.on_host_gone(reason))
+        self._end(guard_inputs.HostGone(reason))
 
     def _receive(self, message: GuardMessage) -> None:
         if isinstance(message, OpenDevices) and not self._asked:
             self._asked = True
             self._orphan_log.on_opening(message.devices)
             self._opening.on_request(message)
+            self._recorder = open_recorder(message, self._clock, self.note)
             self._spawn(self._open(message))
         elif isinstance(message, Stop):
-            self._end(
-                lambda core: core.on_stop(message.reason, at_once=message.at_once), at_once=message.at_once
-            )
-        elif self._core is None:
-            pass
-        elif isinstance(message, Beat):
-            self._run(self._core.on_beat(message.sent))
-            self._answer_beat()
-        elif isinstance(message, GuardCall):
-            self._run(self._core.on_call(message))
-        elif isinstance(message, CancelInstruction):
-            self._run(self._core.on_cancel(message.token, message.sent))
-        elif isinstance(message, RequestSafeState):
-            self._run(
-                self._core.latch(message.device, message.reason, lock=message.lock, state=message.state)
-            )
-        elif isinstance(message, ClearStop):
-            self._run(self._core.clear_stop())
+            self._end(guard_inputs.StopRequested(message.reason, message.at_once), at_once=message.at_once)
+        elif self._core is not None and (given := guard_inputs.input_of(message)) is not None:
+            self._handle(given)
+            if isinstance(message, Beat):
+                self._answer_beat()
 
     def _answer_beat(self) -> None:
         """A rate-limited heartbeat, which distinguishes an idle guard from one that hangs."""
@@ -153,14 +144,18 @@ class Shell(asyncio.Protocol):
         else:
             self._orphan_log.write(message)
 
+    def _send_snapshot(self, snapshot: TelemetrySnapshot) -> None:
+        self._send(snapshot)
+        if self._recorder is not None:
+            self._recorder.on_snapshot(snapshot)
+
     @contextmanager
     def _in_one_write(self) -> Iterator[None]:
         """Sends the messages of this block in one write: the host wakes up once."""
         if self._buffered is not None or self._output.is_closing():
             yield
             return
-        held: list[bytes] = []
-        self._buffered = held
+        held = self._buffered = list[bytes]()
         try:
             yield
         finally:
@@ -170,8 +165,8 @@ class Shell(asyncio.Protocol):
 
     def on_signal(self, number: int) -> None:
         """A signal that was meant for the host."""
-        name = signal.Signals(number).name
-        self.note("the guard", log_messages.GUARD_SIGNAL_IGNORED.line(signal=name))
+        line = log_messages.GUARD_SIGNAL_IGNORED.line(signal=signal.Signals(number).name)
+        self.note("the guard", line)
 
     def _is_foreign(self, device: str) -> bool:
         """Whether the device is under foreign control; while opening, as the previous guard reported."""
@@ -186,17 +181,20 @@ class Shell(asyncio.Protocol):
 
     def note(self, device: str, text: str) -> None:
         """Writes a line into the log of the host."""
-        self._send(Note(device, *report_fields(text)))
+        note = Note(device, *report_fields(text))
+        self._send(note)
+        if self._recorder is not None:
+            self._recorder.on_note(note)
 
     def breach(self, device: str, reason: str) -> None:
         """The device exceeds a limit: it is made safe, independent of its calls."""
-        if self._core is not None:
-            self._run(self._core.latch(device, reason))
+        self._handle(guard_inputs.SafeStateRequested(device, reason))
 
     def lock_out(self, device: str, reason: str) -> None:
         """The device must be inspected: it is made safe, and only an operator clears that."""
         if self._core is not None:
-            self._run([*self._core.latch(device, reason, lock=True), Notify(LockedOut(device, reason))])
+            effects = self._core.handle(guard_inputs.SafeStateRequested(device, reason, lock=True))
+            self._run([*effects, Notify(LockedOut(device, reason))])
 
     def _callback_raised(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         reason = context.get("exception") or context.get("message", "")
@@ -212,7 +210,7 @@ class Shell(asyncio.Protocol):
 
     def _on_broken_driver(self, reason: str) -> None:
         if self._core is not None:
-            self._run(self._core.latch("", reason))
+            self._handle(guard_inputs.SafeStateRequested("", reason))
         elif not self.exit.done():
             self._send(OpenFailed([("", "DeviceException", reason)]))
             self._finish(1)
@@ -253,23 +251,21 @@ class Shell(asyncio.Protocol):
             self._finish(1)
             return
         devices = [self._driver.devices[name] for name in identities]
-        self._core = GuardCore(
-            [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices],
-            self._clock,
-            silence=message.silence,
-        )
+        clock = EventClock(self._clock)
+        given = [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices]
+        self._core = RecordedCore(GuardCore(given, clock, silence=message.silence), clock, self._recorder)
         # Flush telemetry first: a query right after opening must find it.
         self._telemetry.flush()
         actions = {d.binding.name: found for d in devices if (found := d.safe_actions())}
         self._send(DevicesOpened(identities, actions))
-        self._run(self._core.on_opened(message.latched))
+        self._handle(guard_inputs.BusOpened(message.latched))
         if self._leave is not None:
-            self._run(self._leave(self._core))
+            self._handle(self._leave)
 
-    def _end(self, leave: Callable[[GuardCore], list[Effect]], *, at_once: bool = False) -> None:
+    def _end(self, leave: guard_inputs.GuardInput, *, at_once: bool = False) -> None:
         """The host stops or is gone; half-open devices are completed first, unless `at_once`."""
         if self._core is not None:
-            self._run(leave(self._core))
+            self._handle(leave)
             return
         seconds, first = self._opening.abandon(), self._leave is None
         self._leave = leave
@@ -291,6 +287,10 @@ class Shell(asyncio.Protocol):
         return self._opening.driver
 
     # -- effects --------------------------------------------------------------------------------------
+
+    def _handle(self, given: guard_inputs.GuardInput) -> None:
+        if self._core is not None:
+            self._run(self._core.handle(given))
 
     def _run(self, effects: Sequence[Effect]) -> None:
         with self._in_one_write():
@@ -330,43 +330,42 @@ class Shell(asyncio.Protocol):
             self.crashed(error)
 
     def _check_rest(self, name: str) -> None:
-        assert self._core is not None
         try:
             moving = self._driver.devices[name].moving()
         except Exception as error:  # third-party code; unknown counts as moving
             moving = f"unknown, the driver failed: {self._error_text(error)}"
-        self._run(self._core.on_motion_report(name, moving))
+        self._handle(guard_inputs.MotionReported(name, moving))
 
     async def _execute(self, call: GuardCall) -> None:
-        core, driver = self._core, self._driver
+        core = self._core
         assert core is not None
         try:
-            device = driver.devices[call.device]
-            if refusal := core.mark_started(call):
+            device = self._driver.devices[call.device]
+            if refusal := core.start_call(call):
                 raise device.error(refusal)
             value = await device.execute(call.instruction, call.arguments)
-            self._run(core.on_finished(call.token, value))
+            self._handle(guard_inputs.CallFinished(call.token, value))
         except DeviceError as error:
-            self._run(core.on_refused(call.token, error.kind, error.reason))
+            self._handle(guard_inputs.CallRefused(call.token, error.kind, error.reason))
         except ValueError as error:
-            self._run(core.on_refused(call.token, "DeviceException", f"{call.instruction}(): {error}"))
+            reason = f"{call.instruction}(): {error}"
+            self._handle(guard_inputs.CallRefused(call.token, "DeviceException", reason))
         except Exception as error:  # third-party code; the device is made safe
             problem = f"the driver failed in {call.instruction}(): {self._error_text(error)}"
-            self._run(core.on_crashed(call.token, problem))
+            self._handle(guard_inputs.CallCrashed(call.token, problem))
         finally:
             self._calls.pop(call.token, None)
 
     async def _make_safe(self, name: str, state: str) -> None:
-        core, driver = self._core, self._driver
-        assert core is not None
         try:
-            await driver.devices[name].make_safe(state)
+            await self._driver.devices[name].make_safe(state)
         except DeviceError as error:
-            self._run(core.on_safe_failed(name, error.reason))
+            self._handle(guard_inputs.SafeStateFailed(name, error.reason))
         except Exception as error:  # third-party code; the core retries
-            self._run(core.on_safe_failed(name, f"the driver failed: {self._error_text(error)}"))
+            reason = f"the driver failed: {self._error_text(error)}"
+            self._handle(guard_inputs.SafeStateFailed(name, reason))
         else:
-            self._run(core.on_safe(name))
+            self._handle(guard_inputs.SafeStateReached(name))
 
     def _set_timer(self) -> None:
         """Schedules the core's next deadline; an existing timer that is early enough is kept."""
@@ -380,8 +379,7 @@ class Shell(asyncio.Protocol):
 
     def _on_timer(self) -> None:
         self._timer = None
-        if self._core is not None:
-            self._run(self._core.tick())
+        self._handle(guard_inputs.TimerExpired())
 
     def _spawn(self, work: Coroutine[Any, Any, None]) -> asyncio.Task[None]:
         task = self._loop.create_task(work)
@@ -398,3 +396,5 @@ class Shell(asyncio.Protocol):
         for task in list(self._tasks):
             task.cancel()
         await self._opening.close()
+        if self._recorder is not None:
+            self._recorder.close()

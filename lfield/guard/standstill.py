@@ -21,7 +21,7 @@ UNCONFIRMED = "its safe state was not confirmed"
 
 
 @dataclass(slots=True)
-class _Settling:
+class Settling:
     """A device: its time to come to rest in seconds, and its condition.
 
     `confirmed_at` is None before its safe state was confirmed, `moving` before the first check in it.
@@ -36,13 +36,36 @@ class _Settling:
     reported_at: float = 0.0
 
 
+@dataclass(frozen=True, slots=True)
+class StandstillState:
+    """All that a Standstill stores between two events."""
+
+    devices: dict[str, Settling]
+    stopped_at: float | None
+    is_host_gone: bool
+    muted: bool
+    is_skipped: bool
+
+
 class Standstill:
     """The progress of a guard's devices to rest; `within` is the time of each to come to rest, in seconds."""
 
     def __init__(self, within: Mapping[str, float]) -> None:
-        self._devices = {name: _Settling(seconds) for name, seconds in within.items()}
+        self._devices = {name: Settling(seconds) for name, seconds in within.items()}
         self._stopped_at: float | None = None
         self._is_host_gone = self._muted = self._is_skipped = False
+
+    @property
+    def state(self) -> StandstillState:
+        """The present state, which the next event changes."""
+        return StandstillState(
+            self._devices, self._stopped_at, self._is_host_gone, self._muted, self._is_skipped
+        )
+
+    def restore(self, state: StandstillState) -> None:
+        """Continues from a state."""
+        self._devices, self._stopped_at = state.devices, state.stopped_at
+        self._is_host_gone, self._muted, self._is_skipped = state.is_host_gone, state.muted, state.is_skipped
 
     # --- events ---------------------------------------------------------------------------------------
 
@@ -130,9 +153,9 @@ class Standstill:
             times += [self._stopped_at + max(waited)] if waited else []
         return min(times, default=None)
 
-    def _is_at_rest(self, way: _Settling) -> bool:
+    def _is_at_rest(self, way: Settling) -> bool:
         return way.confirmed_at is not None and (way.moving == "" or (self._is_host_gone and self._muted))
 
-    def _is_settled(self, way: _Settling, now: float) -> bool:
+    def _is_settled(self, way: Settling, now: float) -> bool:
         assert self._stopped_at is not None
         return self._is_at_rest(way) or now >= self._stopped_at + way.bound

@@ -19,6 +19,7 @@ from lfield.mission.team import Team
 from lfield.replication.membership.overlay import Overlay
 from lfield.text.log_messages import LogLine
 from lfield.vm.engine_interface import Engines
+from lfield.vm.turns.run_limit import RunLimit
 from lfield.wire.messages import Control, Hello
 
 
@@ -29,7 +30,10 @@ class HostContext:
     `incarnation` identifies this run of the host. `unreachable_after` is in seconds. `journal_id` identifies
     the journal, 0 without one; `records` are its contents, `times` when each was written (Unix time).
     `random_bytes(n)` returns n random bytes; without it they come from `rng`. `stopwatch` measures the
-    seconds for which programs run, by default by `clock`. A part appends effects for the shell to `effects`.
+    seconds for which programs run, by default by `clock`; `run_limit` limits one run. A part appends effects
+    for the shell to `effects`.
+
+    `clock` stands still during a turn of the core, so that a replay needs one time for each turn.
     """
 
     mission: Mission
@@ -47,6 +51,7 @@ class HostContext:
     engines: Engines | None = None
     random_bytes: Callable[[int], bytes] | None = None
     stopwatch: Callable[[], float] | None = None
+    run_limit: RunLimit | None = None
     effects: list[Effect] = field(default_factory=list)
 
     @property

@@ -1,8 +1,8 @@
 """The core of one host: it owns the parts, dispatches messages and events, and runs the machine. Pure.
 
-Events in, effects out. It has no event loop, socket, process, disk, clock or RNG of its own: the shell
-(host.py) calls a method for each event, then `run`, and executes the effects that `drain_effects` returns. A
-simulator does the same. Only this module creates the parts.
+Inputs in, effects out. It has no event loop, socket, process, disk, clock or RNG of its own: the shell
+(host.py) lets each input (inputs.py) enter, calls `run`, and executes the effects that
+`drain_effects` returns. A simulator and a replay do the same. Only this module creates the parts.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from lfield.host.context import (
     RecordsDurable,
     WriteFailed,
 )
-from lfield.host.effects import WAKE_WAITERS, CallDevice, Effect, OpenLink
+from lfield.host.effects import WAKE_WAITERS, Effect, OpenLink
 from lfield.host.events.migration_events import MigrationEvents
 from lfield.host.location.locator import Locator
 from lfield.host.migration.delayed_acks import DelayedAcks
@@ -79,7 +79,7 @@ class HostCore:
         #: Answers the queries of the machine; it looks the parts up at each query.
         self.services = HostServices(context, self)
         view = MachineTeam(self.team.members, self.here, self.incarnation, mission.fenced)
-        hooks = VmHooks(rules=mission.calls, liveness=self.services)
+        hooks = VmHooks(rules=mission.calls, liveness=self.services, run_limit=context.run_limit)
         self.machine = machine = Machine(
             mission.program, view, self.services, context.clock, context.rng, context.engines, hooks
         )
@@ -133,7 +133,7 @@ class HostCore:
 
     def hello(self) -> Hello:
         states = self.coordinators.handshake_states()
-        stamp = self.recorder.hybrid_clock.tick(self._clock.monotonic())
+        stamp = self.recorder.hybrid_clock.tick(self.recorder.now())
         return structs.replace(
             self.context.greeting, coordinators=states, epochs=self.orders.epochs, stamp=stamp
         )
@@ -216,10 +216,7 @@ class HostCore:
         self.startup.open(first=first)
 
     def stop_agents(self) -> None:
-        """The host is stopping: no agent runs any more, and no coordinator is admitted.
-
-        Transfers under way continue, and so do events and status.
-        """
+        """The host stops: no agent runs or is admitted any more. Transfers, events and status continue."""
         self.coordinators.suspend_all()
         self.startup.on_halted()
 
@@ -257,6 +254,14 @@ class HostCore:
     def set_paused(self, *, on: bool, order: bytes = b"") -> None:
         """An operator pauses the mission on this host, or resumes it."""
         operator_commands.set_paused(self.coordinators, self.machine, on=on, order=order)
+        self._on_pause_changed()
+
+    def set_ballot_hold(self, ballot: bytes) -> None:
+        """The service of this robot holds the mission until the result of a ballot is known; b"": no more."""
+        operator_commands.set_ballot_hold(self.coordinators, self.machine, ballot)
+        self._on_pause_changed()
+
+    def _on_pause_changed(self) -> None:
         self.reservations.postpone()
         self._send_backpressure()
         self.startup.check()
@@ -338,9 +343,9 @@ class HostCore:
         if (handler := self._handlers.get(type(message))) is not None:
             handler(host, message)
 
-    def on_device_answer(self, call: CallDevice, value: DeviceValue | DeviceError) -> None:
-        """The result of a device call."""
-        self.commands.on_device_answer(call, value)
+    def on_device_answer(self, number: int, value: DeviceValue | DeviceError) -> None:
+        """The result of the device call of that number."""
+        self.commands.on_device_answer(number, value)
 
 
 def _membership(context: HostContext) -> Membership:

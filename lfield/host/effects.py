@@ -70,7 +70,8 @@ class WriteLogOnce(Struct, frozen=True):
 
 
 class CallDevice(Struct, frozen=True):
-    """Have a device of this host execute an instruction; the answer goes to `HostCore.on_device_answer`.
+    """Have a device of this host execute an instruction; the answer is the input `DeviceAnswered` with its
+    `number`.
 
     An actuation starts before `until`, in seconds of the host's clock, or not at all.
     """
@@ -80,13 +81,14 @@ class CallDevice(Struct, frozen=True):
     call: DeviceCallRecord
     values: list[DeviceValue]
     until: float = math.inf
+    number: int = 0
 
 
 class CancelCall(Struct, frozen=True):
     """Cancel the device call that this thread waits for (`DeviceGuards.cancel`).
 
     It follows the `CallDevice` that it refers to, and only if `Environment.may_be_cancelled`. The answer goes
-    to `HostCore.on_device_answer` like every other, once: a DeviceError of kind CancelledException after the
+    is an input like every other, once: a DeviceError of kind CancelledException after the
     device has done what its manifest prescribes, or the result if that was already in transit.
     """
 

@@ -37,8 +37,10 @@ _COMPILER = "lfield.vm.wasm.wasm_compiler"
 LogSink = Callable[[LogLine], None]
 
 
-def select_engine(choice: str, note: LogSink) -> Engines:
+def select_engine(choice: str, note: LogSink, stopwatch: Callable[[], float] | None = None) -> Engines:
     """Create the engine factory of a machine (`lfield.vm.wasm.engine_selection`); `note` receives log lines.
+
+    `stopwatch` measures the duration of runs, by default the clock of the engine.
 
     Raises UsageError if the requested engine is not available.
     """
@@ -50,7 +52,8 @@ def select_engine(choice: str, note: LogSink) -> Engines:
     def make(program: Program, now: Callable[[], float]) -> Engine:
         try:
             with wasm_engine() as wasm:
-                return cast(Engine, wasm.WasmEngine(program, now, UserCodeCache(code_folder(), note), note))
+                cache = UserCodeCache(code_folder(), note)
+                return cast(Engine, wasm.WasmEngine(program, now, cache, note, stopwatch))
         except EngineUnavailable as unusable:
             if choice == "wasm":
                 raise UsageError(str(unusable)) from None

@@ -14,6 +14,7 @@ from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
 from lfield.clock import Clock, SystemClock
 from lfield.devices.device_guards import DeviceGuards
+from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.journal import Journal
 from lfield.manifest import DeviceValue, Observation
 from lfield.net.link_manager import LinkManager
@@ -33,7 +34,7 @@ class HostOptions:
     start. `random_bytes(n)` returns n random bytes. With `orders` it accepts stop and pause orders as
     datagrams. `engine` is one of `lfield.vm.wasm.engine_selection.CHOICES`. `admission` decides who may have
     links with it. `stopwatch` measures how long programs run, `on_failure` is called first when the host
-    fails. Times are in seconds.
+    fails. `record` is where its core and guards are recorded. Times are in seconds.
     """
 
     listen: str
@@ -50,6 +51,7 @@ class HostOptions:
     orders: OrderCredentials | None = None
     stopwatch: Callable[[], float] | None = None
     on_failure: Callable[[], None] = lambda: None
+    record: RecordingTarget | None = None
 
 
 class HostEnvironment:

@@ -1,27 +1,24 @@
 """The shell of one host: sockets, guards, timers and the log around a core that decides.
 
-`_dispatch` passes each event to the core, runs it, and executes its effects. An exception there is a bug of
+`dispatch` passes each input to the core, runs it, and executes its effects. An exception there is a bug of
 lfield: the host stops sending heartbeats to its guards, which make the devices safe, logs it and ends.
 """
 
 from __future__ import annotations
 
 import asyncio
-import errno
-import os
-import traceback
 from collections import deque
-from collections.abc import Callable, Collection, Iterable
-from contextlib import suppress
-from functools import partial
-from mmap import mmap
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Collection
+from random import Random
+from typing import TYPE_CHECKING, Any, cast
+
+from msgspec.structs import replace
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.devices.guard_process import STOPPING
 from lfield.devices.jitter_measurement import require_timely
 from lfield.errors import AddressError, DeviceError, HostFailure
-from lfield.host.agent_dump import write_agent_dump
+from lfield.host import inputs
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.effects import (
@@ -39,21 +36,25 @@ from lfield.host.effects import (
 from lfield.host.engine_provider import select_engine
 from lfield.host.environment import HostEnvironment, HostOptions
 from lfield.host.events.event_recorder import EventRecorder
+from lfield.host.failures.agent_dump import write_agent_dump
+from lfield.host.failures.host_failures import HostFailures, scarce_resource
 from lfield.host.journal_writer import JournalWriter
 from lfield.host.logbook import Logbook
 from lfield.host.observer_sessions import ObserverSessions
+from lfield.host.recording.core_turns import CoreTurns, HostEventClock
+from lfield.host.recording.recording_session import RecordingSession, RunIdentity
 from lfield.host.status import status_of
 from lfield.manifest import DeviceValue
 from lfield.mission.mission import Mission
 from lfield.net.link_manager import LinkManager
 from lfield.net.link_owner import TeamAddresses
 from lfield.net.transport import Link, Transport
-from lfield.replication.locate.outcomes import CoordinatorOutcome
 from lfield.replication.membership.overlay import Overlay
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.text import log_messages
 from lfield.vm.machine import Machine
+from lfield.vm.turns.run_limit import RunLimit
 from lfield.wire.coordinator_messages import Transfer
 from lfield.wire.messages import Control, Hello
 from lfield.wire.observer_messages import Status
@@ -65,10 +66,8 @@ if TYPE_CHECKING:
 #: How long a starting host waits for the others' first reports before it starts its coordinators: one that is
 #: alive elsewhere must not be started twice. Longer than the interval between two dials.
 INITIAL_CONTACT_TIMEOUT = 1.5
-#: Bytes reserved for ending a host without memory; until then it is address space only.
-RESERVE_BYTES = 4 << 20
-#: The resource that is exhausted when a socket call fails.
-SCARCE_ERRNOS = (errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM)
+#: Receives the answer to an input.
+ResultCallback = Callable[[object], None]
 
 
 class Host:
@@ -80,52 +79,59 @@ class Host:
         self.mission, self.name, self.options = mission, name, options
         self.team, self.logbook, self.clock = mission.team, logbook, options.clock
         self.started = self.clock.monotonic()
-        self.recorder = EventRecorder(self.clock, self.note)
+        self._turns = CoreTurns(self.clock)
+        self._turns.start_turn()
+        self.recorder = EventRecorder(HostEventClock(self._turns, self.clock), self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
         overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)
         addresses = TeamAddresses(team.hosts, team.addresses, here, overlay.neighbours)
         self.peers = LinkManager(self, transport, clock, options.rng, addresses, options.admission)
         self.guards = DeviceGuards(
-            mission.drivers,
-            clock,
-            self.note,
-            silence=mission.bindings.silence,
-            has_progressed=self.step,
+            mission.drivers, clock, self.note, silence=mission.bindings.silence, has_progressed=self.step,
             on_event=self.recorder.on_device_event,
             on_lock_out=lambda device, reason: self._observers.order_executor.on_lock_out(device, reason),
-        )
+        )  # fmt: skip
         self.journal_writer = JournalWriter(
             options.journal,
-            lambda number: self._dispatch(partial(self.core.on_durable, number)),
-            lambda why: self._dispatch(partial(self.core.on_write_failed, why)),
-            lambda trouble: self._dispatch(partial(self.core.on_disk_space, trouble)),
+            lambda number: self.dispatch(inputs.BatchDurable(number)),
+            lambda why: self.dispatch(inputs.BatchFailed(why)),
+            lambda trouble: self.dispatch(inputs.DiskSpaceChanged(trouble)),
         )
+        run = RunIdentity(self.clock.time(), options.random_bytes)
+        self._recording = RecordingSession(options.record, mission, run, self.note)
         self.core = HostCore(self._context(overlay))
+        self._recording.attach(self.core, self._turns, options.engine)
+        self._turns.end_turn()
+        #: Passes an input to the core without running it; returns the answer.
+        self.apply = self._turns.apply
         core, flush = self.core, self.journal_writer.flush
         self._observers = ObserverSessions(
-            core, self.guards, self.peers, self._dispatch, self.status, self.note, flush
+            core, self.guards, self.peers, self.dispatch, self.status, self.note, flush
         )
         self._datagrams = self._order_datagrams(transport)
         self.broken_agents: dict[str, bool] = {}  # agents that died here; True if due to a bug of lfield
-        #: Set when the host has failed; `failure` is the exception.
-        self.failed, self.changed = asyncio.Event(), asyncio.Event()
-        self.failure: HostFailure | None = None
+        self._failures = HostFailures(name, options.on_failure, self.recorder, self.note)
+        #: Set when the host has failed.
+        self.failed, self.changed = self._failures.failed, asyncio.Event()
         self._loop, self.address, self._due = asyncio.get_running_loop(), "", 0.0
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
-        self._events: deque[Callable[[], None]] = deque()
-        self._reserve = mmap(-1, RESERVE_BYTES)
+        self._pending: deque[tuple[inputs.HostInput | None, ResultCallback | None]] = deque()
         self._is_dispatching = self._stopped = False
         options.admission.serve(self.is_mission_active, mission.access.denied_rights, self.note)
 
     def _context(self, overlay: Overlay) -> HostContext:
         """The environment that the parts of the core share."""
-        options, writer = self.options, self.journal_writer
+        options, writer, monotonic = self.options, self.journal_writer, self.clock.monotonic
+        recording, seed = self._recording, options.rng.getrandbits(64)
+        recording.set_seed(seed)
         return HostContext(
-            self.mission, self.name, options.rng.getrandbits(62) + 1, self.clock,
-            HostEnvironment(self.peers, self.guards), options.rng, options.unreachable_after, overlay,
-            self.recorder, writer.journal_id, writer.records, writer.times,
-            select_engine(options.engine, self.note), options.random_bytes, options.stopwatch,
+            self.mission, self.name, options.rng.getrandbits(62) + 1, self._turns,
+            recording.environment(HostEnvironment(self.peers, self.guards)), Random(seed),
+            options.unreachable_after, overlay, self.recorder,
+            writer.journal_id, writer.records, writer.times,
+            select_engine(options.engine, self.note, monotonic), recording.random_bytes(options.random_bytes),
+            options.stopwatch or monotonic, RunLimit(monotonic),
         )  # fmt: skip
 
     def _order_datagrams(self, transport: Transport) -> DatagramShell | None:
@@ -160,7 +166,7 @@ class Host:
         devices = self.mission.devices_of(self.name)
         self._observers.order_executor.restore_emergency_stop()
         await require_timely(self.guards.lateness.limit, devices, self.clock)
-        await self.guards.open(devices)
+        await self.guards.open(devices, self._recording.for_guards())
         await self._observers.order_executor.restore_pause()
         unsaved = "simulation" if self.mission.world == "fakes" else "none"
         journal = "stored" if self.journal_writer.journal_id else unsaved
@@ -169,11 +175,11 @@ class Host:
             self.note(line)
         self.journal_writer.delete(self.core.coordinators.recovery.outdated)
         self.journal_writer.poll_disk_space()
-        self._dispatch(partial(self.core.start_resources, first=self.options.first_start))
+        self.dispatch(inputs.ResourcesStart(self.options.first_start))
         if not self.core.has_coordinators:
             return
         await self.peers.wait_for_initial_contact(INITIAL_CONTACT_TIMEOUT)
-        self._dispatch(partial(self.core.start_coordinators, first=self.options.first_start))
+        self.dispatch(inputs.CoordinatorsStart(self.options.first_start))
         await self.journal_writer.flush()
 
     async def _open_control_socket(self, path: str) -> None:
@@ -195,7 +201,7 @@ class Host:
             return {}
         if self.failure is None:
             self.recorder.on_host_stopping("", STOPPING)
-        self._dispatch(self.core.stop_agents)
+        self.dispatch(inputs.AgentsHalt())
         unsafe = await self.guards.close()
         for name, why in unsafe.items():
             self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=why))
@@ -203,6 +209,7 @@ class Host:
         self._observers.subscriptions.flush_and_close()
         await self.journal_writer.close()
         self._stopped = True
+        self._recording.close(self.clock.monotonic())
         if self._timer:
             self._timer.cancel()
         self.peers.close()
@@ -215,25 +222,34 @@ class Host:
 
     def step(self) -> bool:
         """Run the core; returns False after a failure. Guards get a heartbeat only after a completed turn."""
-        self._dispatch(lambda: None)
-        return self.failure is None
+        self.dispatch()
+        return self._failures.failure is None
 
-    def _dispatch(self, event: Callable[[], None]) -> None:
-        """Pass an event to the core. An event caused by an effect waits until all effects are executed."""
-        if self._stopped or self.failure:
+    def dispatch(
+        self, entry: inputs.HostInput | None = None, on_result: ResultCallback | None = None
+    ) -> None:
+        """Pass an input to the core, or none, and run it; `on_result` gets what `HostInput.enter` returns.
+
+        An input caused by an effect waits until all effects are executed.
+        """
+        if self._stopped or self._failures.failure:
             return
-        self._events.append(event)
+        self._pending.append((entry, on_result))
         if self._is_dispatching:
             return
         self._is_dispatching = True
         try:
-            while self._events:
-                self._events.popleft()()
-                pause = self.core.run()
-                for effect in self.core.drain_effects():
+            while self._pending:
+                entry, on_result = self._pending.popleft()
+                found, pause, effects = self._turns.run(entry)
+                if on_result is not None:
+                    on_result(found)
+                for effect in effects:
                     self._execute(effect)
             if self.logbook.pending:
                 self.logbook.flush()
+            if self._turns.flight is not None:
+                self._recording.write_due(self.clock.monotonic())
             self._schedule_step(pause)
         except Exception as error:
             self.fail(error)
@@ -257,29 +273,20 @@ class Host:
         self.step()
 
     def fail(self, error: BaseException) -> None:
-        """Handle a bug in the host itself: nothing more runs, guards get no heartbeat, and the process
-        ends."""
-        if self.failure is not None:
-            return
-        self._reserve.close()
-        # First: no other fault may prevent the end of the process.
-        self.options.on_failure()
-        self.failure = HostFailure(self.name, error)
-        self.failed.set()
-        # The bug may be in the log itself, which must not prevent the end either.
-        with suppress(Exception):
-            self.recorder.on_host_stopping(str(self.failure), STOPPING)
-            self.note(log_messages.HOST_FAILED.line(host=self.name, reason=self.failure.reason))
-            if os.environ.get("LFIELD_TRACEBACK"):
-                text = "".join(traceback.format_exception(error))
-                self.note(log_messages.TRACEBACK.line(text=text), lines=True)
+        """Handle a bug in the host itself: nothing more runs, and the process ends."""
+        self._failures.fail(error)
+
+    @property
+    def failure(self) -> HostFailure | None:
+        """Why the host has failed, None if it has not."""
+        return self._failures.failure
 
     def on_unhandled(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """The loop's exception handler: for exceptions in tasks or callbacks outside the core."""
-        error = context.get("exception")
-        if isinstance(error, OSError) and error.errno in SCARCE_ERRNOS and "socket" in context:
-            self.peers.log_once(log_messages.NO_DESCRIPTORS.line(reason=error.strerror))
+        if reason := scarce_resource(context):
+            self.peers.log_once(log_messages.NO_DESCRIPTORS.line(reason=reason))
             return
+        error = context.get("exception")
         self.fail(error if isinstance(error, BaseException) else RuntimeError(context["message"]))
 
     def _execute(self, effect: Effect) -> None:
@@ -314,18 +321,16 @@ class Host:
 
     def _call_device(self, request: CallDevice) -> None:
         def answered(value: DeviceValue | DeviceError) -> None:
-            self._dispatch(partial(self.core.on_device_answer, request, value))
+            if isinstance(value, DeviceError):
+                error = value.device, value.reason, value.kind
+                self.dispatch(inputs.DeviceAnswered(request.number, None, error))
+            else:
+                self.dispatch(inputs.DeviceAnswered(request.number, value))
 
-        call = request.call
+        call, agent = request.call, request.agent.id
         try:
             self.guards.call(
-                request.agent.id,
-                call.field,
-                call.instruction,
-                request.values,
-                answered,
-                until=request.until,
-                thread=request.thread,
+                agent, call.field, call.instruction, request.values, answered, request.until, request.thread
             )
         except DeviceError as error:
             answered(error)
@@ -333,31 +338,32 @@ class Host:
     # --- Owner of the links ---------------------------------------------------------------------------
 
     def hello(self) -> Hello:
-        return self.core.hello()
+        return replace(self.core.hello(), run=self._recording.run.id)
 
     def on_linked(self, hello: Hello) -> None:
         """A link with a host opened."""
-        self._dispatch(partial(self.core.on_linked, hello))
+        self._recording.on_hello(hello.run)
+        self.dispatch(inputs.Linked(hello))
 
     def on_link_refused(self, host: str, reason: str, bundle: bytes) -> None:
         """No link with a host can be made; '' as the reason: it can again."""
-        self._dispatch(partial(self.core.on_link_refused, host, reason, bundle))
+        self.dispatch(inputs.LinkRejected(host, reason, bundle))
 
     def on_unlinked(self, host: str, *, quietly: bool) -> None:
         """The link with a host closed."""
-        self._dispatch(partial(self.core.on_unlinked, host, quietly=quietly))
+        self.dispatch(inputs.Unlinked(host, quietly))
 
     def desired_hosts(self) -> Collection[str]:
         """The hosts to have links with now."""
-        return self.core.needed_hosts()
+        return cast("set[str]", self.apply(inputs.LinksPlanned()))
 
     def on_transfer(self, host: str, header: Transfer, block: memoryview) -> None:
         """A coordinator arrived."""
-        self._dispatch(partial(self.core.on_transfer, host, header, block))
+        self.dispatch(inputs.TransferArrived(host, header, block))
 
     def on_oversize(self, host: str, header: Transfer, size: int) -> None:
         """A coordinator with an oversized block arrived."""
-        self._dispatch(partial(self.core.on_oversize, host, header, size))
+        self.dispatch(inputs.OversizeArrived(host, header, size))
 
     def on_message(self, host: str, message: Control, link: Link) -> None:
         """A message arrived; `host` is '' for an observer."""
@@ -366,7 +372,7 @@ class Host:
         elif not host:
             self._observers.on_message(message, link)
         else:
-            self._dispatch(partial(self.core.on_message, host, message))
+            self.dispatch(inputs.MessageArrived(host, message))
 
     def is_mission_active(self) -> bool:
         """Whether a device is in use here, or a coordinator runs that is neither paused nor stopped."""
@@ -377,14 +383,6 @@ class Host:
         held = self.core.coordinators.paused or self.core.coordinators.stopped
         return not held and any(known.state != "EXITED" for known in self.mobility.known_states())
 
-    def on_host_exited(self, host: str) -> None:
-        """A host has ended permanently, as reported by the process that started it."""
-        self._dispatch(partial(self.core.on_host_exited, host))
-
-    def broadcast_outcomes(self, found: Iterable[CoordinatorOutcome]) -> None:
-        """This host is about to stop: announce all known terminations, and the outcomes found."""
-        self._dispatch(partial(self.core.broadcast_outcomes, found))
-
     def note(self, line: log_messages.LogLine, *, lines: bool = False) -> None:
         """Write a log line; the output of a program may have several `lines`."""
         self.recorder.on_log_line(line)
@@ -394,6 +392,7 @@ class Host:
 
     def status(self) -> Status:
         """What `lfield ps` shows of this host."""
+        self.apply(inputs.DirectorySampled())
         up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
         error = self.options.admission.persist_error
         return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)

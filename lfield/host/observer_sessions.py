@@ -5,12 +5,14 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Awaitable, Callable
 from contextlib import suppress
+from typing import cast
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.errors import AddressError
 from lfield.event_loop import spawn
 from lfield.host.core import HostCore
-from lfield.host.stop_orders.order_executor import OrderExecutor
+from lfield.host.inputs import ForgetOrdered, HostInput, RecoveryOrdered, StartOrdered
+from lfield.host.stop_orders.order_executor import Dispatch, OrderExecutor
 from lfield.host.subscriptions.subscription_server import SubscriptionServer
 from lfield.net.link_manager import LinkManager
 from lfield.net.transport import Link
@@ -18,11 +20,13 @@ from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.wire.messages import Control
 from lfield.wire.observer_messages import (
+    BallotHold,
     EmergencyStop,
     ForgetRequest,
     ForgetResponse,
     Pause,
     RecoverRequest,
+    RecoverResponse,
     StartRequest,
     StartResponse,
     Status,
@@ -49,12 +53,12 @@ class ObserverSessions:
         core: HostCore,
         guards: DeviceGuards,
         links: LinkManager,
-        dispatch: Callable[[Callable[[], None]], None],
+        dispatch: Dispatch,
         status: Callable[[], Status],
         note: Callable[[LogLine], None],
         flush: Callable[[float | None], Awaitable[bool]],
     ) -> None:
-        self._core, self._clock = core, core.context.clock
+        self._core, self._clock = core, guards.clock
         clock = self._clock
         self._dispatch, self._note, self._flush = dispatch, note, flush
         self.subscriptions = SubscriptionServer(core, guards, clock, status, links.monitor.latest)
@@ -78,12 +82,12 @@ class ObserverSessions:
                 self.order_executor.on_order(
                     message, str(link.who), lambda answer: self._answer(link, answer)
                 )
+            case BallotHold():
+                self.order_executor.on_ballot_hold(message, lambda answer: self._answer(link, answer))
             case ForgetRequest():
-                spawn(
-                    self._answer_when_durable(link, lambda: ForgetResponse(self._core.forget(message.agent)))
-                )
+                spawn(self._answer_when_durable(link, ForgetOrdered(message.agent), _forget_response))
             case RecoverRequest():
-                spawn(self._answer_when_durable(link, lambda: self._core.recover(message)))
+                spawn(self._answer_when_durable(link, RecoveryOrdered(message), _recover_response))
             case StartRequest():
                 spawn(self._start_coordinators(message, link))
 
@@ -115,7 +119,9 @@ class ObserverSessions:
         startup = self._core.startup
         answers: list[StartResponse] = []
         self._note(log_messages.START_REQUESTED.line(operator=link.who))
-        self._dispatch(lambda: answers.append(startup.start(message.without)))
+        self._dispatch(
+            StartOrdered(list(message.without)), lambda found: answers.append(cast(StartResponse, found))
+        )
         until = self._clock.monotonic() + START_TIMEOUT
         while startup.is_settling and self._clock.monotonic() < until:
             await asyncio.sleep(SNAPSHOT_INTERVAL)
@@ -124,10 +130,12 @@ class ObserverSessions:
             started = [] if waiting is not None or answers[0].trouble else answers[0].started
             self._answer(link, StartResponse(started, waiting, answers[0].trouble))
 
-    async def _answer_when_durable(self, link: Link, do: Callable[[], Control]) -> None:
+    async def _answer_when_durable(
+        self, link: Link, entry: HostInput, response: Callable[[object], Control]
+    ) -> None:
         """Answer when the changes of an operator's request are on disk, not before."""
         answers: list[Control] = []
-        self._dispatch(lambda: answers.append(do()))
+        self._dispatch(entry, lambda found: answers.append(response(found)))
         if await self._flush(None) and answers:
             self._answer(link, answers[0])
 
@@ -135,3 +143,11 @@ class ObserverSessions:
         # The observer may have closed its link, or be out of radio range.
         with suppress(AddressError):
             link.send(message)
+
+
+def _forget_response(found: object) -> Control:
+    return ForgetResponse(cast(list[int], found))
+
+
+def _recover_response(found: object) -> Control:
+    return cast(RecoverResponse, found)

@@ -76,7 +76,7 @@ def status_of(
         silence=lateness.limit.silence if lateness else None,
         journal=_journal(journal, core, now) if journal is not None else None,
         lease=core.leases.remaining,
-        paused=core.coordinators.paused,
+        paused=core.coordinators.is_pause_ordered,
         pending_calls=[
             PendingCallStatus(call.agent, call.generation, call.resource, truncate(call.portal), call.state)
             for call in core.machine.pending_calls.calls()[:MAX_PENDING_CALLS]
@@ -93,6 +93,7 @@ def status_of(
         refused=core.startup.readiness.refused,
         start=core.startup.status,
         epochs=core.orders.epochs,
+        ballot=core.coordinators.ballot,
     )
 
 

@@ -136,8 +136,7 @@ class TeamDirectory(Part):
         return "" if why is None else why.sentence(self._clock.monotonic())
 
     def entries(self) -> list[DirectoryEntry]:
-        """The condition of every resource, for observers."""
-        self.refresh()
+        """The condition of every resource as of the last `refresh`, for observers."""
         self.directory.answer_for("")
         known = [self._entry(candidate) for candidate in self.directory.all_candidates()]
         return known + [

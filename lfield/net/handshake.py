@@ -121,7 +121,10 @@ class Handshake:
                 f"deployment: 'lfield keys host {hello.host}' makes one"
             )
         if self.own.role == "observer" and self._dialled not in (None, hello.host):
-            self._refuse(f"{hello.host} answered at the address of {self._dialled}; correct the address")
+            self._refuse(
+                f"{hello.host} answered at the address of {self._dialled}; correct the address",
+                answered_by=hello.host,
+            )
 
     def _check_name(self, hello: Hello) -> None:
         name = hello.host
@@ -135,7 +138,8 @@ class Handshake:
             )
         if self._dialled is not None and name != self._dialled:
             self._refuse(
-                f"{name} answered at the address of {self._dialled}; correct the address or the --map"
+                f"{name} answered at the address of {self._dialled}; correct the address or the --map",
+                answered_by=name,
             )
         if self._linked.get(name, hello.incarnation) != hello.incarnation:
             self._refuse(
@@ -230,6 +234,6 @@ class Handshake:
                 "their devices files"
             )
 
-    def _refuse(self, reason: str) -> NoReturn:
+    def _refuse(self, reason: str, *, answered_by: str = "") -> NoReturn:
         self.refusal = HandshakeRefused(reason)
-        raise HandshakeError(f"handshake refused: {reason}")
+        raise HandshakeError(f"handshake refused: {reason}", answered_by=answered_by)

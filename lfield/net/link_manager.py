@@ -15,14 +15,14 @@ from contextlib import suppress
 from lfield.authority.admission_policy import AdmissionPolicy
 from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError, KeysError, WireError
+from lfield.errors import AddressError
 from lfield.event_loop import has_spare_descriptors, spawn
 from lfield.net.connection_limiter import ConnectionLimiter
 from lfield.net.connections.dialler import Dialler
 from lfield.net.handshake import Handshake
 from lfield.net.health.link_heartbeats import LOST_AFTER, PING_EVERY
 from lfield.net.health.link_monitor import LinkMonitor
-from lfield.net.link_owner import LinkOwner, RateLimitedLog, RefusedHosts, TeamAddresses
+from lfield.net.link_owner import LinkOwner, RateLimitedLog, RefusedHosts, TeamAddresses, apply_revocations
 from lfield.net.scheduling.handshake_scheduler import source_of
 from lfield.net.scheduling.temporary_bans import TemporaryBans
 from lfield.net.session import Session
@@ -314,13 +314,7 @@ class LinkManager:
 
     def _on_revocations(self, data: bytes) -> None:
         """Apply a certificate revocation list; forward a new one to all, and last to the revoked."""
-        try:
-            lines = self._admission.on_revocation_list(data)
-        except KeysError as error:
-            raise WireError(str(error)) from None
-        for line in lines:
-            self._owner.note(line)
-        if lines:
+        if apply_revocations(self._admission, data, self._owner.note):
             for host in self._links:
                 self.send(host, RevocationUpdate(data))
             self.reauthorise()

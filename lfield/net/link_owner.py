@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
+from lfield.errors import KeysError, WireError
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
 
+    from lfield.authority.admission_policy import AdmissionPolicy
     from lfield.hybrid_clock import HybridClock
     from lfield.net.transport import Link
     from lfield.wire.coordinator_messages import Transfer
@@ -20,6 +22,17 @@ if TYPE_CHECKING:
 MAX_DISTINCT_LINES = 100
 #: Maximum number of log lines per period about received data, which may contain ever new names.
 MAX_LINES, PERIOD = 20, 60.0
+
+
+def apply_revocations(admission: AdmissionPolicy, data: bytes, note: Callable[[LogLine], None]) -> bool:
+    """Apply a certificate revocation list of a peer; whether it was new. Raises WireError."""
+    try:
+        lines = admission.on_revocation_list(data)
+    except KeysError as error:
+        raise WireError(str(error)) from None
+    for line in lines:
+        note(line)
+    return bool(lines)
 
 
 class LinkOwner(Protocol):

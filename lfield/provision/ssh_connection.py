@@ -22,7 +22,13 @@ from lfield.errors import ProvisionError
 from lfield.provision.plan import RobotUpload, RootCommand
 from lfield.provision.robot_facts import ACCESS_SCRIPT, LoginAccess, parse_access
 from lfield.provision.robot_scripts import locked_command
-from lfield.provision.ssh_errors import SshDestination, command_error, connection_error, is_unreachable
+from lfield.provision.ssh_errors import (
+    SshDestination,
+    command_error,
+    connection_error,
+    is_unreachable,
+    joined_error,
+)
 
 #: Seconds until an address counts as unreachable, and until a silent connection counts as lost.
 CONNECT_TIMEOUT, ALIVE_INTERVAL, ALIVE_COUNT = 10, 5, 4
@@ -49,7 +55,7 @@ class SshConnection:
         self.access = LoginAccess("", -1, "")
 
     async def open(self, destinations: Sequence[SshDestination]) -> None:
-        """Connect to the first destination that can be reached. Raises ProvisionError."""
+        """Connect to the first destination that can be reached. Raises ProvisionError, which names all."""
         errors: list[ProvisionError] = []
         for destination in destinations:
             self.destination = destination
@@ -59,7 +65,7 @@ class SshConnection:
             errors.append(connection_error(self.host, destination, message))
             if not is_unreachable(message):
                 break
-        raise errors[-1]
+        raise joined_error(errors)
 
     async def _start_master(self) -> str:
         """Start the master; returns the message of ssh if it fails."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lfield.errors import ProvisionError
@@ -62,6 +63,12 @@ def connection_error(host: str, destination: SshDestination, message: str) -> Pr
     return _error(
         host, f"ssh to {destination} failed: {_last_line(message)}", f"try '{destination.command()}'"
     )
+
+
+def joined_error(errors: Sequence[ProvisionError]) -> ProvisionError:
+    """The error of all addresses of a robot, with the advice of the last one."""
+    reasons = "; ".join(error.reason for error in errors)
+    return ProvisionError(errors[-1].host, reasons, errors[-1].advice)
 
 
 def access_error(host: str, destination: SshDestination, access: LoginAccess) -> ProvisionError:

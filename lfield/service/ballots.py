@@ -97,12 +97,6 @@ def answer(state: ActivationState, host: str, id: bytes) -> BallotState:
     return BallotState(id, None, {}, {}, "open")
 
 
-def missing_votes(ballot: BallotState) -> list[str]:
-    """The hosts of a ballot whose votes are not known."""
-    hosts = ballot.ballot.hosts if ballot.ballot is not None else []
-    return [host for host in hosts if host not in ballot.votes]
-
-
 def _with_votes(state: ActivationState, votes: Mapping[str, Vote]) -> ActivationState:
     """The state after some votes of its last ballot; an activation takes effect."""
     known = state.ballot
@@ -135,4 +129,4 @@ def _closed_reason(state: ActivationState) -> str:
     bound = state.open_ballot
     if bound is None or bound.ballot is None:
         return CLOSED
-    return f"an activation by {bound.ballot.by} is not decided yet: repeat this one afterwards"
+    return f"an activation by {bound.ballot.by} has no result yet: repeat this one afterwards"

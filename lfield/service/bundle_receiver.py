@@ -12,6 +12,7 @@ from lfield.authority.key_material import Keys
 from lfield.errors import BundleError, LfieldError, OutputFileError, SignatureError, WireError
 from lfield.mission import bundle
 from lfield.mission.access.signed_bundle import accept_bundle
+from lfield.mission.mission import Mission
 from lfield.mission.relocation import companion_files
 from lfield.service import messages
 from lfield.text.log_messages import LogLine
@@ -19,6 +20,8 @@ from lfield.text.suggestions import listed
 from lfield.wire.bundle_pieces import Piece, decompress
 from lfield.wire.fields import MAX_LABEL, short_digest, truncate
 from lfield.wire.service_messages import (
+    MAX_COORDINATORS,
+    MAX_HOSTS,
     BundleInfo,
     BundleOffer,
     BundlePiece,
@@ -61,6 +64,8 @@ class BundleReceiver:
 
     def on_offer(self, offer: BundleOffer) -> PieceRequest:
         """The pieces of an offer that are missing."""
+        if self._has_file(offer.digest, offer.file):
+            return PieceRequest(offer.file, offer.first, [])
         try:
             self._files.start_upload(offer.file)
             pieces = [Piece(*each) for each in offer.pieces]
@@ -79,6 +84,10 @@ class BundleReceiver:
 
     def on_stage(self, request: StageRequest) -> StageResult:
         """Store the bundle that all pieces make, if it is valid."""
+        if self._has_file(request.digest, request.file) and self.is_valid(request.digest):
+            # Another desk has sent the same file at the same time.
+            self._files.drop(request.file)
+            return StageResult(request.digest)
         try:
             data = self._files.joined(request.file)
             if sha256(data).digest() != request.file:
@@ -100,6 +109,11 @@ class BundleReceiver:
         )
         return StageResult(request.digest)
 
+    def _has_file(self, digest: bytes, file: bytes) -> bool:
+        """Whether exactly this file of a bundle, with its signature, is stored."""
+        data = self._files.read(digest)
+        return data is not None and sha256(data).digest() == file
+
     def is_valid(self, digest: bytes) -> bool:
         """Whether a bundle is stored and valid now: keys may have been revoked since it was received."""
         data = self._files.read(digest)
@@ -110,10 +124,11 @@ class BundleReceiver:
 
     def infos(self, most: int) -> list[BundleInfo]:
         """The newest stored bundles that are valid."""
-        found = [self._info(digest) for digest in self._files.stored()[:most]]
+        found = [self.info(digest) for digest in self._files.stored()[:most]]
         return [info for info in found if info is not None]
 
-    def _info(self, digest: bytes) -> BundleInfo | None:
+    def info(self, digest: bytes) -> BundleInfo | None:
+        """The description of a stored bundle that is valid; None without one."""
         if digest not in self._infos and (data := self._files.read(digest)) is not None:
             try:
                 self._infos[digest] = self._verify(data)
@@ -149,10 +164,23 @@ class BundleVerifier:
             revoked=self._admission.revoked,
         ).bundle
         self._admission.time.on_signature(release.at, f"the signature of bundle {release.short}")
-        return BundleInfo(release.digest, truncate(mission.name, MAX_LABEL), release.by, release.at)
+        return BundleInfo(
+            release.digest,
+            truncate(mission.name, MAX_LABEL),
+            release.by,
+            release.at,
+            list(mission.team.hosts[:MAX_HOSTS]),
+            homes_of(mission),
+        )
 
     def _has(self, file: str) -> bool:
         return (self._folder / file).is_file()
+
+
+def homes_of(mission: Mission) -> dict[str, str]:
+    """The coordinators of a mission, each with the host on which it starts."""
+    team = mission.team
+    return {one.id: team.hosts[one.host] for one in team.coordinators[:MAX_COORDINATORS]}
 
 
 def vehicles_of(data: bytes, host: str) -> list[str]:

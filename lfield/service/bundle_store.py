@@ -50,7 +50,7 @@ class RunRecord(Struct, frozen=True):
 
 
 class ServiceRecord(Struct, frozen=True):
-    """The durable state of a service. `held`: it has paused the mission's host for a ballot."""
+    """The durable state of a service. `held`: it may hold the mission's host for a ballot."""
 
     activation: ActivationState = ActivationState()
     run: RunRecord = RunRecord()
@@ -86,7 +86,11 @@ class BundleStore:
         except FileNotFoundError:
             return ServiceRecord()
         except msgspec.MsgspecError as error:
-            raise DamagedFileError(str(path), f"not the state of a service: {error}") from None
+            reason = (
+                f"not the state of a service: {error}; restore it from a backup, or rename it and repeat "
+                "'lfield push': without it no bundle is active here, and the votes of this host are forgotten"
+            )
+            raise DamagedFileError(str(path), reason) from None
         except OSError as error:
             raise InputFileError(str(path), error.strerror or str(error)) from None
 
@@ -119,6 +123,12 @@ class BundleStore:
         with suppress(OSError):
             return self.path(digest).read_bytes()
         return None
+
+    def require(self, digest: bytes) -> bytes:
+        """The bytes of a stored bundle. Raises InputFileError without one."""
+        if (data := self.read(digest)) is None:
+            raise InputFileError(str(self.path(digest)), "it was deleted")
+        return data
 
     def add(self, digest: bytes, data: bytes, kept: Collection[bytes]) -> None:
         """Store a bundle, and remove the oldest others that are not `kept`."""

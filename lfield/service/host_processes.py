@@ -8,16 +8,19 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 import msgspec
 
 from lfield.errors import InputFileError, OutputFileError
 from lfield.host.process.run_result import MAX_RESULT, RunResult
-from lfield.service.mission_runner import KILLED, HostEnd, ProcessId
+from lfield.service.mission_runner import KILLED, HostEnd, HostProcess, ProcessId
 
 _BOOT = Path("/proc/sys/kernel/random/boot_id")
+#: The option of `lfield up` with the descriptor of the file for its result.
+RESULT_OPTION = "--result-fd"
 
 
 class LocalProcesses:
@@ -46,7 +49,7 @@ class LocalProcesses:
         except OSError as error:
             raise OutputFileError(str(self._result), error.strerror or str(error)) from None
         command = [sys.executable, "-P", "-m", "lfield", "up", str(self._bundle_path(bundle))]
-        command += [f"--host={self._host}", f"--result-fd={result}", *self._options]
+        command += [f"--host={self._host}", f"{RESULT_OPTION}={result}", *self._options]
         try:
             # Its own session: a Ctrl-C at the service's terminal is for the service, which stops it in order.
             child = subprocess.Popen(
@@ -62,15 +65,30 @@ class LocalProcesses:
         self._children[child.pid] = child
         return ProcessId(child.pid, _started(child.pid) or 0)
 
-    def find(self, bundle: bytes) -> ProcessId | None:
-        """The process of the host of a bundle that an earlier service has started; None without one."""
-        expected = {b"up", os.fsencode(self._bundle_path(bundle)), f"--host={self._host}".encode()}
-        for folder in Path("/proc").iterdir():
-            with suppress(OSError):
-                if folder.name.isdigit() and expected <= {*(folder / "cmdline").read_bytes().split(b"\0")}:
-                    pid = int(folder.name)
-                    if (started := _started(pid)) is not None:
-                        return ProcessId(pid, started)
+    def find(self) -> HostProcess | None:
+        """The host that an earlier service has started, also one that is not recorded; None without one.
+
+        Its process is known by its command line: of this user, with the name of the host and a bundle of
+        this service.
+        """
+        found = [host for host in map(self._host_in, _processes()) if host is not None]
+        # A process that the host forks has the same command line for a moment.
+        return min(found, key=lambda each: each.process.started, default=None)
+
+    def _host_in(self, pid: int) -> HostProcess | None:
+        """The host that runs as a process, if it is one of this service."""
+        arguments = _command_line(pid)
+        if {"up", f"--host={self._host}"} <= {*arguments} and (started := _started(pid)) is not None:
+            for argument in arguments:
+                if (digest := self._digest_of(argument)) is not None:
+                    return HostProcess(digest, ProcessId(pid, started))
+        return None
+
+    def _digest_of(self, argument: str) -> bytes | None:
+        """The digest of a bundle of this service; None for any other argument."""
+        with suppress(ValueError):
+            digest = bytes.fromhex(Path(argument).stem)
+            return digest if self._bundle_path(digest) == Path(argument) else None
         return None
 
     def is_alive(self, process: ProcessId) -> bool:
@@ -79,10 +97,14 @@ class LocalProcesses:
 
     async def ended(self, process: ProcessId) -> HostEnd:
         """The end of a process, when it has ended."""
-        await _wait(process)
+        with ExitStack() as stack:
+            file = self._open_result(process)
+            if file is not None:
+                stack.enter_context(file)
+            await _wait(process)
+            left = _read_result(file)
         child = self._children.pop(process.pid, None)
         status = child.wait() if child is not None else None
-        left = self._left_result()
         if status is None:
             status = left.status
         return HostEnd(KILLED if status is None else status, left.reason)
@@ -97,10 +119,44 @@ class LocalProcesses:
             finally:
                 os.close(descriptor)
 
-    def _left_result(self) -> RunResult:
-        with suppress(OSError, msgspec.DecodeError), self._result.open("rb") as file:
+    def _open_result(self, process: ProcessId) -> BinaryIO | None:
+        """The file of the result; that of a process that runs by its descriptor: the name may be deleted."""
+        paths = [self._result]
+        if self.is_alive(process):
+            options = [argument.partition("=") for argument in _command_line(process.pid)]
+            paths[:0] = [
+                Path(f"/proc/{process.pid}/fd/{number}")
+                for name, _, number in options
+                if name == RESULT_OPTION
+            ]
+        for path in paths:
+            with suppress(OSError):
+                return path.open("rb")
+        return None
+
+
+def _read_result(file: BinaryIO | None) -> RunResult:
+    with suppress(OSError, msgspec.DecodeError):
+        if file is not None:
             return msgspec.json.decode(file.read(MAX_RESULT), type=RunResult)
-        return RunResult()
+    return RunResult()
+
+
+def _command_line(pid: int) -> list[str]:
+    """The arguments of the command line of a process, none if it has ended."""
+    with suppress(OSError):
+        return os.fsdecode(Path(f"/proc/{pid}/cmdline").read_bytes()).split("\0")
+    return []
+
+
+def _processes() -> list[int]:
+    """The processes of this user."""
+    user, found = os.geteuid(), []
+    for folder in Path("/proc").iterdir():
+        with suppress(OSError):
+            if folder.name.isdigit() and folder.stat().st_uid == user:
+                found.append(int(folder.name))
+    return found
 
 
 async def _wait(process: ProcessId) -> None:

@@ -17,14 +17,14 @@ from lfield.journal.readonly_view import open_read_only
 from lfield.journal.records import CoordinatorRecord, Record
 from lfield.mission.mission import ON_GROUND
 from lfield.net.tcp_transport import TcpTransport
-from lfield.operator.client import SNAPSHOT, pause
+from lfield.operator.client import SNAPSHOT
 from lfield.operator.journal_reset import plan_discard
 from lfield.operator.observer_link import Request, T, ask_with_retries
 from lfield.operator.runs import runs_here
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.team_state import DeviceState, HostState
 from lfield.text.suggestions import listed
-from lfield.wire.observer_messages import StartRequest, StartResponse
+from lfield.wire.observer_messages import BallotHold, EmergencyStopResult, StartRequest, StartResponse
 from lfield.wire.service_messages import UnfinishedCoordinator
 
 #: The oldest telemetry (s) that says that a vehicle is on the ground, and the largest speed (m/s) of one at
@@ -69,31 +69,30 @@ class LocalProbe:
         except LfieldError as error:
             return f"the mission's host does not answer: {error}"
         devices = status.devices
-        troubles = [_motion(name, devices.get(name)) for name in self._vehicles_of()]
+        try:
+            vehicles = self._vehicles_of()
+        except LfieldError as error:
+            return f"the vehicles of the mission's host are unknown: {error}; 'lfield stop' ends it"
+        troubles = [_motion(name, devices.get(name)) for name in vehicles]
         troubles += [f"{name} moves" for name, one in devices.items() if one.telemetry.get("moving") is True]
         return "; ".join(trouble for trouble in troubles if trouble)
 
-    async def is_paused(self) -> bool:
+    async def hold(self, ballot: bytes) -> str:
         """See `MissionProbe`."""
         try:
-            return (await self._snapshot()).paused
-        except LfieldError:
-            return False
-
-    async def hold(self) -> str:
-        """See `MissionProbe`."""
-        try:
-            answer = await self._ask(pause(lift=False))
+            answer = await self._ask(_hold(ballot))
         except LfieldError as error:
-            return f"the mission's host cannot be paused: {error}"
+            return f"the mission's host cannot be held: {error}"
         return "; ".join(f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble)
 
     async def release(self) -> str:
         """See `MissionProbe`."""
         try:
-            await self._ask(pause(lift=True))
+            # By its id: an end that arrives late ends no later hold.
+            if ballot := (await self._snapshot()).report.ballot:
+                await self._ask(_hold(ballot, lift=True))
         except LfieldError as error:
-            return f"the mission's host cannot be resumed: {error}"
+            return f"the mission's host cannot be released: {error}"
         return ""
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
@@ -118,11 +117,11 @@ class LocalProbe:
             return f"the mission's host does not answer: {error}"
         if status.stopped:
             return f"emergency stop ({status.stopped}): 'lfield estop --lift' ends it"
-        if status.paused:
-            return "paused"
+        pauses = ["held until the result of a vote about an activation is known"] if status.held else []
+        pauses += ["paused: 'lfield resume' continues it"] if status.paused else []
         start = status.report.start
-        if start is None:
-            return ""
+        if pauses or start is None:
+            return "; ".join(pauses)
         return start.held or f"{listed(start.agents)} waits for {listed(start.hosts or ['other hosts'])}"
 
     async def start_without(self, hosts: list[str]) -> str:
@@ -191,6 +190,11 @@ class LocalProbe:
                 yield UnfinishedCoordinator("?", f"unknown: {error}"[:256], "", mission[:256])
                 continue
             yield from _unfinished(records, mission)
+
+
+def _hold(ballot: bytes, *, lift: bool = False) -> Request[EmergencyStopResult]:
+    """Holds the mission's host for a ballot, or with `lift` does no more."""
+    return Request(BallotHold(ballot, lift), EmergencyStopResult, 8.0, is_retried=True)
 
 
 def _unfinished(records: list[Record], mission: str) -> Iterator[UnfinishedCoordinator]:

@@ -36,6 +36,13 @@ class ProcessId(NamedTuple):
     started: int
 
 
+class HostProcess(NamedTuple):
+    """The process of the mission's host, and the bundle that it runs."""
+
+    bundle: bytes
+    process: ProcessId
+
+
 class HostEnd(NamedTuple):
     """The end of a host: its exit status, and the reason that it has left; '' for none."""
 
@@ -53,8 +60,8 @@ class HostProcesses(Protocol):
     def start(self, bundle: bytes) -> ProcessId:
         """Start the host of a bundle. Raises LfieldError."""
 
-    def find(self, bundle: bytes) -> ProcessId | None:
-        """The process of the host of a bundle that an earlier service has started; None without one."""
+    def find(self) -> HostProcess | None:
+        """The host that an earlier service has started, also one that is not recorded; None without one."""
 
     def is_alive(self, process: ProcessId) -> bool:
         """Whether the process still runs."""
@@ -96,6 +103,11 @@ class MissionRunner:
         return self._info
 
     @property
+    def process(self) -> ProcessId | None:
+        """The process of the host, None if it does not run."""
+        return self._process
+
+    @property
     def is_running(self) -> bool:
         """Whether the process of the host exists."""
         return self._process is not None
@@ -115,28 +127,31 @@ class MissionRunner:
         record = self._record
         if record.unsafe:
             self._set_phase("ended", record.unsafe)
-        if not record.bundle:
+        recorded = ProcessId(record.pid, record.started)
+        is_of_this_boot = record.boot == self._processes.boot
+        if record.pid and is_of_this_boot and self._processes.is_alive(recorded):
+            self._supervise_running(HostProcess(record.bundle, recorded))
+        elif (found := self._processes.find()) is not None:
+            # The service has ended before it stored the number of the process, or its state was deleted.
+            self._supervise_running(found)
+        elif not record.bundle:
             return
-        if record.boot != self._processes.boot:
+        elif not is_of_this_boot:
             # A vehicle may fly on without its computer.
             self._keep(replace(record, unsafe=REBOOTED))
             self._interrupt(REBOOTED)
-            return
-        process: ProcessId | None = ProcessId(record.pid, record.started)
-        if not record.pid:
-            # The service has ended between the start of the process and the record of its number.
-            process = self._processes.find(record.bundle)
-        if process is None:
+        elif not record.pid:
             self._interrupt("the service has ended while it started the host")
-        elif self._processes.is_alive(process):
-            self._process = process
-            self._record_process(process)
-            self._set_phase("running", "", record.bundle)
-            self.note(messages.HOST_ADOPTED.line(bundle=short_digest(record.bundle), pid=process.pid))
-            self._supervision = spawn(self._supervise())
         else:
             self._set_phase("waiting", "it has ended while no service ran", record.bundle)
-            self._supervision = spawn(self._supervise_ended(process))
+            self._supervision = spawn(self._supervise_ended(recorded))
+
+    def _supervise_running(self, host: HostProcess) -> None:
+        bundle, self._process = host
+        self._keep(RunRecord(bundle, self._processes.boot, *self._process))
+        self._set_phase("running", "", bundle)
+        self.note(messages.HOST_ADOPTED.line(bundle=short_digest(bundle), pid=self._process.pid))
+        self._supervision = spawn(self._supervise())
 
     async def stop(self, reason: str, checked: str = "") -> None:
         """End the host in order: its devices come to rest first. Returns when it has ended.
@@ -227,13 +242,10 @@ class MissionRunner:
         except BaseException:
             self._keep(before)
             raise
-        self._record_process(self._process)
+        # Without its number the next service finds the process by its command line.
+        self._keep(RunRecord(bundle, self._record.boot, *self._process))
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_STARTED.line(bundle=short_digest(bundle), pid=self._process.pid))
-
-    def _record_process(self, process: ProcessId) -> None:
-        """Store the number of the process; without it the next service finds the process by its bundle."""
-        self._keep(RunRecord(self._record.bundle, self._record.boot, *process))
 
     def _interrupt(self, reason: str) -> None:
         bundle = self._record.bundle

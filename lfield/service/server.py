@@ -10,11 +10,11 @@ from typing import Protocol
 from lfield.authority.admission_policy import AdmissionPolicy
 from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError, KeysError, LfieldError, WireError
+from lfield.errors import AddressError, LfieldError, WireError
 from lfield.event_loop import spawn
 from lfield.net.connection_limiter import ConnectionLimiter
 from lfield.net.handshake import Handshake
-from lfield.net.link_owner import RateLimitedLog, RefusedHosts
+from lfield.net.link_owner import RateLimitedLog, RefusedHosts, apply_revocations
 from lfield.net.scheduling.handshake_scheduler import source_of
 from lfield.net.session import Session
 from lfield.net.transport import Link, Listener, Transport
@@ -123,7 +123,8 @@ class ServiceServer:
             case Ping():
                 session.link.send(Pong(message.token))
             case RevocationUpdate():
-                self._on_revocations(message.list)
+                if apply_revocations(self._admission, message.list, self._handler.note):
+                    self.reauthorise()
             case _ if type(message).__module__.endswith("service_messages"):
                 spawn(self._answer(session.link, message))  # type: ignore[arg-type]
             case _:
@@ -138,15 +139,6 @@ class ServiceServer:
             answer = HandshakeRefused(truncate(str(error)))
         with suppress(AddressError):
             link.send(answer)
-
-    def _on_revocations(self, data: bytes) -> None:
-        try:
-            lines = self._admission.on_revocation_list(data)
-        except KeysError as error:
-            raise WireError(str(error)) from None
-        for line in lines:
-            self._handler.note(line)
-        self.reauthorise()
 
     def ban(self, host: str) -> float:
         """See `SessionOwner`: no host is banned, since its links are those of an observer."""

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
-from typing import Protocol
 
 from msgspec.structs import replace
 
@@ -19,9 +18,10 @@ from lfield.clock import Clock
 from lfield.errors import LfieldError, OutputFileError, WireError
 from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
-from lfield.service.bundle_receiver import BundleFiles, BundleReceiver, Verify
+from lfield.service.bundle_receiver import BundleReceiver, Verify
 from lfield.service.bundle_store import ServiceRecord
 from lfield.service.mission_runner import MissionRunner
+from lfield.service.service_interfaces import AskPeer, MissionProbe, ServiceFiles
 from lfield.text.log_messages import LogLine
 from lfield.text.suggestions import listed
 from lfield.wire.fields import short_digest, truncate
@@ -39,7 +39,6 @@ from lfield.wire.service_messages import (
     ServiceQuery,
     ServiceStatus,
     StageRequest,
-    UnfinishedCoordinator,
     Vote,
     VoteQuery,
     VoteReport,
@@ -48,45 +47,6 @@ from lfield.wire.service_messages import (
 #: Seconds between two rounds of questions about an open ballot, after which they close it, and between two
 #: log lines about it.
 RESOLVE_EVERY, CLOSE_AFTER, REPORT_EVERY = 3.0, 30.0, 300.0
-
-
-class ServiceFiles(BundleFiles, Protocol):
-    """The disk of a service (`bundle_store.BundleStore`)."""
-
-    def save(self, record: ServiceRecord) -> None:
-        """Replace the state. Raises OutputFileError."""
-
-
-class MissionProbe(Protocol):
-    """Looks at the mission's host and its journals (`mission_probe.JournalProbe`)."""
-
-    async def vehicles(self) -> str:
-        """Why the vehicles of a running host are not all at rest on the ground; '' if they are."""
-
-    async def unfinished(self) -> list[UnfinishedCoordinator]:
-        """The coordinators that have not ended."""
-
-    async def is_paused(self) -> bool:
-        """Whether the running host is paused."""
-
-    async def hold(self) -> str:
-        """Pause the running host, so that nothing arms; returns why it is not at rest, '' if it is."""
-
-    async def release(self) -> str:
-        """Resume the host that `hold` has paused; returns why it is still paused, '' if it is not."""
-
-    async def condition(self) -> str:
-        """Why the running host waits or is paused; '' if it does not."""
-
-    async def start_without(self, hosts: list[str]) -> str:
-        """Have the coordinators of the running host not wait for some hosts; returns why they still do."""
-
-    async def discard(self) -> list[str]:
-        """End the coordinators in the journals of a host that does not run; returns their names."""
-
-
-#: Asks the service of another host. Raises LfieldError.
-AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]
 
 
 class Service:
@@ -186,8 +146,11 @@ class Service:
         if self._activation.open_ballot is None:
             refusal = await self._refusal(ballot.digest)
             if not refusal and ballot.digest != self._activation.active:
+                process = self._runner.process
                 # Again when nothing can arm any more: a vehicle may have started in between.
-                refusal = await self._hold() or await self._refusal(ballot.digest)
+                refusal = await self._hold(ballot.id) or await self._refusal(None)
+                if not refusal and process != self._runner.process:
+                    refusal = "the mission's host has ended during the vote: repeat it"
         try:
             self._store_activation(ballots.propose(self._activation, self._host, ballot, refusal))
         finally:
@@ -231,23 +194,25 @@ class Service:
         await self._release()
 
     async def _end_other_bundle(self) -> None:
-        if self._runner.record.bundle not in (b"", self._activation.active):
-            # A pause is in the journal: the host of the next bundle would start paused.
-            await self._release()
+        active = self._activation.active
+        # Without an active bundle the state was deleted while the host ran: no activation ends it.
+        if active and self._runner.record.bundle not in (b"", active):
+            # Held to its end: between its release and its end a vehicle could arm.
             await self._runner.stop("another bundle was activated")
+            await self._release()
 
-    async def _hold(self) -> str:
-        """Pause a running host, so that nothing arms before the result; returns why it is not at rest."""
-        if not self._runner.is_running or await self._probe.is_paused():
+    async def _hold(self, ballot: bytes) -> str:
+        """Hold a running host, so that nothing arms before the result; returns why it is not at rest."""
+        if not self._runner.is_running:
             return ""
         self._set_held(True)
-        if refusal := await self._probe.hold():
+        if refusal := await self._probe.hold(ballot):
             await self._release()
         return refusal
 
     async def _release(self) -> None:
-        """Resume the host if the service has paused it; one that does not run now, when it runs again."""
-        if self._held and self._runner.is_running and not await self._probe.release():
+        """End the hold of the host. One that is started later is not held."""
+        if self._held and (not self._runner.is_running or not await self._probe.release()):
             self._set_held(False)
 
     async def _refusal(self, digest: bytes | None) -> str:
@@ -290,7 +255,7 @@ class Service:
     async def _ask_for_votes(self, bound: BallotState, ask: AskPeer) -> None:
         since = self._bound_since
         waited = 0.0 if since is None else self._clock.monotonic() - since
-        missing = [host for host in ballots.missing_votes(bound) if host != self._host]
+        missing = [host for host in bound.missing if host != self._host]
         closes = waited >= CLOSE_AFTER
         if closes and self._clock.monotonic() - self._reported_at >= REPORT_EVERY:
             self._reported_at = self._clock.monotonic()
@@ -327,6 +292,10 @@ class Service:
                 f"bundle {short_digest(command.digest)} is not active here, but "
                 f"{short_digest(active)}: 'lfield push' activates one on all hosts"
             )
+        if not refusal and (info := self._bundles.info(active)) is not None:
+            # Before the start: a refused start has started nothing.
+            unknown = [host for host in command.without if info.hosts and host not in info.hosts]
+            refusal = f"its mission has no host {listed(unknown)}" if unknown else ""
         if not refusal:
             await self._runner.start(active)
             if command.without:
@@ -337,8 +306,8 @@ class Service:
         """Why the host of a bundle may not start here now; '' if it may."""
         bound = self._activation.open_ballot
         if bound is not None:
-            missing = listed(ballots.missing_votes(bound))
-            return f"the activation of a bundle is not decided yet: the votes of {missing} are unknown"
+            missing = listed(bound.missing)
+            return f"the activation of a bundle has no result yet: the votes of {missing} are unknown"
         if not self._activation.active:
             return "no bundle is active: 'lfield push' sends and activates one"
         if bundle != self._activation.active:
@@ -350,6 +319,8 @@ class Service:
     def adopt(self) -> None:
         """After a start of the service: supervise a host that runs. Before the first request."""
         self._runner.adopt()
+        # Also one that is held although the state of this service was deleted.
+        self._held = self._held or self._runner.is_running
 
     async def settle(self) -> None:
         """Complete what the last result requires, for instance after a restart of the service."""

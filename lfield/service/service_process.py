@@ -70,7 +70,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
         host,
         options.state,
         lambda: runner.record.pid,
-        lambda: vehicles_of(store.read(runner.record.bundle) or b"", host),
+        lambda: vehicles_of(store.require(runner.record.bundle), host),
         clock,
     )
     verifier = BundleVerifier(host, credentials.keys, admission, options.files)

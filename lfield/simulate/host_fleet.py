@@ -26,6 +26,7 @@ from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.host_process import run_until_exit
 from lfield.host.process.shutdown_signals import ShutdownSignals
+from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.records import Record
 from lfield.mission.mission import Mission
 from lfield.net.tcp_transport import TcpTransport
@@ -80,6 +81,8 @@ class FleetOptions:
     keeps: bool = True
     slowness: float = 1.0
     time_of_day: float | None = None
+    #: Where the cores are recorded.
+    record: RecordingTarget | None = None
 
 
 class Fleet:
@@ -232,6 +235,7 @@ class Fleet:
             journal=journal,
             first_start=name not in self._known and not disk.pages(),
             random_bytes=random.Random(f"orders {name} {machine.clock.monotonic()}").randbytes,
+            record=self.options.record,
         )
         if not self.options.keeps:
             self._known.add(name)

@@ -42,6 +42,7 @@ from lfield.driver import DeviceBinding, Driver, Manifest, Plugin, Reports
 from lfield.driver.binding import OptionValue
 from lfield.driver.plugins import Plugins, discover
 from lfield.driver.sims import control_sockets, discover_sims
+from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.net.fault_client import send_fault_command
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
 from lfield.testing.kept_reports import KeptReports
@@ -244,15 +245,16 @@ async def guarded(
     plugins: Plugins | None = None,
     silence: float = SILENCE,
     clock: Clock | None = None,
+    recording: GuardRecording = NO_RECORDING,
 ) -> AsyncIterator[tuple[GuardedDevice, ...]]:
     """Devices behind guards in their own processes, in the order of their bindings; closed with the block.
 
-    `plugins` are by default the installed drivers, `clock` that of the loop (by default the system's). Raises
-    DevicesError.
+    `plugins` are by default the installed drivers, `clock` that of the loop (by default the system's).
+    `recording` is the folder that the guards record into, if any. Raises DevicesError.
     """
     drivers, notes = plugins or discover(), list[str]()
     guards = DeviceGuards(drivers, clock or SystemClock(), notes.append, silence=silence)
-    await guards.open(bindings)
+    await guards.open(bindings, recording)
     try:
         yield tuple(
             GuardedDevice(guards, b, drivers.by_driver[b.driver].manifests[b.type], notes, silence=silence)

@@ -104,6 +104,12 @@ TRACEBACK = _message(
     "traceback", "traceback of the failure:\n{text}", "error", "only with LFIELD_TRACEBACK=1"
 )
 HOST_ENDING_ERROR = _message("host-ending-error", "{host} stopped with another error: {reason}", "error")
+HOST_RECORDING_ENDED = _message(
+    "host-recording-ended",
+    "the recording of {host} ended: {reason}; the mission is not affected",
+    "warning",
+    "by a host that cannot write into the folder of its recording, or by a fault of the recorder",
+)
 NO_CONTROL_SOCKET = _message(
     "no-control-socket",
     "{host} without control socket: {reason}; commands reach it over the network only, with keys",
@@ -306,6 +312,12 @@ MISSION_STILL_PAUSED = _message(
     "warning",
 )
 MISSION_RESUMED = _message("mission-resumed", "mission resumed")
+MISSION_HELD = _message(
+    "mission-held",
+    "mission held: no agent runs here until the result of a vote about an activation is known",
+    meaning="the service of this robot votes about activating a bundle; 'lfield resume' does not end this",
+)
+MISSION_HOLD_ENDED = _message("mission-hold-ended", "mission no longer held by a vote")
 ORDER_DENIED = _message("order-denied", "order of {operator} not executed: {reason}", "warning")
 STOP_NOT_STORED = _message(
     "stop-not-stored",
@@ -440,6 +452,12 @@ def _device_message(
 GUARD_SIGNAL_IGNORED = _device_message(
     "guard-signal-ignored",
     "{signal} ignored: the guard ends with its host, after it has made its devices safe",
+)
+RECORDING_ENDED = _device_message(
+    "recording-ended",
+    "recording of {files} ended: {reason}; the device is not affected",
+    "warning",
+    "by a guard that cannot write into the folder of a recording any longer",
 )
 DRIVER_TASK_FAILED = _device_message("driver-task-failed", "driver task failed: {reason}", "error")
 SAFE_STATE_UNCONFIRMED = _device_message(

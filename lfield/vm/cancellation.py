@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Trap
@@ -41,7 +43,7 @@ class Cancellation:
             return
         resource.pending_cancels[thread] = reason
         tidy = resource.limits.tidy
-        self._scheduler.run_queue.set_alarm(resource, tidy, lambda: self._end_grace_period(resource, thread))
+        self._scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
         state = resource.block.w[place_of(resource.block, thread) + THREAD_STATE]
         if state == WAITING:
             self._scheduler.world.cancel(resource, thread)
@@ -83,7 +85,7 @@ class Cancellation:
         tidy = resource.limits.tidy
         waits = resource.block.w[place + THREAD_STATE] == WAITING
         if waits and not scheduler.world.cancel(resource, thread):
-            scheduler.run_queue.set_alarm(resource, tidy, lambda: self._end_grace_period(resource, thread))
+            scheduler.run_queue.set_alarm(resource, tidy, partial(self._end_grace_period, resource, thread))
             return
         wake_thread(scheduler, resource, thread)
         message = f"it was cancelled, and ended because its clean-up took longer than {tidy:g} s"

@@ -137,7 +137,7 @@ class Deadlines:
         at = scheduler.clock.monotonic() + seconds
         if at < agent.alarm:
             agent.set_alarm(at)
-            scheduler.run_queue.set_alarm(agent, seconds, lambda: self._on_alarm(agent, at))
+            scheduler.run_queue.set_alarm(agent, seconds, partial(self._on_alarm, agent, at))
 
     def _on_alarm(self, agent: Agent, at: float) -> None:
         if agent.alarm != at or self._scheduler.agents.get(agent.id) is not agent:

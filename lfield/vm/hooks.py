@@ -13,6 +13,7 @@ from typing import Protocol
 
 from lfield.vm.agent import Agent, TeamMember
 from lfield.vm.memory.block import Block
+from lfield.vm.turns.run_limit import RunLimit
 
 #: Why a call must not start, '' when it may, by the ids of coordinator and resource, and the portal's index.
 CallRules = Callable[[str, str, int], str]
@@ -87,13 +88,14 @@ class VmHooks:
     """Hooks of one machine. `rules` is called before each portal call. `stubs` are by the ids of resources,
     which must not have started yet: their `init` does not run, and they are open at once. `meter` gets the
     number of instructions of each turn. `liveness` is for linked hosts that may be silent. `on_arrival` is
-    called with each coordinator that has arrived from another host."""
+    called with each coordinator that has arrived from another host. `run_limit` limits a run's duration."""
 
     rules: CallRules | None = None
     observer: PortalObserver | None = None
     meter: Callable[[int], None] | None = None
     liveness: HostLiveness | None = None
     on_arrival: Callable[[Agent], None] | None = None
+    run_limit: RunLimit | None = None
     stubs: dict[str, Callable[[StubCall], None]] = field(default_factory=dict)
 
     def replace_observer(self, observer: PortalObserver | None) -> PortalObserver | None:

@@ -20,6 +20,7 @@ from lfield.vm.agent import Agent, MachineTeam, TeamMember
 from lfield.vm.cancellation import CANCELLED, Cancellation
 from lfield.vm.deadlines import HOST_DOWN, IN_TRANSIT, Deadlines
 from lfield.vm.engine_interface import (
+    BUDGET_EXHAUSTED,
     AgentLimits,
     BudgetExhausted,
     EngineExit,
@@ -51,11 +52,12 @@ from lfield.vm.scheduler import Scheduler
 from lfield.vm.together.itinerary import Itinerary
 from lfield.vm.together.pending_calls import PendingCalls
 from lfield.vm.together.together_handlers import TogetherHandlers
+from lfield.vm.turns.run_limit import SECONDS_PER_RUN, RunLimit
 
 #: Instructions of a thread's turn.
 SLICE = 2000
-#: Limits of one call of `run`, after which the host handles its events: slices, turns, and seconds.
-SLICES_PER_RUN, TURNS_PER_RUN, SECONDS_PER_RUN = 20, 100, 0.005
+#: Limits of one call of `run`, after which the host handles its events, beside those of `RunLimit`.
+SLICES_PER_RUN, TURNS_PER_RUN = 20, 100
 
 
 class Machine:
@@ -78,6 +80,7 @@ class Machine:
     ) -> None:
         self.program, self.team, self.hooks = program, view.members, hooks or VmHooks()
         self._here, self._fenced, self._host, self._now = view.here, view.fenced, host, clock.monotonic
+        self._limit = self.hooks.run_limit or RunLimit(clock.monotonic)
         incarnation = 1 + view.incarnation % (layout.START_LIMIT - 1)
         self._scheduler = scheduler = Scheduler(
             program, incarnation, host, clock, portal_calls.fail, engines or ReferenceEngine, self.hooks
@@ -88,23 +91,19 @@ class Machine:
         cancelling = self._cancellation = Cancellation(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.resource_queries = ResourceQueries(scheduler)
-        self._verifier = BlockVerifier(
-            program, scheduler.layouts, [m.type for m in view.members], self.engine.space
-        )
+        types = [member.type for member in view.members]
+        self._verifier = BlockVerifier(program, scheduler.layouts, types, self.engine.space)
         #: The calls of a `together` that were started here.
         self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)
         #: The reservations of coordinators.
         self.held_reservations = held = HeldReservations(program, view.members)
         #: The destinations of coordinators.
         self.itinerary = Itinerary(scheduler, view.members, view.here, held)
-        self._deadlines = limits = Deadlines(
-            scheduler, cancelling, self.itinerary, self.pending_calls.stop_waiting
-        )
+        stop_waiting = self.pending_calls.stop_waiting
+        self._deadlines = limits = Deadlines(scheduler, cancelling, self.itinerary, stop_waiting)
         self._together = TogetherHandlers(scheduler, self.itinerary, held, cancelling, limits)
-        heads = {
-            **self._together.handlers(),
-            **ReserveHandlers(scheduler, held, view.here, limits).handlers(),
-        }
+        reserving = ReserveHandlers(scheduler, held, view.here, limits)
+        heads = {**self._together.handlers(), **reserving.handlers()}
         self._host_calls = HostCallDispatcher(scheduler, view, rng, cancelling, limits, held, heads)
         self._place = 0  # the place of the thread of this turn
         #: The handler of each engine exit.
@@ -113,9 +112,7 @@ class Machine:
             ThreadDone: self._done,
             BudgetExhausted: lambda agent, thread, _: self._turns.push_back(agent, thread),
             MonitorBlocked: self._blocked,
-            HeapExhausted: lambda agent, thread, leave: scheduler.collect_and_retry(
-                agent, thread, leave.words
-            ),
+            HeapExhausted: lambda agent, thread, out: scheduler.collect_and_retry(agent, thread, out.words),
             UncaughtThrow: lambda agent, thread, leave: scheduler.uncaught(agent, thread, leave.place),
         }
 
@@ -322,19 +319,20 @@ class Machine:
         turns, ready = self._turns, self._turns.ready
         if turns.timers or turns.alarms:
             self._wake()
-        now, long = self._now, SLICE * self.engine.pace
-        remaining, until = SLICES_PER_RUN * long, now() + SECONDS_PER_RUN
-        for _ in range(TURNS_PER_RUN):
+        stopwatch, long = self._limit.stopwatch, SLICE * self.engine.pace
+        remaining, until = SLICES_PER_RUN * long, stopwatch() + SECONDS_PER_RUN
+        for number in range(1, TURNS_PER_RUN + 1):
             if not ready or remaining <= 0:
                 break
             agent, thread = ready.popleft()
             # Where no other thread can become ready, a long turn delays none.
             is_alone = not (ready or agent.pollers or agent.blocked or self.hooks.meter)
             try:
-                remaining -= self._turn(agent, thread, long if is_alone else SLICE)
+                remaining -= self._turn(agent, thread, long if is_alone else SLICE, number)
             except Exception as error:
                 self._fail_agent(agent, thread, error)
-            if now() > until:
+            if stopwatch() > until:
+                self._limit.on_time_over(number)
                 break
         return turns.seconds_until_due() if ready or turns.timers or turns.alarms else None
 
@@ -356,15 +354,18 @@ class Machine:
             # Its stack cannot be printed; its callers must still get their exception.
             self._scheduler.die(agent, reason, broken=True)
 
-    def _turn(self, agent: Agent, thread: int, budget: int) -> int:
-        """Run at most `budget` instructions of a thread and handle its exit; returns the number executed."""
+    def _turn(self, agent: Agent, thread: int, budget: int, number: int) -> int:
+        """Run at most `budget` instructions of a thread in the turn `number` of a run; returns how many."""
         if agent.ended or agent.frozen:
             return 0
         engine, block = self.engine, agent.block
         places = block.index_threads() if block.places is None else block.places
         place = self._place = places.get(thread, 0)
+        budget = self._limit.budgets.get(number, budget)
         leave = engine.run(block, place, budget, agent.limits, agent.readings)
         used = budget - engine.unused_budget
+        if leave is BUDGET_EXHAUSTED and used < budget:
+            self._limit.on_early_end(number, used)
         if self.hooks.meter is not None:
             self.hooks.meter(used)
         if agent.poll_counts and engine.has_read_external:

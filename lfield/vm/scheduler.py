@@ -35,7 +35,7 @@ from lfield.vm.memory.serialised_results import serialise_built
 from lfield.vm.memory.threads import place_of, thread_template, threads, unlink
 from lfield.vm.memory.word_codec import new_exception
 from lfield.vm.pending_call import CallKey, PendingCall
-from lfield.vm.run_queue import RunQueue
+from lfield.vm.turns.run_queue import RunQueue
 
 T = TypeVar("T")
 #: Seconds after its time limit from which the end of a block is reported as late.

@@ -253,8 +253,8 @@ class LinkRefused(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class StartDelayed(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="waits"):
-    """Coordinators of this host are not started yet: their start waits for those `hosts`, or is `held` for
-    that reason until an operator's command. Commas separate names; no `agents`: none waits."""
+    """Coordinators of this host are not started yet: they wait for those `hosts`, or are `held` for a reason
+    until an operator's command. Commas separate names; no `agents`: none waits."""
 
     agents: Text
     hosts: Text
@@ -270,10 +270,11 @@ class EmergencyStopChanged(Struct, frozen=True, array_like=True, forbid_unknown_
 
 
 class PauseChanged(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="paused"):
-    """An operator has paused the mission here, or has `lifted` the pause."""
+    """An operator, or a vote of this robot, has paused the mission here or has `lifted` that pause."""
 
     by: Text
     lifted: bool = False
+    is_vote: bool = False
 
 
 class HostStopping(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag="ending"):
@@ -394,7 +395,6 @@ class Event(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
 
 def as_fields(event: Event) -> dict[str, Any]:
     """An event as named fields: number, at, up, cause, kind, and those of its kind; for JSON."""
-    what = event.what
-    fields = {name: to_builtins(getattr(what, name)) for name in what.__struct_fields__}
+    fields = {name: to_builtins(getattr(event.what, name)) for name in event.what.__struct_fields__}
     head = {"number": event.number, "at": event.at, "up": event.up, "cause": event.cause}
     return {**head, "kind": event.kind, **fields}

@@ -41,6 +41,7 @@ from lfield.wire.fields import (
     ValueSource,
 )
 from lfield.wire.observer_messages import (
+    BallotHold,
     EmergencyStop,
     EmergencyStopResult,
     ForgetRequest,
@@ -59,7 +60,7 @@ from lfield.wire.service_messages import ServiceMessage
 from lfield.wire.subscription_messages import SubscriptionMessage
 
 #: The version of everything in this package. Hosts of different versions do not communicate.
-PROTOCOL = 14
+PROTOCOL = 15
 
 #: The role of a peer: a member of the team, or an observer (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -80,7 +81,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     of its revocation list; both 0 without keys. `bundle` is the digest of the running bundle, of which those
     hashes are a part; b"" for a mission from files. `built` is then the digest of the bundle made of those
     files: it is shown to operators and not compared. `epochs` are the numbers that stop and pause orders must
-    name (`orders`). `stamp` is the timestamp of the sender.
+    name (`orders`). `stamp` is the timestamp of the sender, `run` the run id of its recording.
     """
 
     role: Role
@@ -103,6 +104,7 @@ class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     built: Hash = b""
     epochs: Epochs = Epochs()
     stamp: Timestamp = 0
+    run: Label = ""
 
     @property
     def summary(self) -> Hello:
@@ -265,6 +267,7 @@ Control = (
     | ForgetRequest
     | ForgetResponse
     | Pause
+    | BallotHold
     | RecoverRequest
     | RecoverResponse
     | StartRequest

@@ -185,7 +185,8 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     mission from files. `stopped` is why an emergency stop locks its devices, '' for none, and `persist_error`
     describes security state that it could not store and will lose at its end. `refused` are the hosts to
     which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
-    numbers that orders must name (see `orders`).
+    numbers that orders must name (see `orders`). `ballot` is the ballot about an activation that holds the
+    mission like a pause, b"" for none.
     """
 
     host: Name
@@ -211,6 +212,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     refused: Annotated[list[UnlinkableHost], Meta(max_length=4096)] = []
     start: StartStatus | None = None
     epochs: Epochs = Epochs()
+    ballot: Annotated[bytes, Meta(max_length=16)] = b""
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):
@@ -290,6 +292,17 @@ class Pause(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, ta
     @property
     def kind(self) -> OrderKind:
         return "resume" if self.lift else "pause"
+
+
+class BallotHold(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=65):
+    """From the service of this robot: suspend all agents and bring every device into its safe state until the
+    result of the ballot `id` is known; with `lift` it is, which ends no hold by another ballot.
+
+    Independent of a Pause: neither ends the other. Answered by an EmergencyStopResult.
+    """
+
+    id: OrderId
+    lift: bool = False
 
 
 class OrderChallenge(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=46):

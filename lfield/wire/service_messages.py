@@ -20,6 +20,8 @@ PIECE_DIGEST_SIZE = 16
 PieceDigest = Annotated[bytes, Meta(min_length=PIECE_DIGEST_SIZE, max_length=PIECE_DIGEST_SIZE)]
 #: The most hosts of a ballot, unfinished coordinators, and stored bundles in a message.
 MAX_HOSTS, MAX_UNFINISHED, MAX_BUNDLES = 256, 64, 16
+#: The most coordinators of a mission that are described.
+MAX_COORDINATORS = 256
 
 #: A vote: not yet known, or stored by its host.
 Vote = Literal["yes", "no"]
@@ -34,17 +36,27 @@ def ballot_outcome(hosts: Iterable[str], votes: Mapping[str, Vote]) -> BallotOut
     return "activated" if all(votes.get(host) == "yes" for host in hosts) else "open"
 
 
+def missing_votes(hosts: Iterable[str], votes: Mapping[str, Vote]) -> list[str]:
+    """The hosts whose votes are not known."""
+    return [host for host in hosts if host not in votes]
+
+
 #: What the mission's host does, as its service sees it.
 RunPhase = Literal["stopped", "starting", "running", "stopping", "waiting", "ended", "interrupted"]
 
 
 class BundleInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
-    """A stored bundle: its digest, its mission's name, its signer and the time of the signature."""
+    """A stored bundle: its digest, its mission's name, its signer and the time of the signature.
+
+    `hosts` are those of the mission, `coordinators` its coordinators with the hosts on which they start.
+    """
 
     digest: Hash
     name: Label
     by: Text = ""
     at: Moment = 0.0
+    hosts: Annotated[list[Name], Meta(max_length=MAX_HOSTS)] = []
+    coordinators: Annotated[dict[Name, Name], Meta(max_length=MAX_COORDINATORS)] = {}
 
 
 class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -72,6 +84,11 @@ class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     votes: Annotated[dict[Name, Vote], Meta(max_length=MAX_HOSTS)]
     reasons: Annotated[dict[Name, Label], Meta(max_length=MAX_HOSTS)]
     outcome: BallotOutcome
+
+    @property
+    def missing(self) -> list[str]:
+        """The hosts whose votes are not known; none without the ballot."""
+        return [] if self.ballot is None else missing_votes(self.ballot.hosts, self.votes)
 
 
 class UnfinishedCoordinator(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

@@ -61,7 +61,7 @@ def test_a_signature_of_another_bundle_or_authority_is_refused(minted: Ephemeral
     refused(DIGEST, b"", minted.authority, "it is not signed: sign it with 'lfield sign'")
     refused(DIGEST, signature + b"\0", minted.authority, "cannot be read: sign it again")
     foreign = EphemeralCa.for_hosts([], AT).authority
-    refused(DIGEST, signature, foreign, "does not count: the certificate is not of this authority")
+    refused(DIGEST, signature, foreign, "is not accepted: the certificate is not of this authority")
 
 
 def test_no_bit_of_a_signature_can_be_changed(minted: EphemeralCa, signature: bytes) -> None:

@@ -53,6 +53,7 @@ FIGURES = {
     "formation": "team.formation",
     "missions": "team.tested_missions",
     "watch": "page.watched",
+    "exports": "page.exports",
     "radio": "radio.poor_radio",
     "push": "radio.pushes",
 }

@@ -24,7 +24,9 @@ class MemoryBus:
         self.device: Callable[[Frame], None] = lambda frame: None
         self.cut = self.full = False
 
-    def join(self, endpoint: str, received: Callable[[Frame], None], note: Callable[[str], None]) -> Any:
+    def join(
+        self, endpoint: str, received: Callable[[Frame], None], note: Callable[[str], None], wire_log: Any
+    ) -> Any:
         """The bus as the driver makes it."""
         self.received = received
         return self

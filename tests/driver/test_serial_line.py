@@ -11,8 +11,11 @@ import tty
 
 import pytest
 
-from lfield.driver import DeviceError
+from lfield.clock import ManualClock
+from lfield.driver import DeviceError, WireLog
+from lfield.driver.recording.wire_formats import HEX_HEADER, parse_hex_line
 from lfield.driver.serial import Lines, SerialLine, SerialPort, parse_serial_endpoint
+from lfield.recording.ring_writer import RingWriter
 
 
 class Far:
@@ -33,9 +36,13 @@ class Far:
         os.close(self.slave)
         os.close(self.master)
 
-    def line(self) -> SerialLine:
+    def line(self, wire_log: WireLog | None = None) -> SerialLine:
         return SerialLine(
-            f"serial:{self.path}:57600", Lines(), on_frame=self.frames.append, note=self.notes.append
+            f"serial:{self.path}:57600",
+            Lines(),
+            on_frame=self.frames.append,
+            note=self.notes.append,
+            wire_log=wire_log,
         )
 
 
@@ -71,6 +78,27 @@ def test_frames_come_and_answers_go_to_who_asked(far):
         line.close()
 
     asyncio.run(story())
+
+
+def test_what_a_line_sends_and_receives_is_logged(far, tmp_path):
+    async def story():
+        log = WireLog(ManualClock(1_609_459_200.5))
+        log.start(lambda suffix, header: RingWriter(tmp_path, "wire", suffix, 1 << 20, pytest.fail, header))
+        line = far.line(log)
+        line.open()
+        line.send(b"?\n")
+        os.write(far.master, b"=\n")
+        await until(lambda: far.frames == [b"="])
+        line.close()
+        log.close()
+
+    asyncio.run(story())
+    header, *lines = (tmp_path / "wire-000001.hex.log").read_text().splitlines(keepends=True)
+    assert header.encode() == HEX_HEADER
+    assert lines[0] == "1609459200.500000 > 3F 0A\n"
+    found = [parse_hex_line(line) for line in lines[1:]]
+    assert {(time, is_sent) for time, is_sent, _ in found} == {(1_609_459_200.5, False)}
+    assert b"".join(data for *_, data in found) == b"=\n"
 
 
 def test_an_unplugged_port_is_told_fails_who_asks_and_comes_back(far):

@@ -100,7 +100,7 @@ from lfield.guard.sandbox_policy import SandboxPolicy
 
 folder = sys.argv[1]
 code = ("/usr", "/lib", "/proc", *filter(None, sys.path), sys.prefix, sys.base_prefix)
-apply_sandbox(SandboxPolicy(code, ("/dev/null", f"{folder}/own"), (f"{folder}/mine",)))
+apply_sandbox(SandboxPolicy(code, ("/dev/null", f"{folder}/own"), (f"{folder}/mine",), f"{folder}/rec"))
 
 def tried(what):
     try:
@@ -116,6 +116,10 @@ def write(path):
 print(json.dumps({
     "own device": tried(lambda: write(f"{folder}/own")),
     "own folder": tried(lambda: write(f"{folder}/mine/new")),
+    "a recording": tried(lambda: write(f"{folder}/rec/new")),
+    "to remove a recording": tried(lambda: os.unlink(f"{folder}/rec/old")),
+    "to read a recording": tried(lambda: open(f"{folder}/rec/core").close()),
+    "a folder in a recording": tried(lambda: os.mkdir(f"{folder}/rec/sub")),
     "code": tried(lambda: open(os.__file__).close()),
     "another device": tried(lambda: write(f"{folder}/other")),
     "a key": tried(lambda: open(f"{folder}/host.key").close()),
@@ -138,11 +142,22 @@ def test_a_confined_process_touches_what_it_may_and_nothing_else(tmp_path):
     for name in ("own", "other", "host.key"):
         (tmp_path / name).write_bytes(b"secret")
     (tmp_path / "mine").mkdir()
+    (tmp_path / "rec").mkdir()
+    for name in ("old", "core"):
+        (tmp_path / "rec" / name).touch()
     words = [sys.executable, "-c", TRIES, str(tmp_path)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
-    may = {"own device", "own folder", "code", "its own signal", "a Unix socket"}
+    may = {
+        "own device",
+        "own folder",
+        "a recording",
+        "to remove a recording",
+        "code",
+        "its own signal",
+        "a Unix socket",
+    }
     assert {what for what, became in found.items() if became == "done"} == may, found
     assert found["internet"] == "OSError"
     assert (tmp_path / "other").read_bytes() == b"secret"

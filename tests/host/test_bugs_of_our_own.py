@@ -23,8 +23,8 @@ from lfield.vm.memory.block import Block
 from lfield.vm.memory.layout import W_ID
 from lfield.vm.memory.liveness import Liveness
 from lfield.vm.reference import ReferenceEngine
-from lfield.vm.run_queue import RunQueue
 from lfield.vm.scheduler import Scheduler
+from lfield.vm.turns.run_queue import RunQueue
 
 # Everything that leaves the engine, by one coordinator and its resource, and by another pair.
 PROGRAM = """

@@ -9,6 +9,7 @@ from itertools import combinations
 
 import pytest
 
+from lfield.host.inputs import HostExited
 from lfield.host.process import parent_pipe
 from lfield.host.process.mission_completion import wait_until_done
 from lfield.host.process.parent_pipe import ParentPipe
@@ -77,7 +78,7 @@ def test_a_host_that_was_reaped_is_proof_at_once(fleet):
         await carol.host.stop()
         began = asyncio.get_running_loop().time()
         for running in (alpha, bravo):
-            running.host.on_host_exited("carol")
+            running.host.dispatch(HostExited("carol"))
         fates = await all_fates([alpha, bravo], lost_after=1000.0)
         assert {(fate.outcome, fate.detail) for fate in fates} == {("lost", "its last host carol has ended")}
         assert asyncio.get_running_loop().time() - began < 5.0

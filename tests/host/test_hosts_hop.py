@@ -173,7 +173,7 @@ def test_a_coordinator_that_comes_while_a_host_starts_finds_its_resources(fleet)
         bravo = team.make(mission, "bravo")
         opened = asyncio.Event()
 
-        async def open_slowly(devices):
+        async def open_slowly(devices, recording):
             await opened.wait()
 
         bravo.host.guards.open = open_slowly

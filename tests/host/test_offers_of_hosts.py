@@ -53,7 +53,7 @@ class Devices:
         guards.last = self.last
         guards.trouble = self.troubles.get
 
-    async def open(self, devices):
+    async def open(self, devices, recording):
         pass
 
     def last(self, device, quantity):
@@ -174,9 +174,11 @@ def test_why_an_agent_is_not_offered(fleet):
         )
         await asyncio.sleep(1.5)
         assert offered(alpha) == offered(bravo) == ["small"]
+        alpha.host.step()
         assert "far: fc: no message for 4.5 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
         team.network.partition("alpha", "bravo")
         await asyncio.sleep(12.0)
+        alpha.host.step()
         assert offered(alpha) == []
         assert "small: unreachable for 12 s" in alpha.host.core.services.explain(ASKER, "Lift", None)
         del far.troubles["far.fc"]

@@ -7,7 +7,7 @@ import asyncio
 import pytest
 from scripted_snapshots import states_of
 
-from lfield.errors import HostFailure
+from lfield.host.inputs import HostExited
 from lfield.host.process.mission_completion import wait_until_done
 from lfield.journal.records import RunMarker, StartCounter
 from lfield.operator.journal_reset import plan_reset
@@ -110,9 +110,9 @@ def test_a_start_that_needs_a_host_that_was_reaped_is_not_made(fleet):
         mission = team.mission(PROGRAM, DEPLOYMENT)
         (home,) = await team.up(mission, "home", first_start=False)
         await asyncio.sleep(5.0)
-        home.host.on_host_exited("nobody we know")
+        home.host.dispatch(HostExited("nobody we know"))
         assert home.host.core.startup.unstartable(home.host.core.membership.ended) == {}
-        home.host.on_host_exited("away")
+        home.host.dispatch(HostExited("away"))
         await asyncio.sleep(5.0)
         assert not home.holds("guest")
         # Who waits for the end of the mission does not wait for ever.
@@ -152,9 +152,9 @@ def _opens_later(running, opened: asyncio.Event) -> None:
     """A host that listens already, and whose devices take their time."""
     opens = running.host.guards.open
 
-    async def later(devices) -> None:
+    async def later(devices, recording) -> None:
         await opened.wait()
-        await opens(devices)
+        await opens(devices, recording)
 
     running.host.guards.open = later
 
@@ -231,7 +231,7 @@ def crash(running) -> None:
     """As by SIGKILL: nothing that it does from now on comes anywhere."""
     running.host.peers.close()
     running.host.options.journal.close()
-    running.host.failure = HostFailure(running.host.name, RuntimeError("killed"))
+    running.host.fail(RuntimeError("killed"))
 
 
 def test_after_a_fresh_start_is_prepared_the_coordinator_begins_anew_and_all_know_of_the_old_one(fleet):

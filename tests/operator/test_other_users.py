@@ -109,7 +109,7 @@ def test_the_way_down_is_not_looked_at_for_as_long_as_another_user_says(monkeypa
     monkeypatch.setattr("lfield.operator.safe_state_progress.SafeStateProgress", Given)
     for rest_within in (90.0, 1e6):
         run = claimed("alpha", rest_within=rest_within)
-        assert (
-            watch_safe_states([TargetTeam((run,), {"alpha": run.control_socket("alpha")})], {}, {}, None) == 0
-        )
+        assert watch_safe_states(
+            [TargetTeam((run,), {"alpha": run.control_socket("alpha")})], {}, {}, None
+        ) == (0, {})
     assert given == [90.0, 120.0]

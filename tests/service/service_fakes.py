@@ -10,7 +10,7 @@ from hashlib import sha256
 from lfield.errors import AddressError, BundleError, OutputFileError
 from lfield.service.ballots import ActivationState
 from lfield.service.bundle_store import RunRecord, ServiceRecord
-from lfield.service.mission_runner import HostEnd, MissionRunner, ProcessId
+from lfield.service.mission_runner import HostEnd, HostProcess, MissionRunner, ProcessId
 from lfield.service.service import Service
 from lfield.simulate.jumping_loop import LoopClock
 from lfield.text.log_messages import LogLine
@@ -27,6 +27,8 @@ from lfield.wire.service_messages import (
 )
 
 HOSTS = ["alpha", "bravo"]
+#: The coordinators of the mission, and where they start.
+HOMES = {"walker": "alpha", "pilot": "bravo"}
 OLD, NEW = (sha256(name).digest() for name in (b"old", b"new"))
 WALKER = UnfinishedCoordinator("walker", "parked", "bravo", "patrol")
 
@@ -45,8 +47,10 @@ class FakeProcesses:
     def __init__(self) -> None:
         self.boot = "first boot"
         self.started: list[bytes] = []
+        #: The bundle of each process, b"" for one that is no host.
         self.alive: dict[int, bytes] = {}
         self.ends: dict[int, asyncio.Future[HostEnd]] = {}
+        self.on_change: Callable[[], None] = lambda: None
         #: Raised by the next starts.
         self.trouble: Exception | None = None
         self.terminated: list[int] = []
@@ -56,14 +60,16 @@ class FakeProcesses:
     def start(self, bundle: bytes) -> ProcessId:
         if self.trouble is not None:
             raise self.trouble
+        self.on_change()
         self.started.append(bundle)
         pid = 100 + len(self.started)
         self.alive[pid] = bundle
         self.ends[pid] = asyncio.get_running_loop().create_future()
         return ProcessId(pid, 7 * pid)
 
-    def find(self, bundle: bytes) -> ProcessId | None:
-        return next((ProcessId(pid, 7 * pid) for pid, each in self.alive.items() if each == bundle), None)
+    def find(self) -> HostProcess | None:
+        hosts = [(pid, bundle) for pid, bundle in self.alive.items() if bundle]
+        return next((HostProcess(bundle, ProcessId(pid, 7 * pid)) for pid, bundle in hosts), None)
 
     def is_alive(self, process: ProcessId) -> bool:
         return process.pid in self.alive and process.started == 7 * process.pid
@@ -80,6 +86,7 @@ class FakeProcesses:
         """The process, or the only one, ends."""
         pid = pid or next(iter(self.alive))
         del self.alive[pid]
+        self.on_change()
         self.ends[pid].set_result(HostEnd(status, reason))
 
 
@@ -89,6 +96,7 @@ class FakeFiles:
     def __init__(self) -> None:
         self.record = ServiceRecord()
         self.bundles: dict[bytes, bytes] = {}
+        self.pieces: dict[int, bytes] = {}
         self.saves = 0
         self.is_full = False
         self.on_save: Callable[[float], None] = lambda at: None
@@ -111,7 +119,7 @@ class FakeFiles:
         self.bundles[digest] = data
 
     def start_upload(self, file: bytes) -> None:
-        self.pieces: dict[int, bytes] = {}
+        self.pieces = {}
 
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]:
         return [
@@ -136,33 +144,38 @@ class FakeProbe:
 
     motion: str = ""
     waiting: list[UnfinishedCoordinator] = field(default_factory=list)
+    #: Whether a person has paused the host; the ballot that holds it, b"" for none.
     paused: bool = False
+    held: bytes = b""
     hold_trouble: str = ""
     release_trouble: str = ""
     without: list[str] = field(default_factory=list)
-    #: Called when a pause has been requested, before it is answered.
+    #: Seconds for an answer about the vehicles.
+    delay: float = 0.1
+    #: Called when a hold has been requested, before it is answered.
     on_hold: Callable[[], None] = lambda: None
 
+    def on_process(self) -> None:
+        """The process has ended, or another one was started, which is not held."""
+        self.held = b""
+
     async def vehicles(self) -> str:
-        await asyncio.sleep(0.1)
+        await asyncio.sleep(self.delay)
         return self.motion
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
         await asyncio.sleep(0.1)
         return self.waiting
 
-    async def is_paused(self) -> bool:
-        return self.paused
-
-    async def hold(self) -> str:
+    async def hold(self, ballot: bytes) -> str:
         await asyncio.sleep(0.1)
-        self.paused = not self.hold_trouble
+        self.held = b"" if self.hold_trouble else ballot
         self.on_hold()
         return self.hold_trouble
 
     async def release(self) -> str:
         await asyncio.sleep(0.1)
-        self.paused = self.paused and bool(self.release_trouble)
+        self.held = self.held if self.release_trouble else b""
         return self.release_trouble
 
     async def condition(self) -> str:
@@ -186,9 +199,12 @@ class Robot:
     def __init__(self, active: bytes = OLD, host: str = "alpha") -> None:
         self.host = host
         self.files, self.processes, self.probe = FakeFiles(), FakeProcesses(), FakeProbe()
+        self.processes.on_change = self.probe.on_process
         self.files.bundles = {OLD: b"old", NEW: b"new"}
         self.files.record = ServiceRecord(ActivationState(active=active))
         self.log: list[LogLine] = []
+        #: How often a bundle was verified.
+        self.verifications = 0
 
     def boot_service(self) -> Service:
         clock = LoopClock()
@@ -199,9 +215,10 @@ class Robot:
         return self.service
 
     def _verify(self, data: bytes) -> BundleInfo:
+        self.verifications += 1
         if data not in (b"old", b"new"):
             raise BundleError("it is no bundle")
-        return BundleInfo(sha256(data).digest(), data.decode())
+        return BundleInfo(sha256(data).digest(), data.decode(), hosts=HOSTS, coordinators=HOMES)
 
     def kill_service(self) -> None:
         """Only what is on disk stays."""

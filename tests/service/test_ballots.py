@@ -32,7 +32,7 @@ def decided(state: ActivationState, number: int, digest: bytes, votes: dict[str,
 def test_a_yes_binds_until_all_votes_are_known() -> None:
     state = voted()
     assert state.open_ballot is not None
-    assert ballots.missing_votes(state.open_ballot) == ["bravo", "carol"]
+    assert state.open_ballot.missing == ["bravo", "carol"]
     state = ballots.learn(state, "alpha", ballot().id, {"bravo": "yes"})
     assert state.open_ballot is not None
     assert state.active == b""

@@ -66,7 +66,7 @@ class Team:
         """All hosts reach each other: every bound host asks all others and closes its ballot."""
         for host in list(self.states):
             if (bound := self.states[host].open_ballot) is not None:
-                for other in ballots.missing_votes(bound):
+                for other in bound.missing:
                     self.learn(host, bound.id, self.query(host, other, bound.id, closes=True))
         assert [host for host, state in self.states.items() if state.open_ballot is not None] == []
 
@@ -87,7 +87,7 @@ def steps(team: Team) -> Iterator[tuple[str, ...] | tuple[str, str, int, bool]]:
             yield "refuse", host, str(number)
     for host, state in team.states.items():
         if (bound := state.open_ballot) is not None:
-            for other in ballots.missing_votes(bound):
+            for other in bound.missing:
                 for closes in ("", "closes"):
                     yield "ask", host, other, closes
                 yield "lost", host, other, "closes"

@@ -62,8 +62,10 @@ def test_a_damaged_state_is_reported(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
     store.save(ServiceRecord())
     (tmp_path / "state.json").write_bytes(b'{"held": 3')
-    with pytest.raises(DamagedFileError):
+    with pytest.raises(DamagedFileError) as damaged:
         store.load()
+    # What to do about it.
+    assert "lfield push" in str(damaged.value)
 
 
 def test_an_interrupted_upload_continues(tmp_path: Path) -> None:
@@ -137,7 +139,7 @@ def test_a_full_disk_accepts_no_pieces(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_old_bundles_and_uploads_are_removed_but_not_those_in_use(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
-    (tmp_path / "bundles" / "note.lfm").write_bytes(b"a file of somebody else")
+    (tmp_path / "bundles" / "note.lfm").write_bytes(b"a file of another program")
     digests = [digest_of(bytes([n])) for n in range(KEPT_BUNDLES + 4)]
     for n, digest in enumerate(digests):
         store.add(digest, bytes([n]), digests[:1])

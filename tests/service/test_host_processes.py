@@ -11,12 +11,12 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from service_fakes import NEW, OLD
+from service_fakes import OLD
 
 from lfield.errors import InputFileError, OutputFileError
 from lfield.service import host_processes
 from lfield.service.host_processes import LocalProcesses
-from lfield.service.mission_runner import HostEnd, ProcessId
+from lfield.service.mission_runner import HostEnd, HostProcess, ProcessId
 
 #: In place of Python with lfield: leaves a result, if its bundle has one, and waits.
 PROGRAM = f"""#!{sys.executable}
@@ -47,6 +47,9 @@ class Folder:
 
     def start(self, bundle: bytes) -> ProcessId:
         self.started.append(self.processes.start(bundle))
+        # The kernel sets the command line shortly after it has started the program.
+        while not Path(f"/proc/{self.started[-1].pid}/cmdline").read_bytes():
+            os.sched_yield()
         return self.started[-1]
 
 
@@ -64,18 +67,19 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Folder]:
                 os.kill(process.pid, signal.SIGKILL)
 
 
-def test_a_process_is_found_by_its_bundle_until_it_is_killed(folder: Folder) -> None:
+def test_a_process_is_found_by_host_and_bundle_until_it_is_killed(folder: Folder) -> None:
     async def story() -> None:
         process = folder.start(OLD)
         assert folder.processes.is_alive(process)
         assert not folder.processes.is_alive(ProcessId(process.pid, process.started + 1))
         later = folder.next_service()
-        assert later.find(OLD) == process
-        assert later.find(NEW) is None
-        assert LocalProcesses("bravo", folder.bundle, [], folder.path / "host.result").find(OLD) is None
+        assert later.find() == HostProcess(OLD, process)
+        result = folder.path / "host.result"
+        assert LocalProcesses("bravo", folder.bundle, [], result).find() is None
+        assert LocalProcesses("alpha", lambda digest: Path("x", digest.hex()), [], result).find() is None
         os.kill(process.pid, signal.SIGKILL)
         assert await folder.processes.ended(process) == HostEnd(-signal.SIGKILL)
-        assert later.find(OLD) is None
+        assert later.find() is None
         assert not later.is_alive(process)
 
     asyncio.run(story())
@@ -108,6 +112,30 @@ def test_the_next_service_reads_the_result(folder: Folder) -> None:
         await folder.processes.ended(process)
 
     asyncio.run(story())
+
+
+def test_the_result_of_a_host_is_read_also_when_its_file_was_deleted(folder: Folder) -> None:
+    async def story() -> None:
+        process = folder.start(OLD)
+        later = folder.next_service()
+        (folder.path / "host.result").unlink()
+        assert later.find() == HostProcess(OLD, process)
+        descriptor = _result_descriptor(process.pid)
+        descriptor.write_bytes(b'{"status":130,"reason":"stopped"}')
+        waiting = asyncio.create_task(later.ended(process))
+        await asyncio.sleep(0)
+        os.kill(process.pid, signal.SIGKILL)
+        assert await waiting == HostEnd(130, "stopped")
+        await folder.processes.ended(process)
+
+    asyncio.run(story())
+
+
+def _result_descriptor(pid: int) -> Path:
+    """The file of the result of a process, which has no name any more."""
+    words = Path(f"/proc/{pid}/cmdline").read_text().split("\0")
+    (number,) = [word.partition("=")[2] for word in words if word.startswith("--result-fd=")]
+    return Path(f"/proc/{pid}/fd/{number}")
 
 
 def test_what_cannot_be_started_is_an_error_of_the_service(

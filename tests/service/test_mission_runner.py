@@ -186,10 +186,35 @@ def test_a_host_whose_number_was_not_stored_is_found() -> None:
         assert computer.runner.is_running
         assert computer.disk == run_of(OLD, 101)
         computer.runner.detach()
-        computer.disk = run_of(NEW)
+        computer.processes.end(0)
+        computer.disk = run_of(OLD)
         computer.boot()
         computer.runner.adopt()
         assert computer.runner.info.phase == "interrupted"
+        assert computer.disk == RunRecord()
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize(
+    "record",
+    [RunRecord(), run_of(NEW, 55), run_of(NEW, 55, "an earlier boot")],
+    ids=["deleted", "of a backup", "of an earlier boot"],
+)
+def test_a_host_that_is_not_recorded_is_adopted_and_no_other_one_starts(record: RunRecord) -> None:
+    async def story() -> None:
+        computer = Computer()
+        await computer.runner.start(OLD)
+        computer.runner.detach()
+        computer.disk = record
+        computer.boot()
+        computer.runner.adopt()
+        await asyncio.sleep(SOON)
+        assert computer.disk == run_of(OLD, 101)
+        assert (computer.runner.info.phase, computer.runner.info.bundle) == ("running", OLD)
+        await computer.runner.stop("stopped by anna")
+        assert computer.processes.started == [OLD]
+        assert not computer.processes.alive
         assert computer.disk == RunRecord()
 
     run_jumping(story())
@@ -202,6 +227,7 @@ def test_another_boot_interrupts_the_mission() -> None:
         computer.runner.detach()
         computer.processes.boot = "second boot"
         # Another process has the same number now.
+        computer.processes.alive[101] = b""
         computer.boot()
         computer.runner.adopt()
         await asyncio.sleep(SOON)
@@ -245,7 +271,7 @@ def test_a_stop_while_a_restart_is_waiting_cancels_it(status: int) -> None:
         assert computer.processes.started == [OLD]
         assert computer.runner.info.phase == "stopped"
         assert computer.disk.bundle == b""
-        # Whatever it flew when it was killed may still fly.
+        # A vehicle that it flew when it was killed may still fly.
         assert bool(computer.disk.unsafe) is (status < 0)
 
     run_jumping(story())

@@ -1,8 +1,9 @@
-"""The service of one robot: votes, what binds it, full disks, and kills between any two saves."""
+"""The service of one robot: its votes, and what they bind."""
 
 from __future__ import annotations
 
 import asyncio
+from hashlib import sha256
 
 import pytest
 from service_fakes import (
@@ -11,26 +12,24 @@ from service_fakes import (
     OLD,
     WALKER,
     Robot,
-    ServiceKilled,
     ballot,
     run_of,
     unreachable,
 )
 
-from lfield.errors import OutputFileError, WireError
-from lfield.service.ballots import ActivationState, propose
+from lfield.errors import WireError
+from lfield.service.ballots import ActivationState
 from lfield.service.bundle_store import ServiceRecord
-from lfield.service.mission_runner import ProcessId
 from lfield.service.restart_policy import RESTART_DELAY
-from lfield.service.service import CLOSE_AFTER, REPORT_EVERY, RESOLVE_EVERY
+from lfield.service.service import RESOLVE_EVERY
 from lfield.simulate.jumping_loop import run_jumping
 from lfield.wire.service_messages import (
-    BallotState,
     MissionCommand,
     ServiceQuery,
     ServiceStatus,
+    StageRequest,
+    StageResult,
     Vote,
-    VoteQuery,
     VoteReport,
 )
 
@@ -47,15 +46,17 @@ async def running(robot: Robot) -> None:
 # --- votes ---------------------------------------------------------------------------------------------
 
 
-def test_it_votes_yes_when_all_is_at_rest_and_pauses_its_host() -> None:
+def test_it_votes_yes_when_all_is_at_rest_and_holds_its_host() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
         answer = await robot.propose()
         assert (answer.votes, answer.outcome) == ({"alpha": "yes"}, "open")
         assert robot.files.record.activation.ballot == answer
-        assert robot.probe.paused
+        assert robot.probe.held
         assert robot.files.record.held
+        # The proposed bundle, and the running one, whose coordinators must have ended.
+        assert robot.verifications == 2
 
     run_jumping(story())
 
@@ -88,7 +89,7 @@ def test_it_votes_no_with_a_reason(why: str) -> None:
         assert answer.votes == {"alpha": "no"}
         assert answer.outcome == "aborted"
         assert answer.reasons["alpha"]
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert robot.files.record.activation.open_ballot is None
         status = await robot.service.answer(ServiceQuery(), "anna")
         assert isinstance(status, ServiceStatus)
@@ -108,13 +109,13 @@ def test_a_vehicle_that_takes_off_before_the_pause_is_noticed() -> None:
         robot.probe.on_hold = take_off
         answer = await robot.propose()
         assert answer.votes == {"alpha": "no"}
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
 
     run_jumping(story())
 
 
-def test_a_host_that_cannot_be_paused_votes_no_and_is_resumed_later() -> None:
+def test_a_host_that_cannot_be_held_votes_no_and_is_released_later() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
@@ -122,10 +123,10 @@ def test_a_host_that_cannot_be_paused_votes_no_and_is_resumed_later() -> None:
         task = asyncio.create_task(robot.service.resolve(unreachable))
         assert (await robot.propose()).votes == {"alpha": "no"}
         assert robot.files.record.held
-        # The pause was received after all.
-        robot.probe.paused, robot.probe.release_trouble = True, ""
+        # The hold was received after all.
+        robot.probe.held, robot.probe.release_trouble = ballot().id, ""
         await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
         task.cancel()
 
@@ -153,7 +154,7 @@ def test_a_query_that_closes_the_ballot_while_the_host_is_paused_for_it() -> Non
         assert closed.votes == {"alpha": "no"}
         answer = await asking
         assert answer.votes == {"alpha": "no"}
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
 
     run_jumping(story())
@@ -166,7 +167,7 @@ def test_two_proposals_at_once_get_one_yes() -> None:
         answers = await asyncio.gather(robot.propose(ballot(1)), robot.propose(ballot(2, OLD)))
         assert [answer.votes["alpha"] for answer in answers] == ["yes", "no"]
         assert answers[1].reasons["alpha"]
-        assert robot.probe.paused
+        assert robot.probe.held
 
     run_jumping(story())
 
@@ -179,9 +180,25 @@ def test_activating_the_active_bundle_changes_nothing() -> None:
         await robot.propose(ballot(digest=OLD))
         await robot.service.answer(VoteReport(ballot().id, YES), "anna")
         assert robot.runner.is_running
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert robot.service.activation.active == OLD
         assert robot.service.activation.previous == b""
+
+    run_jumping(story())
+
+
+def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        file = sha256(b"new").digest()
+        for _ in range(2):
+            answer = await robot.service.answer(StageRequest(NEW, file), "anna")
+            assert answer == StageResult(NEW)
+        # Another file of the same bundle, with another signature, is not stored.
+        other = await robot.service.answer(StageRequest(NEW, bytes(32)), "anna")
+        assert isinstance(other, StageResult)
+        assert other.trouble
 
     run_jumping(story())
 
@@ -216,7 +233,7 @@ def test_after_an_abort_the_host_is_resumed() -> None:
         await robot.propose()
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
         assert robot.runner.is_running
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
         robot.processes.end(-11)
         await asyncio.sleep(SOON)
@@ -225,21 +242,40 @@ def test_after_an_abort_the_host_is_resumed() -> None:
     run_jumping(story())
 
 
-def test_a_pause_of_a_person_stays_after_an_abort() -> None:
+@pytest.mark.parametrize("moment", ["before", "after"])
+def test_a_pause_of_a_person_stays_after_an_abort(moment: str) -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
-        robot.probe.paused = True
+        robot.probe.paused = moment == "before"
         await robot.propose()
+        assert robot.probe.held == ballot().id
+        robot.probe.paused = True
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert robot.probe.paused
+        assert (robot.probe.paused, robot.probe.held) == (True, b"")
 
     run_jumping(story())
 
 
-def test_a_host_that_crashed_while_paused_is_resumed_when_it_runs_again() -> None:
-    """A pause is in the journal of the host: it starts paused."""
+def test_a_host_that_is_restarted_during_the_vote_votes_no() -> None:
+    """The new process is not held."""
 
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+
+        def restart() -> None:
+            robot.processes.end(-11)
+
+        robot.probe.on_hold = restart
+        robot.probe.delay = SOON
+        assert (await robot.propose()).votes == {"alpha": "no"}
+        assert robot.processes.started == [OLD, OLD]
+
+    run_jumping(story())
+
+
+def test_a_host_that_crashed_while_held_is_not_held_when_it_runs_again() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
@@ -248,12 +284,42 @@ def test_a_host_that_crashed_while_paused_is_resumed_when_it_runs_again() -> Non
         robot.processes.end(-11)
         await asyncio.sleep(SOON)
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
-        assert robot.files.record.held
         await robot.start()
         await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.probe.paused
+        assert not robot.probe.held
         assert not robot.files.record.held
         task.cancel()
+
+    run_jumping(story())
+
+
+def test_a_host_stays_held_until_it_has_ended_after_an_activation() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        robot.processes.obeys = False
+        ending = asyncio.create_task(robot.service.on_votes(ballot().id, {"bravo": "yes"}))
+        await asyncio.sleep(30.0)
+        assert robot.processes.terminated == [101]
+        assert robot.probe.held
+        robot.processes.end(0)
+        await ending
+        assert not robot.files.record.held
+
+    run_jumping(story())
+
+
+def test_a_service_whose_state_was_deleted_releases_a_host_that_is_held() -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        await robot.propose()
+        robot.kill_service()
+        robot.files.record = ServiceRecord()
+        robot.boot_service()
+        await robot.service.settle()
+        assert not robot.probe.held
 
     run_jumping(story())
 
@@ -267,8 +333,7 @@ def test_an_activation_ends_the_host_of_another_bundle() -> None:
         assert robot.service.activation.active == NEW
         assert robot.processes.terminated == [101]
         assert not robot.runner.is_running
-        # The journal of the next host has no pause.
-        assert not robot.probe.paused
+        assert not robot.files.record.held
         await robot.start()
         assert robot.processes.started == [OLD, NEW]
 
@@ -307,6 +372,17 @@ def test_a_start_names_the_bundle_that_must_be_active() -> None:
     run_jumping(story())
 
 
+def test_a_start_without_a_host_that_the_mission_does_not_have_starts_nothing() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        result = await robot.command(MissionCommand("start", OLD, without=["carol"]))
+        assert (bool(result.trouble), result.run.phase) == (True, "stopped")
+        assert robot.processes.started == []
+
+    run_jumping(story())
+
+
 def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_vehicles_rest() -> None:
     async def story() -> None:
         robot = Robot()
@@ -341,240 +417,22 @@ def test_a_stop_with_discard_ends_what_is_parked() -> None:
     run_jumping(story())
 
 
-# --- ballots without a decision ------------------------------------------------------------------------
-
-
-class Bravo:
-    """The service of the other host."""
-
-    def __init__(self) -> None:
-        self.queries: list[VoteQuery] = []
-        self.state = ActivationState()
-
-    async def ask(self, host: str, query: VoteQuery) -> BallotState:
-        self.queries.append(query)
-        assert host == "bravo"
-        vote: dict[str, Vote] = {"bravo": "no" if query.closes else "yes"}
-        return BallotState(query.id, None, vote if query.closes or self.state.ballot else {}, {}, "open")
-
-
-def test_a_bound_host_asks_the_others_until_it_knows_the_result() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await asyncio.sleep(3 * RESOLVE_EVERY)
-        assert robot.service.activation.open_ballot is not None
-        bravo.state = propose(bravo.state, "bravo", ballot(), "")
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.active == NEW
-        assert not any(query.closes for query in bravo.queries)
-        asked = len(bravo.queries)
-        await asyncio.sleep(CLOSE_AFTER)
-        assert len(bravo.queries) == asked
-        task.cancel()
-
-    run_jumping(story())
-
-
-def test_it_closes_a_ballot_after_half_a_minute() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await asyncio.sleep(CLOSE_AFTER + 2 * RESOLVE_EVERY)
-        assert bravo.queries[-1].closes
-        assert robot.service.activation.open_ballot is None
-        assert robot.service.activation.active == OLD
-        assert not robot.probe.paused
-        assert "service-ballot-open" in robot.codes
-        task.cancel()
-
-    run_jumping(story())
-
-
-def test_an_open_ballot_is_named_in_the_log_every_few_minutes() -> None:
+def test_a_service_whose_state_was_deleted_leaves_its_host_alone_and_votes_no() -> None:
     async def story() -> None:
         robot = Robot()
         await running(robot)
-        await robot.propose()
-        task = asyncio.create_task(robot.service.resolve(unreachable))
-        await asyncio.sleep(CLOSE_AFTER + 2 * REPORT_EVERY - 10.0)
-        assert robot.codes.count("service-ballot-open") == 2
-        await asyncio.sleep(REPORT_EVERY)
-        assert robot.codes.count("service-ballot-open") == 3
-        task.cancel()
-
-    run_jumping(story())
-
-
-def test_a_service_that_was_restarted_still_asks() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
         robot.kill_service()
+        robot.files.record = ServiceRecord()
+        robot.probe.motion = "its vehicles are unknown"
         robot.boot_service()
-        await robot.service.settle()
-        assert robot.probe.paused
-        bravo.state = propose(bravo.state, "bravo", ballot(), "")
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.active == NEW
-        assert not robot.runner.is_running
-        task.cancel()
-
-    run_jumping(story())
-
-
-# --- full disks ----------------------------------------------------------------------------------------
-
-
-def test_a_full_disk_before_the_vote_changes_nothing() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        before = robot.files.record
-        robot.files.is_full = True
-        with pytest.raises(OutputFileError):
-            await robot.propose()
-        assert robot.files.record == before
-        assert robot.service.activation == before.activation
-        assert not robot.probe.paused
-        assert (await robot.query(ballot().id)).votes == {}
-        with pytest.raises(OutputFileError):
-            await robot.query(ballot().id, closes=True)
-        assert (await robot.query(ballot().id)).votes == {}
-        robot.files.is_full = False
-        assert (await robot.propose()).votes == {"alpha": "yes"}
-
-    run_jumping(story())
-
-
-def test_a_disk_that_fills_while_the_host_is_paused_for_a_vote() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-
-        def fill() -> None:
-            robot.files.is_full = True
-
-        robot.probe.on_hold = fill
-        with pytest.raises(OutputFileError):
-            await robot.propose()
-        assert (await robot.query(ballot().id)).votes == {}
-        assert not robot.probe.paused
         task = asyncio.create_task(robot.service.resolve(unreachable))
         await asyncio.sleep(2 * RESOLVE_EVERY)
-        robot.files.is_full = False
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert not robot.files.record.held
-        assert not task.done()
+        assert robot.processes.alive == {101: OLD}
+        answer = await robot.propose()
+        assert (answer.votes, answer.reasons) == ({"alpha": "no"}, {"alpha": "its vehicles are unknown"})
+        await robot.command(MissionCommand("stop"))
+        assert not robot.processes.alive
+        assert (await robot.propose(ballot(2))).votes == {"alpha": "yes"}
         task.cancel()
-
-    run_jumping(story())
-
-
-def test_a_disk_that_is_full_after_the_vote_delays_the_result() -> None:
-    async def story() -> None:
-        robot, bravo = Robot(), Bravo()
-        await running(robot)
-        await robot.propose()
-        robot.files.is_full = True
-        with pytest.raises(OutputFileError):
-            await robot.service.answer(VoteReport(ballot().id, YES), "anna")
-        assert robot.service.activation.open_ballot is not None
-        assert robot.probe.paused
-        task = asyncio.create_task(robot.service.resolve(bravo.ask))
-        bravo.state = propose(bravo.state, "bravo", ballot(), "")
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.open_ballot is not None
-        robot.files.is_full = False
-        await asyncio.sleep(2 * RESOLVE_EVERY)
-        assert robot.service.activation.active == NEW
-        assert not robot.runner.is_running
-        task.cancel()
-
-    run_jumping(story())
-
-
-# --- kills ---------------------------------------------------------------------------------------------
-
-
-async def push_and_start(robot: Robot, *, activates: bool) -> None:
-    """A whole push, and the start of what is active then."""
-    await robot.start()
-    await robot.propose()
-    await robot.service.on_votes(ballot().id, {"bravo": "yes" if activates else "no"})
-    await robot.command(MissionCommand("stop"))
-    await robot.start()
-
-
-async def saves_of(*, activates: bool) -> int:
-    robot = Robot()
-    robot.boot_service()
-    await push_and_start(robot, activates=activates)
-    return robot.files.saves
-
-
-@pytest.mark.parametrize("activates", [True, False], ids=["activated", "aborted"])
-def test_a_kill_before_and_after_each_save_leaves_one_consistent_state(activates: bool) -> None:
-    async def killed_at(moment: float) -> None:
-        robot = Robot()
-        robot.boot_service()
-
-        def kill(at: float) -> None:
-            if at == moment:
-                raise ServiceKilled
-
-        robot.files.on_save = kill
-        with pytest.raises(ServiceKilled):
-            await push_and_start(robot, activates=activates)
-        robot.files.on_save = lambda at: None
-        robot.kill_service()
-        voted = robot.files.record.activation.open_ballot is not None
-        alive = dict(robot.processes.alive)
-        robot.boot_service()
-        # A host that runs is supervised again, whenever the service ended.
-        assert robot.runner.is_running is bool(alive)
-        await robot.service.settle()
-        assert robot.probe.paused is (voted and bool(alive)), moment
-        assert robot.files.record.held is voted or not alive
-        await robot.propose()
-        await robot.service.on_votes(ballot().id, {"bravo": "yes" if activates else "no"})
-        assert robot.service.activation.open_ballot is None
-        assert robot.service.activation.active == (NEW if activates else OLD)
-        await robot.service.settle()
-        assert set(robot.processes.alive.values()) <= {robot.service.activation.active}
-        assert len(robot.processes.alive) <= 1
-        await robot.start()
-        await robot.service.settle()
-        assert list(robot.processes.alive.values()) == [robot.service.activation.active]
-        assert not robot.probe.paused
-        assert not robot.files.record.held
-
-    async def story() -> None:
-        saves = await saves_of(activates=activates)
-        assert saves > 5
-        for save in range(1, saves + 1):
-            for after in (0.0, 0.5):
-                await killed_at(save + after)
-
-    run_jumping(story())
-
-
-def test_the_record_of_a_process_identifies_it_also_after_its_number_was_used_again() -> None:
-    async def story() -> None:
-        robot = Robot()
-        await running(robot)
-        assert not robot.processes.is_alive(ProcessId(101, 1))
-        robot.kill_service()
-        robot.files.record = ServiceRecord(ActivationState(active=OLD), run_of(OLD, 101))
-        robot.processes.end(0)
-        robot.boot_service()
-        await asyncio.sleep(SOON)
-        assert not robot.runner.is_running
 
     run_jumping(story())

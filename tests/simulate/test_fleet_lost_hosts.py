@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from lfield.host.inputs import HostExited
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet
 
@@ -134,7 +135,7 @@ def test_a_host_that_has_ended_for_certain_is_not_waited_for(tmp_path):
     fleet.run(4.0)
     fleet.crash("bravo")
     alpha = fleet.lives["alpha"]
-    alpha.process.loop.enter(lambda: alpha.host.on_host_exited("bravo"))
+    alpha.process.loop.enter(lambda: alpha.host.dispatch(HostExited("bravo")))
     fleet.run(10.0)
     (asked, _), (threw, why) = said(fleet, "asks"), said(fleet, "threw")
     assert threw - asked < 0.1

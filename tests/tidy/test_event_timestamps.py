@@ -21,6 +21,9 @@ ALLOWED = {
     "host/host.py": "lends the clock to the heartbeats of links",
     "host/migration/delayed_acks.py": "timestamps of acknowledgements",
     "host/migration/effect_executor.py": "timestamps of transfers and their answers",
+    "host/recording/core_snapshot.py": "leaves the clock out of snapshots",
+    "host/recording/flight_recorder.py": "records the state of the clock",
+    "host/recording/recording_session.py": "records the state of the clock",
     "host/subscriptions/subscription_server.py": "timestamps of telemetry",
     "host/team/coordinators.py": "timestamps of transfers that arrive",
     "hybrid_clock.py": "the clock itself",
@@ -31,6 +34,7 @@ ALLOWED = {
     "operator/team_model/team_view.py": "the order of log lines",
     "operator/dashboard/timeline/event_timeline.py": "the order of events",
     "cli/views/event_view.py": "shows the timestamp",
+    "replay/host_replay.py": "restores the recorded state of the clock",
     "wire/events.py": "the timestamp of an event",
 }
 

@@ -6,7 +6,7 @@ import asyncio
 import math
 from collections.abc import Callable
 
-from lfield.driver import DeviceError
+from lfield.driver import DeviceError, WireLog
 from lfield.driver.network import Attempts
 from lfield_can import log_messages
 from lfield_can.bus.connection import open_connection
@@ -23,12 +23,21 @@ STEADY = 2.0
 
 
 class Bus:
-    """One CAN bus. `on_frame` gets every data frame, `note` a sentence for the log."""
+    """One CAN bus. `on_frame` gets every data frame, `note` a sentence for the log; all frames are in
+    `wire_log`.
+    """
 
-    def __init__(self, endpoint: str, on_frame: Callable[[Frame], None], note: Callable[[str], None]) -> None:
+    def __init__(
+        self,
+        endpoint: str,
+        on_frame: Callable[[Frame], None],
+        note: Callable[[str], None],
+        wire_log: WireLog | None = None,
+    ) -> None:
         self.errors = 0
-        self._place = parse_endpoint(endpoint)
-        self._listener = Listener(on_frame, self._on_error, self._lost)
+        self._place, self._wire_log = parse_endpoint(endpoint), wire_log
+        self._channel, self._on_frame = self._place.channel, on_frame
+        self._listener = Listener(self._received, self._on_error, self._lost)
         self._note = note
         self._interface: Interface | None = None
         self._reopening: asyncio.Task[None] | None = None
@@ -57,12 +66,25 @@ class Bus:
         reason = await self._interface.send(frame)
         if reason:
             raise self._error(f"a frame could not be sent: {reason}")
+        self._log_frame(frame, is_sent=True)
 
     def post(self, frame: Frame) -> None:
         """Sends a frame without waiting; it may be dropped, for frames that are repeated."""
         interface = self._interface
         if interface is not None:
             interface.post(frame)
+            self._log_frame(frame, is_sent=True)
+
+    def _received(self, frame: Frame) -> None:
+        self._log_frame(frame, is_sent=False)
+        self._on_frame(frame)
+
+    def _log_frame(self, frame: Frame, *, is_sent: bool) -> None:
+        """Logs a frame: a received one when the loop reads it, one of `post` when it is queued."""
+        if self._wire_log is None:
+            return
+        identifier, data, extended, fd = frame
+        self._wire_log.log_can(self._channel, identifier, data, extended=extended, fd=fd, is_sent=is_sent)
 
     @property
     def malformed(self) -> int:
@@ -75,6 +97,8 @@ class Bus:
 
     def _on_error(self, identifier: int, data: bytes) -> None:
         """An error frame."""
+        if self._wire_log is not None:
+            self._wire_log.log_can_error(self._channel, identifier, data)
         self.errors += 1
         reason = error_text(identifier, data)
         if identifier & BUS_OFF or (self._interface is not None and self._interface.is_off):

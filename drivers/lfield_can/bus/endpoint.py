@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from urllib.parse import parse_qsl
 
 from lfield.driver import DeviceError
+from lfield.driver.recording.wire_formats import channel_name
 
 SYNTAX = (
     "INTERFACE:CHANNEL[?key=value&...], as in socketcan:can0, slcan:/dev/ttyACM0@115200?bitrate=500000 "
@@ -41,6 +42,11 @@ class Endpoint:
     arguments: Mapping[str, Value]
     tty: str = ""
     server: tuple[str, int] | None = field(default=None)
+
+    @property
+    def channel(self) -> str:
+        """The name of the bus in a log."""
+        return channel_name(str(self.arguments.get("channel", "")))
 
 
 def parse_endpoint(text: str) -> Endpoint:

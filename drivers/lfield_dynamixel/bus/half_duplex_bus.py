@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from itertools import count
 from typing import Protocol
 
+from lfield.driver import WireLog
 from lfield.driver.serial import PortEvents
 from lfield_dynamixel.bus.packets import AnyProtocol, EchoFilter, Reader, Status, harmless
 
@@ -79,7 +80,7 @@ class Exchange:
 
 
 class Bus:
-    """The exchanges on one port. `on_lost` and `on_back` report its loss and return."""
+    """The exchanges on one port, logged in `wire_log`. `on_lost` and `on_back` report its loss and return."""
 
     def __init__(
         self,
@@ -87,8 +88,9 @@ class Bus:
         on_lost: Callable[[str], None],
         on_back: Callable[[], None],
         on_echo: Callable[[], None] = lambda: None,
+        wire_log: WireLog | None = None,
     ) -> None:
-        self._make_port = make_port
+        self._make_port, self._wire_log = make_port, wire_log
         self._port: Port | None = None
         self._on_lost, self._on_back, self._on_echo = on_lost, on_back, on_echo
         self._waiting: list[tuple[int, int, Exchange]] = []
@@ -188,6 +190,8 @@ class Bus:
 
     def received(self, data: bytes) -> None:
         """Bytes from the port; outside an exchange they are ignored."""
+        if self._wire_log is not None:
+            self._wire_log.log_bytes(data, is_sent=False)
         if self._echo is not None and self._echoes:
             data = self._echo.strip(data)
         current = self._current
@@ -230,6 +234,8 @@ class Bus:
             if self._echo is not None:
                 self._echo.on_sent(exchange.packet)
             exchange.sent = self._port is not None and self._port.write(exchange.packet)
+            if exchange.sent and self._wire_log is not None:
+                self._wire_log.log_bytes(exchange.packet, is_sent=True)
             # A port that fails in the write has ended this exchange already.
             if self._current is exchange:
                 self._timer = asyncio.get_running_loop().call_later(

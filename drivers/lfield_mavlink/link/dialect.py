@@ -75,15 +75,22 @@ def _nothing_is_spare(_: Header) -> bool:
     return False
 
 
+def _ignore_packet(_: bytes) -> None:
+    """Packets that nothing logs."""
+
+
 class Reader:
     """Parses the bytes of a link; broken packets and unknown messages are skipped.
 
-    `broken` counts damaged packets. With `signing`, packets without a valid signature are skipped too, and
-    counted there.
+    `broken` counts damaged packets. `on_packet` gets each packet, also one that is not decoded or has a
+    refused signature. With `signing`, packets without a valid signature are skipped too, and counted there.
     """
 
-    def __init__(self, signing: LinkSigning | None = None) -> None:
+    def __init__(
+        self, signing: LinkSigning | None = None, on_packet: Callable[[bytes], None] = _ignore_packet
+    ) -> None:
         self._parser: Any = dialect.MAVLink(None)
+        self._on_packet = on_packet
         # Without it, one wrong checksum raises.
         self._parser.robust_parsing = True
         self._signed = signing is not None
@@ -98,6 +105,7 @@ class Reader:
         """
         if not self._is_plain(data):
             return self._parsed(data)
+        self._on_packet(data)
         header = Header(data[5], data[6], data[7] | data[8] << 8 | data[9] << 16, data[4])
         layout = _LAYOUTS.get(header.kind)
         if layout is None or is_spare(header):
@@ -122,7 +130,10 @@ class Reader:
         for message in parser.parse_buffer(data) or ():
             if isinstance(message, dialect.MAVLink_bad_data):
                 self.broken += message.reason != _REFUSED
-            elif not isinstance(message, dialect.MAVLink_unknown):
+                if message.reason != _REFUSED:
+                    continue
+            self._on_packet(bytes(message.get_msgbuf()))
+            if not isinstance(message, dialect.MAVLink_unknown | dialect.MAVLink_bad_data):
                 messages.append(message)
         if parser.buf_index > _MAX_BUFFER:
             parser.buf = parser.buf[parser.buf_index :]

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from lfield.driver import WireLog
 from lfield_mavlink.link.dialect import Reader, Writer, dialect
 from lfield_mavlink.link.links import Link
 from lfield_mavlink.link.signing import LinkSigning, Signing
@@ -31,16 +32,18 @@ _LEADS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Port:
-    """One link with its reader and writer."""
+    """One link with its reader and writer, and the log of what it sends."""
 
     link: Link
     reader: Reader
     writer: Writer
     signing: LinkSigning | None
+    wire_log: WireLog
 
     def send(self, message: Any, station: int, address: str = "") -> None:
         """Sends one message as a packet of a station, to an address behind the link, or ('') to all."""
         data = self.writer.pack(message, station)
+        self.wire_log.log_mavlink(data)
         if address:
             self.link.send_to(data, address)
         else:

@@ -18,7 +18,11 @@ class GpsDriver(Driver):
 
     def _set_up(self) -> None:
         self._line = SerialLine(
-            self.endpoint, Lines(b"\n", longest=LONGEST), on_frame=self._sentence, note=self._note
+            self.endpoint,
+            Lines(b"\n", longest=LONGEST),
+            on_frame=self._sentence,
+            note=self._note,
+            wire_log=self.wire_log,
         )
 
     def _device(self, binding: DeviceBinding) -> GpsDevice:

@@ -1,4 +1,5 @@
-"""`lfield test`: run the tests of missions in virtual time and draw the tracks."""
+"""`lfield test`: run the tests of missions in virtual time and draw the tracks; or check a program against a
+recording."""
 
 from __future__ import annotations
 
@@ -22,6 +23,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """What to test, and where pictures go."""
     parser.add_argument("paths", nargs="*", metavar="PATH", help="test files or directories (default: .)")
     parser.add_argument(
+        "--from",
+        dest="recording",
+        metavar="RECORDING",
+        type=Path,
+        help="test whether the program of a deployment (PATH; default: that of the recording) still makes "
+        "the recorded portal and device calls, with the recorded answers of devices",
+    )
+    parser.add_argument(
         "-k", default="", metavar="WORDS", help="run only tests whose names match, as in pytest"
     )
     parser.add_argument("-x", action="store_true", help="stop after the first failure")
@@ -39,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run pytest with `lfield.testing.plugin`. Raises PluginError where pytest is not installed."""
+    if args.recording is not None:
+        return _run_on_recording(args)
     try:
         from lfield.cli.development.pytest_run import run_pytest
     except ImportError:
@@ -50,3 +61,14 @@ def run(args: argparse.Namespace) -> int:
     # It has colours of its own.
     sys.stdout, sys.stderr = unescaped_stream(sys.stdout), unescaped_stream(sys.stderr)
     return _STATUSES[run_pytest([*options, *args.paths])]
+
+
+def _run_on_recording(args: argparse.Namespace) -> int:
+    """Check the program of a deployment against a recording."""
+    from lfield.cli.recordings.program_check import check_program, named_mission_file
+    from lfield.cli.recordings.replay import named_engine
+    from lfield.replay.recording_files import load_team
+
+    recording = load_team([args.recording])
+    path = named_mission_file(recording, args.paths)
+    return check_program(recording, path, named_engine("reference"), as_json=False, quiet=args.q)

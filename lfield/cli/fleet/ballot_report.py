@@ -84,14 +84,13 @@ class PushReport:
                     self._print(f"{host}: votes no: {reason}", error=True)
                 self.finish("aborted", result.unreached, "nothing was activated: all hosts have to agree")
                 return exit_status.FAILED
-        missing = [host for host in hosts if host not in result.votes]
         for host, error in result.unreached.items():
             self._print(f"{host}: no vote: {error}", error=True)
         self.finish(
             "open",
             result.unreached,
-            f"not decided: the votes of {listed(missing)} are unknown. The other hosts start nothing until "
-            "they know these votes; 'lfield status' shows the result",
+            f"no result yet: the votes of {listed(result.missing)} are unknown. The other hosts start "
+            "nothing until they know these votes; 'lfield status' shows the result",
         )
         return exit_status.UNKNOWN_OUTCOME
 

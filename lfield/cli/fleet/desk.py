@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
+from lfield import exit_status
 from lfield.cli.mission_argument import add_inventory
 from lfield.errors import HandshakeError, KeysError, LfieldError, UsageError
 from lfield.text.suggestions import did_you_mean, listed
@@ -160,10 +161,26 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
     return FleetDesk(inventory, keys, presented_crl(keys))
 
 
+def failure_status(errors: Mapping[str, LfieldError]) -> int:
+    """The exit status for hosts that have not carried out a request: 69 if one was not reached.
+
+    Else 1 if one has refused it: the same request would be refused again. 0 without errors.
+    """
+    if not errors:
+        return exit_status.DONE
+    is_refused = all(map(_is_refusal, errors.values()))
+    return exit_status.FAILED if is_refused else exit_status.UNAVAILABLE
+
+
+def _is_refusal(error: LfieldError) -> bool:
+    """Whether the host was reached, and has refused the peer or its request."""
+    return isinstance(error, HandshakeError) and not error.answered_by
+
+
 def report_unreached(errors: Mapping[str, LfieldError], consequence: str) -> None:
     """A line on stderr for each host that did not answer, or has refused the request."""
     for host, error in errors.items():
-        what = "REFUSED" if isinstance(error, HandshakeError) else "NOT REACHED"
+        what = "REFUSED" if _is_refusal(error) else "NOT REACHED"
         print(escape_line(f"{host}: {what}{consequence}: {error}"), file=sys.stderr)
 
 

@@ -6,7 +6,7 @@ import argparse
 import asyncio
 import json
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import starmap
 from typing import TYPE_CHECKING
 
@@ -108,8 +108,10 @@ def _check(hosts: Sequence[InventoryHost], keys: Keys | None, *, as_json: bool) 
         print(json.dumps(data))
     else:
         _print_states(states, has_keys=keys is not None)
-        if missing := [host for host, is_there in reached.items() if not is_there]:
-            print(escape_line(f"lfield: not reached: {listed(missing)}"), file=sys.stderr)
+        for line in _summary(
+            {host: list(each.values()) for host, each in found.items() if not reached[host]}
+        ):
+            print(escape_line(f"lfield: {line}"), file=sys.stderr)
     return exit_status.DONE if all(reached.values()) else exit_status.UNAVAILABLE
 
 
@@ -153,6 +155,23 @@ def _print_states(states: States, *, has_keys: bool) -> None:
         console.print(escape_line(line))
     if not has_keys:
         print("lfield: certificates were not checked: there are no keys of yours here", file=sys.stderr)
+
+
+def _summary(hosts: Mapping[str, Sequence[EndpointState]]) -> Iterator[str]:
+    """Sentences about the hosts that do not answer: another one does, they refuse, or nothing answers."""
+    refused, missing = [], []
+    for host, states in hosts.items():
+        others = dict.fromkeys(state.name for state in states if state.outcome == "other-host")
+        for other in others:
+            yield f"{other} answered at an address of {host}"
+        if any(state.outcome == "refused" for state in states):
+            refused.append(host)
+        elif not others:
+            missing.append(host)
+    if refused:
+        yield f"refused: {listed(refused)}"
+    if missing:
+        yield f"not reached: {listed(missing)}"
 
 
 def _finding(endpoint: Endpoint, state: EndpointState) -> str:

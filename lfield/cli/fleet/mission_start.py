@@ -7,11 +7,11 @@ import json
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import FleetDesk, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import FleetDesk, failure_status, open_desk, report_unreached, split_answers
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -19,6 +19,7 @@ from lfield.wire.fields import short_digest
 
 if TYPE_CHECKING:
     from lfield.errors import LfieldError
+    from lfield.operator.fleet.active_missions import ActiveMission
     from lfield.wire.service_messages import ServiceStatus
 
 #: Seconds in which the hosts should be up and their coordinators started, and between two queries.
@@ -30,33 +31,67 @@ START_TIMEOUT = 30.0
 
 
 def start_on_robots(args: argparse.Namespace) -> int | None:
-    """Start the mission on the robots of the inventory; None without an inventory.
+    """Start the mission whose bundle is active on the robots of the inventory; None without an inventory.
 
-    0 when it runs everywhere; 1 when a host refuses or ends; 69 when one was not reached: then nothing was
-    started, unless it is left out.
+    0 when it runs on all hosts of its deployment; 1 when a host refuses or ends; 69 when one was not reached:
+    then nothing was started, unless it is left out.
     """
     from lfield.inventory.location import find_inventory
+    from lfield.operator.fleet.active_missions import active_missions
 
     if find_inventory(args.inventory, os.environ) is None:
         return None
     desk = open_desk(args)
     desk.addresses(args.without)
-    statuses, failed = split_answers(desk.statuses([host for host in desk.hosts if host not in args.without]))
-    if failed:
-        report_unreached(failed, "")
-        hint = "".join(f" --without {host}" for host in failed)
-        return _report(args, {}, failed, f"nothing was started; to start without them:{hint}")
-    if not statuses:
+    asked = [host for host in desk.hosts if host not in args.without]
+    if not asked:
         raise UsageError("no host is left: --without names all of them")
-    digests = {status.active for status in statuses.values()}
-    if len(digests) > 1:
-        each = [f"{host}: {short_digest(status.active) or 'none'}" for host, status in statuses.items()]
-        return _report(args, {}, {}, f"nothing was started: the active bundles differ ({listed(each)})")
-    digest = next(iter(digests))
-    if others := _runs_of_other_bundles(desk, args.without, digest):
+    statuses, silent = split_answers(desk.statuses(asked))
+    found = active_missions(statuses, args.without)
+    if len(found) != 1:
+        return _report_no_mission(args, statuses, silent, found)
+    mission = found[0]
+    # The other robots of the inventory have no part in it.
+    if failed := {host: error for host, error in silent.items() if host in mission.hosts}:
+        return _report_silent(args, failed)
+    without = [host for host in args.without if host in mission.hosts]
+    if others := _runs_of_other_bundles(desk, without, mission.digest):
         text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
         return _report(args, {}, {}, text)
-    return _start(desk, list(statuses), digest, args)
+    hosts = [host for host in mission.hosts if host in statuses]
+    before = {host: statuses[host] for host in hosts}
+    return _start(desk, before, mission, without, args)
+
+
+def _report_no_mission(
+    args: argparse.Namespace,
+    statuses: Mapping[str, ServiceStatus],
+    silent: Mapping[str, LfieldError],
+    found: Sequence[ActiveMission],
+) -> int:
+    """Print why it is not known which mission to start; returns the exit status."""
+    from lfield.operator.fleet.active_missions import divided_hosts
+
+    if found:
+        each = [f"{one.name or short_digest(one.digest)} on {listed(one.hosts)}" for one in found]
+        text = f"several missions are active ({'; '.join(each)}): --without leaves out hosts of the others"
+        return _report(args, {}, {}, f"nothing was started: {text}")
+    if divided := divided_hosts(statuses):
+        active = [f"{host}: {short_digest(statuses[host].active) or 'none'}" for host in divided]
+        text = f"the active bundles differ ({listed(active)}): 'lfield push' activates one on all of them"
+        return _report(args, {}, {}, f"nothing was started: {text}")
+    if silent:
+        return _report_silent(args, silent)
+    text = (
+        f"nothing was started: no bundle is active on {listed(list(statuses))}: 'lfield push' activates one"
+    )
+    return _report(args, {}, {}, text)
+
+
+def _report_silent(args: argparse.Namespace, failed: Mapping[str, LfieldError]) -> int:
+    report_unreached(failed, "")
+    hint = "".join(f" --without {host}" for host in failed)
+    return _report(args, {}, failed, f"nothing was started; to start without them:{hint}")
 
 
 def _runs_of_other_bundles(desk: FleetDesk, hosts: list[str], digest: bytes) -> list[str]:
@@ -69,15 +104,27 @@ def _runs_of_other_bundles(desk: FleetDesk, hosts: list[str], digest: bytes) -> 
     ]
 
 
-def _start(desk: FleetDesk, hosts: list[str], digest: bytes, args: argparse.Namespace) -> int:
+def _start(
+    desk: FleetDesk,
+    before: Mapping[str, ServiceStatus],
+    mission: ActiveMission,
+    without: list[str],
+    args: argparse.Namespace,
+) -> int:
+    """Start the hosts, whose states `before` are known, and wait until they are up; the exit status."""
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
-    order = MissionCommand("start", digest, without=args.without)
+    hosts, continues, digest = list(before), _suspended(before), mission.digest
+    order = MissionCommand("start", digest, without=without)
     results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
-    report_unreached(failed, ", not started")
+    report_unreached(failed, ", its start is not confirmed")
     refusals = {host: result.trouble for host, result in results.items() if result.trouble}
     if refusals or failed:
-        return _report(args, refusals, failed, "the mission was not started on all hosts")
+        running = [host for host, result in results.items() if result.run.phase in ACTIVE_PHASES]
+        return _report(args, refusals, failed, _partial_start_text(running, list(failed)))
+    if not args.json:
+        for agent in continues:
+            print(escape_line(f"{agent} continues: it has not ended ('lfield stop --discard' would end it)"))
     end = time.monotonic() + SETTLE_TIMEOUT
     while True:
         statuses, failed = split_answers(desk.statuses(hosts))
@@ -87,8 +134,32 @@ def _start(desk: FleetDesk, hosts: list[str], digest: bytes, args: argparse.Name
             break
         time.sleep(POLL_INTERVAL)
     if not waits and not failed:
-        return _report(args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", done=True)
-    return _report(args, waits, failed, "the mission does not run on all hosts yet: 'lfield status' shows it")
+        return _report(
+            args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", continues, done=True
+        )
+    text = "the mission does not run on all hosts yet: 'lfield status' shows it"
+    return _report(args, waits, failed, text, continues)
+
+
+def _suspended(statuses: Mapping[str, ServiceStatus]) -> list[str]:
+    """The coordinators that have not ended on hosts that do not run: a start continues them."""
+    found = [
+        one.agent
+        for status in statuses.values()
+        if status.run.phase not in ACTIVE_PHASES
+        for one in status.unfinished
+    ]
+    return list(dict.fromkeys(found))
+
+
+def _partial_start_text(running: list[str], unknown: list[str]) -> str:
+    """What a start that was not carried out by all hosts has done."""
+    parts = [f"it runs on {listed(running)}"] if running else []
+    parts += [f"it may run on {listed(unknown)}"] if unknown else []
+    if not parts:
+        return "nothing was started"
+    rest = "'lfield status' shows the state, 'lfield stop' ends it"
+    return f"the mission was not started on all hosts: {' and '.join(parts)}; {rest}"
 
 
 def _waiting(status: ServiceStatus) -> str:
@@ -104,17 +175,19 @@ def _report(
     waits: Mapping[str, str],
     failed: Mapping[str, LfieldError],
     text: str,
+    continues: Sequence[str] = (),
     *,
     done: bool = False,
 ) -> int:
     """Print the result; returns the exit status."""
     if args.json:
         errors = {host: error.as_data() for host, error in failed.items()}
-        print(json.dumps({"started": done, "waits": dict(waits), "errors": errors, "text": text}))
+        data = {"started": done, "continues": list(continues), "waits": dict(waits), "errors": errors}
+        print(json.dumps({**data, "text": text}))
     else:
         for host, reason in waits.items():
             print(escape_line(f"{host}: {reason}"), file=sys.stderr)
         print(escape_line(text), file=sys.stdout if done else sys.stderr)
     if failed:
-        return exit_status.UNAVAILABLE
+        return failure_status(failed)
     return exit_status.DONE if done else exit_status.FAILED

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
+from lfield.cli.fleet.desk import open_inventory, require_hosts
 from lfield.errors import UsageError
 
 if TYPE_CHECKING:
@@ -64,8 +65,9 @@ def run(args: argparse.Namespace) -> int:
     from lfield.provision.wheel_cache import WheelCache
     from lfield.text.user_dirs import cache_dir
 
-    inventory = _inventory(args)
-    names = _selected(inventory, args.hosts)
+    inventory = open_inventory(args)
+    require_hosts(inventory, args.hosts)
+    names = list(dict.fromkeys(args.hosts or inventory.hosts))
     keys = _keys(args, names)
     started = time.monotonic()
     cache = WheelCache(cache_dir(), args.wheels)
@@ -117,28 +119,6 @@ def _socket_parent() -> Path:
 
     found = private_runtime_dir("ssh")
     return found if len(os.fsencode(found)) <= _MAX_SOCKET_PARENT else SHARED
-
-
-def _inventory(args: argparse.Namespace) -> Inventory:
-    from lfield.inventory.location import find_inventory
-
-    found = find_inventory(args.inventory, os.environ)
-    if found is None:
-        raise UsageError(
-            "there is no inventory: write ~/.config/lfield/inventory.yaml, or name one with --inventory"
-        )
-    return found
-
-
-def _selected(inventory: Inventory, names: Sequence[str]) -> list[str]:
-    """The hosts of the command line, all if none is named. Raises UsageError."""
-    from lfield.text.suggestions import did_you_mean
-
-    for name in names:
-        if name not in inventory.hosts:
-            hint = did_you_mean(name, list(inventory.hosts))
-            raise UsageError(f"{name} is no host of {inventory.path}" + (f"; {hint}" if hint else ""))
-    return list(dict.fromkeys(names)) or list(inventory.hosts)
 
 
 def _robot(inventory: Inventory, host: InventoryHost) -> Robot:

@@ -14,6 +14,7 @@ from lfield.cli.fleet.desk import (
     add_desk,
     add_without,
     ask_all_services,
+    failure_status,
     open_desk,
     report_unreached,
     split_answers,
@@ -57,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when the bundle is active on all hosts; 1 when one refuses it, 69 when one was not reached.
+    """0 when the bundle is active on all hosts; 1 when one refuses, 69 when one was not reached.
 
     4 when the result of the vote is not known yet.
     """
@@ -99,10 +100,13 @@ async def _push(
         refused = [host for host, progress in sent.items() if progress.refusal]
         if failed or refused:
             report_unreached(failed, "")
-            hint = "".join(f" --without {host}" for host in (*failed, *refused))
-            why = f"nothing was activated; repeat it, or activate without them:{hint}"
+            out = [*failed, *refused]
+            hint = "".join(f" --without {host}" for host in out)
+            # Without all of them there is no mission.
+            rest = f", or activate without them:{hint}" if len(out) < len(hosts) else ""
+            why = f"this push has activated nothing; repeat it{rest}"
             report.finish("staged", failed, why)
-            return exit_status.FAILED if refused else exit_status.UNAVAILABLE
+            return failure_status(failed) if failed else exit_status.FAILED
         if args.stage:
             report.finish("staged", {}, f"stored on {listed(hosts)}, not active")
             return exit_status.DONE

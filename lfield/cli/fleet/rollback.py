@@ -7,13 +7,13 @@ import asyncio
 import json
 from typing import TYPE_CHECKING
 
-from lfield import exit_status
 from lfield.cli.fleet.desk import (
     TIMEOUT,
     FleetDesk,
     add_desk,
     add_without,
     ask_all_services,
+    failure_status,
     open_desk,
     report_unreached,
     split_answers,
@@ -24,8 +24,9 @@ from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import short_digest
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
+    from lfield.errors import LfieldError
     from lfield.wire.service_messages import BallotState, ServiceStatus
 
 
@@ -48,27 +49,54 @@ def run(args: argparse.Namespace) -> int:
     if args.lost:
         return _abort(desk, args)
     hosts = [host for host in desk.hosts if host not in args.without]
+    if not hosts:
+        raise UsageError("no host is left: --without names all of them")
     return asyncio.run(_rollback(desk, hosts, args))
 
 
 async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace) -> int:
     from lfield.cli.fleet.ballot_report import PushReport
     from lfield.cli.fleet.push import vote
+    from lfield.operator.fleet.active_missions import bundle_info
     from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
     links = desk.links(hosts)
     try:
         answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, TIMEOUT)
-        statuses, failed = split_answers(answers)
+        statuses, silent = split_answers(answers)
+        # Only the mission that is active counts, not every robot of the inventory.
+        now = _hosts_of_mission(statuses, silent, args.without)
+        failed = {host: error for host, error in silent.items() if host in now}
+        digest = b"" if failed else _common_previous({host: statuses[host] for host in now})
+        info = bundle_info(statuses, digest) if digest else None
+        # A host that only the previous mission has takes part in the vote.
+        then = [host for host in (info.hosts if info else now) if host not in args.without]
+        failed |= {host: error for host, error in silent.items() if host in then}
         if failed:
             report_unreached(failed, "; nothing was changed")
-            return exit_status.UNAVAILABLE
-        digest = _common_previous(statuses)
+            return failure_status(failed)
+        voting = {host: statuses[host] for host in dict.fromkeys([*now, *then]) if host in statuses}
         report = PushReport(digest, as_json=args.json)
         report.start(f"bundle {short_digest(digest)}")
-        return await vote(desk, links, digest, statuses, args.without, report)
+        without = [host for host in args.without if info is None or host in info.hosts]
+        return await vote(desk, links, digest, voting, without, report)
     finally:
         links.close()
+
+
+def _hosts_of_mission(
+    statuses: Mapping[str, ServiceStatus], silent: Mapping[str, LfieldError], without: Sequence[str]
+) -> list[str]:
+    """The hosts of the active mission that are not left out and in the inventory.
+
+    All hosts with a bundle, and those that do not answer, where it is not known which mission that is.
+    """
+    from lfield.operator.fleet.active_missions import active_missions
+
+    found = active_missions(statuses, without)
+    if len(found) == 1:
+        return [host for host in found[0].hosts if host in statuses or host in silent]
+    return [*(host for host, status in statuses.items() if status.active or status.previous), *silent]
 
 
 def _common_previous(statuses: Mapping[str, ServiceStatus]) -> bytes:
@@ -111,7 +139,7 @@ def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:
         print(json.dumps({"aborted": ended, "errors": errors}))
     elif ended:
         print(escape_line(f"activation aborted on {listed(ended)}"))
-    return exit_status.UNAVAILABLE if failed else exit_status.DONE
+    return failure_status(failed)
 
 
 def _require_unknown_result(

@@ -70,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
             f"{args.host} has no keys: 'lfield provision {args.host}' makes and copies them, or name their "
             "directory with --keys"
         )
-    state = versioned_state(args.state or state_dir(), __version__)
+    # The next service finds a host that runs by the path in its command line.
+    state = versioned_state(args.state or state_dir(), __version__).absolute()
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
     peers = {name: each.service_address for name, each in inventory.hosts.items() if name != args.host}
     files = inventory.path.absolute().parent
@@ -93,8 +94,8 @@ def _check(args: argparse.Namespace) -> int:
     state = versioned_state(args.state or state_dir(), __version__)
     bound = BundleStore(state / "service").load().activation.open_ballot
     if bound is not None:
-        missing = [host for host in bound.ballot.hosts if host not in bound.votes] if bound.ballot else []
-        print(escape_line(f"an activation is not decided: the votes of {listed(missing)} are unknown"))
+        missing = listed(bound.missing)
+        print(escape_line(f"an activation has no result yet: the votes of {missing} are unknown"))
     probe = LocalProbe(args.host, state, lambda: 0, list, SystemClock())
     unfinished = asyncio.run(probe.unfinished())
     for one in unfinished:

@@ -6,8 +6,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from lfield import exit_status
-from lfield.cli.fleet.desk import add_desk, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import add_desk, failure_status, open_desk, report_unreached, split_answers
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -22,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all services answer, 69 otherwise."""
+    """0 when all services answer; 1 when one refuses, 69 when one was not reached."""
     desk = open_desk(args)
     reached, failed = split_answers(desk.statuses(args.hosts or desk.hosts))
     if args.json:
@@ -30,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(reached)
         report_unreached(failed, "")
-    return exit_status.UNAVAILABLE if failed else exit_status.DONE
+    return failure_status(failed)
 
 
 def _as_data(statuses: Mapping[str, ServiceStatus]) -> dict[str, object]:

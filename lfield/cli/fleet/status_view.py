@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from lfield.authority.peer_verification import format_time
 from lfield.cli.views.team_state_view import new_table
+from lfield.operator.fleet.active_missions import divided_hosts
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import short_digest
@@ -39,11 +40,10 @@ def status_table(statuses: Mapping[str, ServiceStatus]) -> Table:
 
 def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
     """Sentences about what is not as usual: why a host waits, an open ballot, unfinished coordinators."""
-    digests = {status.active for status in statuses.values()}
-    if len(digests) > 1:
-        yield (
-            "the active bundles differ, and hosts with different bundles do not link: 'lfield push' "
-            "activates one on all hosts"
+    if divided := divided_hosts(statuses):
+        yield escape_line(
+            f"the active bundles of {listed(divided)} differ, and hosts with different bundles do not link: "
+            "'lfield push' activates one on all hosts of a mission"
         )
     for host, status in statuses.items():
         run = status.run
@@ -70,10 +70,9 @@ def open_ballot_text(state: BallotState) -> str:
     """The sentence about an open ballot."""
     ballot = state.ballot
     assert ballot is not None
-    missing = listed([host for host in ballot.hosts if host not in state.votes])
     return (
-        f"activation of {short_digest(ballot.digest)} by {ballot.by} not decided: the votes of {missing} are "
-        "unknown; no mission starts until they are known"
+        f"activation of {short_digest(ballot.digest)} by {ballot.by} has no result yet: the votes of "
+        f"{listed(state.missing)} are unknown; no mission starts until they are known"
     )
 
 

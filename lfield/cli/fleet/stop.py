@@ -6,8 +6,14 @@ import argparse
 import json
 from typing import TYPE_CHECKING
 
-from lfield import exit_status
-from lfield.cli.fleet.desk import add_desk, add_without, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import (
+    add_desk,
+    add_without,
+    failure_status,
+    open_desk,
+    report_unreached,
+    split_answers,
+)
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -33,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when all hosts have stopped, 69 when one was not reached."""
+    """0 when all hosts have stopped; 1 when one refuses, 69 when one was not reached."""
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
     desk = open_desk(args)
@@ -51,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         _show(stopped)
         report_unreached(failed, ", not stopped" + (", nothing was discarded" if args.discard else ""))
-    return exit_status.UNAVAILABLE if failed else exit_status.DONE
+    return failure_status(failed)
 
 
 def _as_data(stopped: Mapping[str, CommandResult]) -> dict[str, object]:

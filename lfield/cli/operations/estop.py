@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from lfield.wire.observer_messages import EmergencyStopResult
 
     Stopped = Mapping[HostRef, EmergencyStopResult | LfieldError]
+    #: Why devices are not known to be at rest, by host and device.
+    InMotion = Mapping[tuple[HostRef, str], str]
 
 #: Time to come to rest, in seconds, for devices of hosts without a run here: as most bindings say.
 DEFAULT_REST_TIME = 120.0
@@ -44,12 +47,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="exit as soon as all devices have confirmed; do not wait until they are at rest",
     )
+    parser.add_argument(
+        "--json", action="store_true", help="print one JSON object at the end; lines for people go to stderr"
+    )
 
 
 def run(args: argparse.Namespace) -> int:
-    """0 when every device has confirmed and is at rest, else 3; 69 when nothing is running."""
+    """0 when every device has confirmed and is at rest, else 3; 69 when nothing is running.
+
+    A host where no mission runs has nothing to lift.
+    """
     with nonblocking_command_output():
-        return _run(args)
+        if not args.json:
+            return _run(args)[0]
+        with redirect_stdout(sys.stderr):
+            status, data = _run(args)
+        print(json.dumps(data))
+        return status
 
 
 def nonblocking_command_output() -> AbstractContextManager[None]:
@@ -62,7 +76,8 @@ def nonblocking_command_output() -> AbstractContextManager[None]:
     return nonblocking_output("lfield: ", content="output", drain_timeout=None)
 
 
-def _run(args: argparse.Namespace) -> int:
+def _run(args: argparse.Namespace) -> tuple[int, dict[str, object]]:
+    """The exit status, and the answers as JSON data."""
     from lfield.operator.client import emergency_stop
     from lfield.operator.targets import display_names
 
@@ -72,11 +87,14 @@ def _run(args: argparse.Namespace) -> int:
         _print_targets(parties, "lifting" if args.lift else "stopping")
     reason = f"the emergency stop was pressed{': ' if args.reason else ''}{args.reason}"
     goal = "may be released" if args.lift else "safe"
+    request = emergency_stop(reason, lift=args.lift)
     try:
-        replies = ask_and_print(parties, emergency_stop(reason, lift=args.lift), args.keys, names, goal)
+        report = ask_and_print(parties, request, args.keys, names, goal, needs_all=not args.lift)
     except KeyboardInterrupt:
-        return exit_status.UNSAFE
-    return exit_status_of(parties, replies, names, args.keys, waits_for_rest=not (args.lift or args.no_wait))
+        return exit_status.UNSAFE, {}
+    waits_for_rest = not (args.lift or args.no_wait)
+    status, in_motion = exit_status_of(parties, report, names, args.keys, waits_for_rest=waits_for_rest)
+    return status, _report_data(report.answers, names, in_motion if waits_for_rest else None)
 
 
 def _print_targets(parties: Sequence[TargetTeam], doing: str) -> None:
@@ -109,12 +127,15 @@ def ask_and_print(
     keys: Path | None,
     names: Mapping[HostRef, str],
     state: str,
+    *,
+    needs_all: bool = True,
 ) -> StopReport:
     """Send the order and print each answer as it comes; devices are then in the `state`.
 
-    Raises KeyboardInterrupt after it has named the hosts whose answers were not printed.
+    Without `needs_all` the report is complete also without the hosts where no program listens. Raises
+    KeyboardInterrupt after it has named the hosts whose answers were not printed.
     """
-    from lfield.operator.client import ask_in_turn
+    from lfield.operator.client import ask_in_turn, is_reached
 
     answers: dict[HostRef, EmergencyStopResult | LfieldError] = {}
     confirmed = everybody = True
@@ -122,7 +143,11 @@ def ask_and_print(
         for some in ask_in_turn(teams, request, keys):
             confirmed &= _all_confirmed(some, names, state)
             _print_not_persisted(some, names)
-            everybody &= _all_reached(some, names)
+            needed = some
+            if not needs_all:
+                _print_without_mission(some, names)
+                needed = {place: answer for place, answer in some.items() if is_reached(answer)}
+            everybody &= _all_reached(needed, names)
             answers |= some
     except KeyboardInterrupt:
         left = ", ".join(name for place, name in names.items() if place not in answers)
@@ -138,18 +163,18 @@ def exit_status_of(
     keys: Path | None,
     *,
     waits_for_rest: bool,
-) -> int:
-    """The exit status, after the devices came to rest if `waits_for_rest`; 69 when nothing
-    runs.
-    """
+) -> tuple[int, InMotion]:
+    """The exit status, and the devices that are not at rest, if `waits_for_rest`; 69 when nothing runs."""
     from lfield.operator.client import is_reached
 
     if not (teams[0].runs or any(is_reached(answer) for answer in report.answers.values())):
-        return exit_status.UNAVAILABLE
+        return exit_status.UNAVAILABLE, {}
     if not waits_for_rest:
-        return exit_status.DONE if report.is_confirmed and report.is_complete else exit_status.UNSAFE
-    down = watch_safe_states(teams, report.answers, names, keys)
-    return exit_status.most_severe((exit_status.DONE if report.is_complete else exit_status.UNSAFE, down))
+        is_done = report.is_confirmed and report.is_complete
+        return exit_status.DONE if is_done else exit_status.UNSAFE, {}
+    down, in_motion = watch_safe_states(teams, report.answers, names, keys)
+    complete = exit_status.DONE if report.is_complete else exit_status.UNSAFE
+    return exit_status.most_severe((complete, down)), in_motion
 
 
 def _all_reached(answers: Stopped, names: Mapping[HostRef, str]) -> bool:
@@ -159,6 +184,36 @@ def _all_reached(answers: Stopped, names: Mapping[HostRef, str]) -> bool:
     unreached = unanswered_by_name(answers, names)
     print_unanswered(unreached, "NOT REACHED, its devices have not confirmed: ")
     return not unreached
+
+
+def _print_without_mission(answers: Stopped, names: Mapping[HostRef, str]) -> None:
+    """A line for each host where no program listens."""
+    from lfield.operator.client import is_reached
+
+    for place, answer in answers.items():
+        if not is_reached(answer):
+            print(f"{names[place]}: no mission runs there, nothing to lift", flush=True)
+
+
+def _report_data(
+    answers: Stopped, names: Mapping[HostRef, str], in_motion: InMotion | None
+) -> dict[str, object]:
+    """The answers as JSON data by host: an error, or each device with its problem, '' for none.
+
+    `in_motion` is None when the devices were not watched.
+    """
+    data: dict[str, object] = {}
+    for place, answer in answers.items():
+        if isinstance(answer, Exception):
+            data[names[place]] = answer.as_data()
+            continue
+        devices = {}
+        for device, problem in answer.devices.items():
+            moving = "" if in_motion is None else in_motion.get((place, device), "")
+            at_rest = None if in_motion is None else not moving
+            devices[device] = {"confirmed": not problem, "at_rest": at_rest, "problem": moving or problem}
+        data[names[place]] = {"devices": devices, "trouble": answer.trouble}
+    return data
 
 
 def _all_confirmed(answers: Stopped, names: Mapping[HostRef, str], state: str) -> bool:
@@ -184,8 +239,11 @@ def _print_not_persisted(answers: Stopped, names: Mapping[HostRef, str]) -> None
 
 def watch_safe_states(
     parties: Sequence[TargetTeam], answers: Stopped, names: Mapping[HostRef, str], keys: Path | None
-) -> int:
-    """Watch the devices until they are at rest, and print those that are not; returns the exit status."""
+) -> tuple[int, InMotion]:
+    """Watch the devices until they are at rest, and print those that are not.
+
+    Returns the exit status, and these devices.
+    """
     from lfield.cli.views.safe_state_view import watch_progress
     from lfield.clock import SystemClock
     from lfield.operator.client import observer_transport, own_keys
@@ -209,9 +267,10 @@ def watch_safe_states(
     wrong = descent.verdicts()
     for device, sentence in wrong:
         _print(f"{names[device.host_ref]}: {device.name}: {sentence}")
+    in_motion = {(device.host_ref, device.name): sentence for device, sentence in wrong}
     if interrupted:
-        return exit_status.INTERRUPTED
-    return exit_status.UNSAFE if wrong else exit_status.DONE
+        return exit_status.INTERRUPTED, in_motion
+    return exit_status.UNSAFE if wrong else exit_status.DONE, in_motion
 
 
 def _rest_time(run: Run) -> float:

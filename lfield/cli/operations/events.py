@@ -1,28 +1,25 @@
-"""`lfield events`: the events of the hosts of a mission, each with its cause, until a Ctrl-C."""
+"""`lfield events`: the events of the hosts of a mission, each with its cause, printed or recorded."""
 
 from __future__ import annotations
 
 import argparse
-import sys
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lfield import exit_status
-from lfield.cli.mission_argument import add_running_mission, selected_runs, selected_teams
+from lfield.cli.event_session import LOST_AFTER, SessionPlan, print_notice, run_session
+from lfield.cli.mission_argument import add_running_mission
 from lfield.errors import UsageError
+from lfield.text.number_arguments import real_above_0
 from lfield.text.suggestions import did_you_mean, listed
 
 if TYPE_CHECKING:
     from lfield.operator.dashboard.event_feed import FeedNotice
     from lfield.operator.dashboard.timeline.event_timeline import DatedEvent
-    from lfield.operator.targets import HostRef, TargetTeam
     from lfield.wire.events import EventsDropped
 
 #: Rate of telemetry events in Hz: default and maximum.
 RATE, MAX_RATE = 1.0, 20.0
-#: The most hosts of another user's runs.
-MAX_FOREIGN_HOSTS = 32
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,13 +29,33 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     form.add_argument("--json", action="store_true", help="print one JSON object per line")
     form.add_argument("--csv", action="store_true", help="print telemetry and hops as CSV")
     parser.add_argument(
+        "--mcap",
+        metavar="FILE",
+        type=Path,
+        help="record to a new MCAP file, for Foxglove and other viewers; prints only with --json or --csv",
+    )
+    parser.add_argument(
         "--since",
         metavar="N",
         type=_number,
         help="print the events after number N of each host; 0: all stored events (default: only new ones)",
     )
-    parser.add_argument(
+    end = parser.add_mutually_exclusive_group()
+    end.add_argument(
         "--no-follow", action="store_true", help="exit after the stored events (implies --since 0)"
+    )
+    end.add_argument(
+        "--until-done",
+        action="store_true",
+        help="exit when every coordinator has ended, with the status of the mission",
+    )
+    parser.add_argument(
+        "--lost-after",
+        metavar="SECONDS",
+        type=real_above_0(1e6, "seconds"),
+        default=LOST_AFTER,
+        help="with --until-done: exit with status 4 when a host has been unreachable for this long, "
+        f"and with 69 when no host has answered (default: {LOST_AFTER:g})",
     )
     parser.add_argument("--kinds", metavar="KIND,...", default="", help="print only events of these kinds")
     parser.add_argument(
@@ -74,18 +91,22 @@ def _rate(text: str) -> float:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Without --no-follow 130, after a Ctrl-C; else 0, or 69 when a host did not answer."""
+    """The status of the mission with --until-done; 130 after a Ctrl-C; else 0, or 69 when a host did not
+    answer."""
     from lfield.cli.views import event_view
     from lfield.operator.dashboard.event_feed import FeedNotice
     from lfield.wire.events import KINDS, TELEMETRY, EventsDropped
 
     kinds = _kinds(args.kinds, event_view.CSV_KINDS if args.csv else tuple(KINDS))
-    if not (args.kinds or args.csv or args.json):
+    prints = args.json or args.csv or args.mcap is None
+    if not (args.kinds or args.csv or args.json or args.mcap):
         # Telemetry is printed only on request.
         kinds -= TELEMETRY
     table = event_view.EventCsv()
 
     def lines(item: DatedEvent | FeedNotice) -> Iterator[str]:
+        if not prints:
+            return
         if isinstance(item, FeedNotice):
             if args.json and item.lost:
                 yield event_view.event_json(item)
@@ -100,9 +121,17 @@ def run(args: argparse.Namespace) -> int:
 
     if args.csv:
         print(table.header(), flush=True)
-    since = 0 if args.since is None and args.no_follow else args.since
-    rate = args.rate if TELEMETRY & kinds and not args.no_follow else 0.0
-    return print_events(args, lines, since=since, telemetry=rate, follow=not args.no_follow, only=args.host)
+    plan = SessionPlan(
+        since=0 if args.since is None and args.no_follow else args.since,
+        telemetry=args.rate if TELEMETRY & kinds and not args.no_follow else 0.0,
+        follow=not args.no_follow,
+        only=args.host,
+        mcap=args.mcap,
+        kinds=kinds,
+        until_done=args.until_done,
+        lost_after=args.lost_after,
+    )
+    return run_session(args, lines, plan)
 
 
 #: The end event that is missing too when its begin event was skipped.
@@ -114,7 +143,7 @@ def _print_skipped(host: str, what: EventsDropped, kinds: frozenset[str]) -> Non
     from lfield.operator.team_model.log_buffer import lost_events_text
 
     if kinds & {what.skipped, _END_EVENTS.get(what.skipped, "")}:
-        _print_notice(host, lost_events_text(f"events of kind '{what.skipped}'", what.count))
+        print_notice(host, lost_events_text(f"events of kind '{what.skipped}'", what.count))
 
 
 def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:
@@ -127,88 +156,3 @@ def _kinds(text: str, known: Sequence[str]) -> frozenset[str]:
                 f"unknown kind of events '{kind}'; the kinds are {listed(known)}{f'; {hint}' if hint else ''}"
             )
     return frozenset(named or known)
-
-
-# --- for `logs` too -----------------------------------------------------------------------------------------
-
-
-def print_events(
-    args: argparse.Namespace,
-    lines: Callable[[DatedEvent | FeedNotice], Iterable[str]],
-    *,
-    since: int | None,
-    telemetry: float = 0.0,
-    follow: bool,
-    only: Sequence[str] = (),
-) -> int:
-    """Print the lines of events to stdout; losses and unreachable hosts go to stderr."""
-    import asyncio
-
-    from lfield.operator.targets import display_names
-
-    parties = selected_teams(args, selected_runs(args))
-    names = _limit_foreign(_select_hosts(display_names(parties), only))
-
-    def current_teams() -> list[TargetTeam]:
-        return selected_teams(args, selected_runs(args))
-
-    async def print_events() -> int:
-        from lfield.operator.dashboard.event_feed import open_feed
-
-        async with open_feed(
-            parties, names, current_teams, args.keys, since=since, telemetry=telemetry
-        ) as team:
-            try:
-                async for item in team.events(follow=follow):
-                    _print_item(item, lines)
-            except asyncio.CancelledError:
-                # After a Ctrl-C: print the newest events without waiting for their causes.
-                for item in team.remaining():
-                    _print_item(item, lines)
-                raise
-            return exit_status.UNAVAILABLE if team.unreached else exit_status.DONE
-
-    return asyncio.run(print_events())
-
-
-def _select_hosts(names: dict[HostRef, str], only: Sequence[str]) -> dict[HostRef, str]:
-    """The selected hosts. Raises UsageError for an unknown one."""
-    hosts = {place.host for place in names} | set(names.values())
-    for name in only:
-        if name not in hosts:
-            hint = did_you_mean(name, sorted(hosts))
-            raise UsageError(
-                f"no host '{name}'; the hosts are {listed(sorted(hosts))}{f'; {hint}' if hint else ''}"
-            )
-    return {place: name for place, name in names.items() if not only or {place.host, name} & set(only)}
-
-
-def _limit_foreign(names: dict[HostRef, str]) -> dict[HostRef, str]:
-    """Limits the hosts of each other user; prints to stderr how many are left out."""
-    found: dict[str, list[HostRef]] = defaultdict(list)
-    for place in names:
-        found[place.user].append(place)
-    for user, places in found.items():
-        if user and len(places) > MAX_FOREIGN_HOSTS:
-            left = len(places) - MAX_FOREIGN_HOSTS
-            print(f"lfield: {left} hosts of user {user} are left out: name a run with --run", file=sys.stderr)
-            for place in places[MAX_FOREIGN_HOSTS:]:
-                del names[place]
-    return names
-
-
-def _print_item(
-    item: DatedEvent | FeedNotice, lines: Callable[[DatedEvent | FeedNotice], Iterable[str]]
-) -> None:
-    from lfield.operator.dashboard.event_feed import FeedNotice
-
-    if isinstance(item, FeedNotice):
-        _print_notice(item.host, item.text)
-    for line in lines(item):
-        print(line, flush=True)
-
-
-def _print_notice(host: str, text: str) -> None:
-    from lfield.text.terminal_escape import escape_line
-
-    print(f"{host}: {escape_line(text)}", file=sys.stderr, flush=True)

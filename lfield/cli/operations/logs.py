@@ -6,8 +6,8 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from lfield.cli.event_session import SessionPlan, run_session
 from lfield.cli.mission_argument import add_running_mission
-from lfield.cli.operations.events import print_events
 
 if TYPE_CHECKING:
     from lfield.operator.dashboard.event_feed import FeedNotice
@@ -42,4 +42,4 @@ def run(args: argparse.Namespace) -> int:
         elif args.json and item.lost:
             yield event_json(item)
 
-    return print_events(args, lines, since=0, follow=args.follow, only=args.host)
+    return run_session(args, lines, SessionPlan(since=0, follow=args.follow, only=args.host))

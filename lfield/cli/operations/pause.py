@@ -27,4 +27,5 @@ def run(args: argparse.Namespace) -> int:
         parties = selected_teams(args, selected_runs(args))
         names = display_names(parties)
         replies = ask_and_print(parties, pause(), args.keys, names, "safe")
-        return exit_status_of(parties, replies, names, args.keys, waits_for_rest=not args.no_wait)
+        status, _ = exit_status_of(parties, replies, names, args.keys, waits_for_rest=not args.no_wait)
+        return status

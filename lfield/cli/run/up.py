@@ -23,6 +23,7 @@ from lfield.cli.mission_argument import (
     mission_path,
     setup_command,
 )
+from lfield.cli.run.record_options import add_record_options, recording_target
 from lfield.errors import DevicesError, LfieldError, OutputFileError, UsageError
 from lfield.text.number_arguments import real_above_0, whole_between
 
@@ -93,6 +94,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="engine that runs the program; auto is the fastest available (default: as in the devices file)",
     )
     _add_key_options(parser)
+    add_record_options(parser)
     _add_hidden(parser)
 
 
@@ -266,6 +268,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
                 first_start=args.first_start,
                 engine=args.engine,
                 as_json=args.json,
+                record=recording_target(mission, args),
             )
         )
 

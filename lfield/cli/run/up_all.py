@@ -25,6 +25,7 @@ from msgspec.structs import replace
 from lfield import exit_status
 from lfield.cli.mission_argument import mission_path, setup_command
 from lfield.cli.run.host_keys import ephemeral_keys
+from lfield.cli.run.record_options import passed_on
 from lfield.cli.run.run_summary import summary
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
@@ -225,6 +226,7 @@ class _HostProcesses:
             if getattr(args, option) is not None:
                 command += [f"--{option.replace('_', '-')}", str(getattr(args, option))]
         command += [f"--{option}" for option in ("sim", "volatile", "json") if getattr(args, option)]
+        command += passed_on(args)
         if args.until_done:
             command += ["--until-done", "--lost-after", str(min(args.lost_after, DEFAULT_LOST_AFTER))]
         return command

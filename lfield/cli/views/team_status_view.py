@@ -63,7 +63,13 @@ def _bundles(linked: Mapping[str, HostState]) -> list[str]:
 
 def _paused(linked: Mapping[str, HostState]) -> list[str]:
     hosts = [name for name, host in linked.items() if host.paused]
-    return [f"paused: {', '.join(hosts)}; 'lfield resume' resumes the mission"] if hosts else []
+    lines = [f"paused: {', '.join(hosts)}; 'lfield resume' resumes the mission"] if hosts else []
+    if voters := [name for name, host in linked.items() if host.held]:
+        lines.append(
+            f"held by a vote about an activation: {', '.join(voters)}; 'lfield status' shows whose votes are "
+            "unknown"
+        )
+    return lines
 
 
 def _starts(linked: Mapping[str, HostState]) -> list[str]:
@@ -243,6 +249,7 @@ def _host_data(host: HostState) -> dict[str, Any]:
         "late": host.late,
         "silence": status.silence,
         "paused": host.paused,
+        "held": host.held,
         "stopped": host.stopped,
         "unkept": status.persist_error,
         "lease": status.lease,

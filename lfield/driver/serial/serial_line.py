@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 
+from lfield.driver.recording import WireLog
 from lfield.driver.serial.serial_framing import Framer
 from lfield.driver.serial.serial_port import PortEvents, SerialPort, parse_serial_endpoint
 from lfield.errors import DeviceError
@@ -22,7 +23,8 @@ class SerialLine:
     """A port with its framer, at `serial:PATH:BAUD`.
 
     `on_frame` gets every frame that is not a response; `note` gets one sentence when the port is lost and
-    when it is back. `make_port` is for tests. Raises DeviceError for an invalid endpoint.
+    when it is back. `wire_log` is that of the driver. `make_port` is for tests. Raises DeviceError for an
+    invalid endpoint.
     """
 
     def __init__(
@@ -32,9 +34,10 @@ class SerialLine:
         *,
         on_frame: Callable[[bytes], None] = lambda frame: None,
         note: Callable[[str], None] = lambda text: None,
+        wire_log: WireLog | None = None,
         make_port: MakePort = SerialPort,
     ) -> None:
-        self._framer, self._on_frame, self._note = framer, on_frame, note
+        self._framer, self._on_frame, self._note, self._wire_log = framer, on_frame, note, wire_log
         path, baud = parse_serial_endpoint(endpoint)
         self._port = make_port(path, baud, self, note)
         self._request_lock = asyncio.Lock()
@@ -58,6 +61,8 @@ class SerialLine:
             raise self._timeout(self._failure)
         if not self._port.write(frame):
             raise self._timeout(self._failure or f"{self._port.path} does not accept data")
+        if self._wire_log is not None:
+            self._wire_log.log_bytes(frame, is_sent=True)
 
     async def ask(
         self, request: bytes, fits: Callable[[bytes], bool] = _any, *, within: float = 0.5, tries: int = 1
@@ -96,6 +101,8 @@ class SerialLine:
 
     def received(self, data: bytes) -> None:
         """Bytes have arrived."""
+        if self._wire_log is not None:
+            self._wire_log.log_bytes(data, is_sent=False)
         for frame in self._framer.feed(data):
             if self._answer is not None and not self._answer.done() and self._fits(frame):
                 self._answer.set_result(frame)

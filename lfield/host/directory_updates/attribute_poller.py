@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 from lfield.capability.model import LiveAttribute
@@ -71,8 +72,7 @@ class AttributePoller:
         before = self._polls.get((agent.id, portal))
         now = self._clock.monotonic()
         question = self._polls[agent.id, portal] = _Poll(now, result=before.result if before else None)
+        self._machine.resource_queries.call_portal(agent, portal, partial(self._on_result, question))
 
-        def on_result(value: DeviceValue, why: str) -> None:
-            question.is_open, question.result = False, why or Observation(value, question.asked_at)
-
-        self._machine.resource_queries.call_portal(agent, portal, on_result)
+    def _on_result(self, question: _Poll, value: DeviceValue, why: str) -> None:
+        question.is_open, question.result = False, why or Observation(value, question.asked_at)

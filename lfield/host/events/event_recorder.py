@@ -336,9 +336,9 @@ class EventRecorder:
         if not lifted:
             self.set_cause(reason, number)
 
-    def on_pause(self, by: str, reason: str, *, lifted: bool) -> None:
-        """An operator has paused or resumed the mission; devices are held for that reason."""
-        self.set_cause(reason, self.emit(events.PauseChanged(truncate(by), lifted)))
+    def on_pause(self, by: str, reason: str, *, lifted: bool, is_vote: bool = False) -> None:
+        """An operator or a vote has paused or resumed the mission; devices are held for that reason."""
+        self.set_cause(reason, self.emit(events.PauseChanged(truncate(by), lifted, is_vote)))
 
     def on_host_stopping(self, why: str, reason: str) -> None:
         """The host stops; devices go into their safe states for that reason."""

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
-from typing import Literal
+from typing import Literal, cast
 
 from lfield.journal.records import EmergencyStopFlag, PauseFlag, Record
 from lfield.wire.order_messages import EPOCH_SIZE, HOLDS, UNKNOWN_EPOCH, Epochs, OrderKind
@@ -88,6 +88,13 @@ class ExecutedOrders:
         self._orders[id] = (kind, kind in HOLDS)
         if len(self._orders) > MAX_ORDERS:
             self._orders.popitem(last=False)
+
+    def on_executed(self, kind: str, id: bytes) -> None:
+        """Record an executed order as of `mark_executed`; a lock-out if `kind` is ''."""
+        if kind:
+            self.mark_executed(cast(OrderKind, kind), id)
+        else:
+            self.on_lock_out()
 
     def on_lock_out(self) -> None:
         """A device is locked out, which holds like a stop: no order that was given before lifts it."""

@@ -19,6 +19,7 @@ from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
 from lfield.host.environment import HostOptions
 from lfield.host.host import Host
+from lfield.host.inputs import HostExited
 from lfield.host.logbook import JsonLogbook, Logbook
 from lfield.host.process.credentials import (
     HostCredentials,
@@ -30,6 +31,7 @@ from lfield.host.process.mission_completion import wait_until_done
 from lfield.host.process.parent_pipe import ParentPipe
 from lfield.host.process.run_result import RunResult, failure_reason, known_hops
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
+from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.journal import Journal
 from lfield.mission.access.signed_bundle import signing_time
 from lfield.mission.mission import Mission
@@ -63,13 +65,14 @@ async def run_host(
     first_start: bool = False,
     engine: str = "",
     as_json: bool = False,
+    record: RecordingTarget | None = None,
 ) -> int:
     """Run a host; returns the exit status (exit_status.py). `lost_after` None runs until it is stopped.
 
     `journal` is closed at the end; without one the host starts its coordinators after the reports of all
     hosts. `control_socket` is the address for local commands. `engine` selects the engine, overriding the
     bindings. Its `RunResult` is written to `result_fd`. Without `credentials` it serves local
-    commands only. `as_json` writes the log as JSON lines to stdout.
+    commands only. `as_json` writes the log as JSON lines to stdout. `record` is where it is recorded.
 
     Raises AddressError, DevicesError and KeysError when it cannot start.
     """
@@ -90,6 +93,7 @@ async def run_host(
         orders=identity.orders,
         stopwatch=time.thread_time,
         on_failure=_end_by_force_after(mission),
+        record=record,
     )
     # CPU time of programs that a message wakes is not charged to the sender of the message.
     transport = TcpTransport(mission.max_block, identity.tls, exempt=lambda: host.core.run_seconds)
@@ -98,12 +102,18 @@ async def run_host(
     signals = ShutdownSignals(host.clock)
     install_signal_handlers(signals)
     if parent_pipe:
-        ParentPipe(sys.stdin.fileno(), host.on_host_exited, partial(signals.request, is_repeatable=False))
+        _watch_parent(host, signals)
     status = await run_until_exit(host, signals, lost_after, _freeze_gc)
     if result_fd is not None:
         hops = known_hops(host.mobility.known_states())
         RunResult(hops, failure_reason(status, logbook.errors), status).write(result_fd)
     return status
+
+
+def _watch_parent(host: Host, signals: ShutdownSignals) -> None:
+    """Read the supervision pipe: hosts that have exited, and the end of the parent process."""
+    stop = partial(signals.request, is_repeatable=False)
+    ParentPipe(sys.stdin.fileno(), lambda exited: host.dispatch(HostExited(exited)), stop)
 
 
 class _Identity(NamedTuple):

@@ -12,8 +12,10 @@ import asyncio
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import cast
 
 from lfield.host.host import Host
+from lfield.host.inputs import ContactRestored, OutcomesFound, SilenceChecked
 from lfield.journal.records import CoordinatorRecord
 from lfield.replication.locate.outcomes import (
     CoordinatorOutcome,
@@ -56,12 +58,12 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
         found = local_outcomes(homes, host.mobility.known_states(), host.mobility.proven_losses(since))
         whole = membership.is_fully_connected(host.clock.monotonic())
         if whole:
-            membership.suspected.clear()
+            host.apply(ContactRestored())
         if homes.keys() - found.keys() and (membership.ended or not whole or host.mobility.has_losses):
             records = await _query_states(host)
             now = host.clock.monotonic()
             found = judge.resolve(
-                records, _unavailable(host, membership.unavailable_hosts(records, now, lost_after, unmet))
+                records, _unavailable(host, _unavailable_hosts(host, records, lost_after, unmet))
             )
             found |= local_outcomes(
                 homes, host.mobility.known_states(), host.mobility.proven_losses(now - STATUS_MAX_AGE)
@@ -126,10 +128,15 @@ class _PendingRestarts:
             is_over = contact is not None and now >= contact + GONE_AFTER
         if is_over:
             return True
-        unavailable = host.core.membership.unavailable_hosts(
-            set(host.team.hosts) - {home}, now, *self._bounds
-        )
+        unavailable = _unavailable_hosts(host, set(host.team.hosts) - {home}, *self._bounds)
         return home in unavailable.ended or home in unavailable.silent_for
+
+
+def _unavailable_hosts(
+    host: Host, answered: Collection[str], lost_after: float, unmet: float
+) -> UnavailableHosts:
+    """See `Membership.unavailable_hosts`, which changes the state of the core."""
+    return cast(UnavailableHosts, host.apply(SilenceChecked(sorted(answered), lost_after, unmet)))
 
 
 def _unavailable(host: Host, unavailable: UnavailableHosts) -> UnavailableHosts:
@@ -141,7 +148,7 @@ def _unavailable(host: Host, unavailable: UnavailableHosts) -> UnavailableHosts:
 
 async def _broadcast_outcomes(host: Host, found: Collection[CoordinatorOutcome]) -> None:
     """Announce the terminations, and wait until every reachable host has confirmed them."""
-    host.broadcast_outcomes(found)
+    host.dispatch(OutcomesFound(list(found)))
     end = host.clock.monotonic() + LINGER
     while host.mobility.has_unconfirmed(_reachable_hosts(host)) and host.clock.monotonic() < end:
         host.changed.clear()

@@ -3,16 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Awaitable, Callable
+from typing import Protocol
 
 from lfield.devices.device_guards import DeviceGuards
 from lfield.event_loop import spawn
 from lfield.host.core import HostCore
+from lfield.host.inputs import BallotHeld, HostInput, OrderExecuted, PauseOrdered, StopOrdered
 from lfield.host.order_history.executed_orders import effect_of
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import truncate
-from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
+from lfield.wire.observer_messages import (
+    BallotHold,
+    EmergencyStop,
+    EmergencyStopResult,
+    OrderChallenge,
+    Pause,
+)
 
 #: Why devices are held while the mission is paused.
 PAUSED = "the mission is paused"
@@ -24,6 +32,13 @@ ALREADY_ENDED = "this {} was carried out, and a later order has ended it"
 IN_USE = "in use again"
 #: For a device that is not open when the host is stopped.
 NOT_OPEN = "its host has not opened it yet, and opens it in its safe state: repeat the order"
+#: The answer to a resume on a host that has voted about an activation.
+STILL_HELD = (
+    "the pause has ended, but the host is held until the result of a vote about an activation is known: "
+    "'lfield status' shows it"
+)
+#: What holds a host that has voted.
+VOTE = "the vote about an activation"
 #: Seconds for which the answer to an emergency stop, which is in force already, waits for the disk.
 DURABLE_TIMEOUT = 2.0
 #: The sender of a stop or pause that is still in force when a host starts.
@@ -32,6 +47,12 @@ EARLIER_INCARNATION = "before the restart of this host"
 OrderResponse = EmergencyStopResult | OrderChallenge
 #: Receives the answer to an order.
 OrderCallback = Callable[[OrderResponse], None]
+
+
+class Dispatch(Protocol):
+    """Passes an input to the core, see `Host.dispatch`."""
+
+    def __call__(self, entry: HostInput, on_result: Callable[[object], None] | None = None) -> None: ...
 
 
 class OrderExecutor:
@@ -45,7 +66,7 @@ class OrderExecutor:
         self,
         core: HostCore,
         guards: DeviceGuards,
-        dispatch: Callable[[Callable[[], None]], None],
+        dispatch: Dispatch,
         note: Callable[[LogLine], None],
         flush: Callable[[float | None], Awaitable[bool]],
     ) -> None:
@@ -70,13 +91,9 @@ class OrderExecutor:
 
     def on_lock_out(self, device: str, reason: str) -> None:
         """A lock-out is stored like an emergency stop, so that the next start opens the devices locked."""
-        self._core.orders.on_lock_out()
+        self._dispatch(OrderExecuted(""))
         if not self._core.coordinators.stopped:
-            self._dispatch(
-                lambda: self._core.set_emergency_stop(
-                    truncate(escape_line(f"{device} is locked out: {reason}"))
-                )
-            )
+            self._dispatch(StopOrdered(truncate(escape_line(f"{device} is locked out: {reason}"))))
 
     # --- orders ---------------------------------------------------------------------------------------
 
@@ -85,7 +102,7 @@ class OrderExecutor:
         orders, kind = self._core.orders, message.kind
         match orders.standing_of(kind, message.id, message.epoch):
             case "new":
-                orders.mark_executed(kind, message.id)
+                self._dispatch(OrderExecuted(kind, message.id))
                 spawn(self._execute(message, sender, answer))
             case "holds":
                 spawn(self._confirm(message, answer))
@@ -121,27 +138,56 @@ class OrderExecutor:
         if message.lift:
             self._note(log_messages.EMERGENCY_STOP_LIFTED.line(operator=who))
             devices = self._guards.clear_emergency_stop()
-            self._dispatch(lambda: self._core.set_emergency_stop("", message.id))
+            self._dispatch(StopOrdered("", message.id))
         else:
             self._note(log_messages.EMERGENCY_STOP.line(operator=who, reason=reason))
             # The devices first: they wait neither for the core nor for the disk.
             self._guards.inhibit(reason)
-            self._dispatch(lambda: self._core.set_emergency_stop(reason, message.id))
+            self._dispatch(StopOrdered(reason, message.id))
             devices = await self._safe_states()
         trouble = "" if await self._flush(DURABLE_TIMEOUT) else self._durability_warning(lift=message.lift)
         self._answer(message, answer, devices, trouble)
 
     async def _pause(self, message: Pause, who: str, answer: OrderCallback) -> None:
         self._recorder.on_pause(who, PAUSED, lifted=message.lift)
+        team = self._core.coordinators
         if message.lift:
-            # A resumed agent must find its devices in use.
-            devices = await self._guards.release_held(PAUSED) if self._core.coordinators.paused else {}
-            self._dispatch(lambda: self._core.set_paused(on=False, order=message.id))
+            is_held = team.is_pause_ordered and bool(team.ballot)
+            devices = await self._end_pause(PauseOrdered(False, message.id), is_last=not team.ballot)
         else:
-            self._dispatch(lambda: self._core.set_paused(on=True, order=message.id))
+            is_held = False
+            self._dispatch(PauseOrdered(True, message.id))
             devices = await self._guards.enter_safe_state(PAUSED)
         if await self._flush(None):
-            self._answer(message, answer, devices)
+            self._answer(message, answer, devices, STILL_HELD if is_held else "")
+
+    async def _end_pause(self, end: HostInput, *, is_last: bool) -> dict[str, str]:
+        """Release the devices unless something else still pauses the mission, then resume the agents."""
+        team = self._core.coordinators
+        # A resumed agent must find its devices in use.
+        devices = await self._guards.release_held(PAUSED) if is_last and team.paused else {}
+        self._dispatch(end)
+        if is_last and team.paused:
+            # Another pause came while the devices were released.
+            devices = await self._guards.enter_safe_state(PAUSED)
+        return devices
+
+    # --- votes ----------------------------------------------------------------------------------------
+
+    def on_ballot_hold(self, message: BallotHold, answer: OrderCallback) -> None:
+        """The service of this robot votes: nothing arms until the result is known. A person cannot end it."""
+        spawn(self._hold(message, answer))
+
+    async def _hold(self, message: BallotHold, answer: OrderCallback) -> None:
+        team, devices = self._core.coordinators, dict[str, str]()
+        if not message.lift:
+            self._recorder.on_pause(VOTE, PAUSED, lifted=False, is_vote=True)
+            self._dispatch(BallotHeld(message.id))
+            devices = await self._guards.enter_safe_state(PAUSED)
+        elif team.ballot == message.id:
+            self._recorder.on_pause(VOTE, PAUSED, lifted=True, is_vote=True)
+            devices = await self._end_pause(BallotHeld(b""), is_last=not team.is_pause_ordered)
+        answer(EmergencyStopResult(devices, "", message.id, self._core.orders.epochs))
 
     async def _confirm(self, message: EmergencyStop | Pause, answer: OrderCallback) -> None:
         """Confirm an executed order that is in force again, with the present states of the devices."""

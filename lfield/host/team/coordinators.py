@@ -72,13 +72,13 @@ class Coordinators(Part):
             [] if self.recovery.has_program_record else [program_record(mission, hello.mission_hash)]
         )
         self.mobility.restore(self.recovery.copies, self.recovery.parked)
-        #: The mission is paused: the time-outs of waiting coordinators are suspended.
-        self.paused = self.recovery.paused
+        #: An operator has paused the mission, and the ballot that holds it (b"": none); either of them has.
+        self.is_pause_ordered, self.ballot = self.recovery.paused, b""
+        self.paused = self.is_pause_ordered
         #: Why an emergency stop locks the devices here, '' for none.
         self.stopped = self.recovery.stopped
         #: Why the disk should admit nothing more, '' if it may.
         self.space_trouble = ""
-        #: Whether the number of a start is recorded here.
         self._has_record = self.recovery.last_start is not None
         #: Why records cannot be written now, '' if they can.
         self.write_trouble = ""
@@ -88,8 +88,8 @@ class Coordinators(Part):
         self.is_halted = False
         #: Coordinators that arrived before the resources here were started; None after that.
         self._queued_arrivals: dict[tuple[str, int], tuple[str, Transfer, memoryview, float]] | None = {}
-        #: The block that was just packed, to be sent at once if there is a link.
-        self._packed: memoryview | None = None
+        #: Numbers the packed blocks; the last one, 0 if it has waited since then.
+        self._packs = self._packed = 0
         #: When mobility may have a time-out. New deadlines are later, so one that is set stays.
         self._deadline: float | None = None
         self.handles = {
@@ -116,10 +116,11 @@ class Coordinators(Part):
         self._deadline = self.mobility.next_deadline()
         self.due = None if self.paused else self._deadline
 
-    def set_paused(self, *, on: bool) -> None:
-        """The mission is paused on this host, or resumed: restart the time-outs of coordinators that wait for
-        another host."""
-        self.paused = on
+    def set_paused(self, *, ordered: bool, ballot: bytes) -> None:
+        """An operator or a ballot pauses the mission on this host, or does no more. When nothing does, the
+        time-outs of coordinators that wait for another host restart."""
+        self.is_pause_ordered, self.ballot = ordered, ballot
+        self.paused = on = ordered or bool(ballot)
         if not on:
             self.mobility.postpone(self._clock.monotonic())
         self.due = None if on else self._deadline
@@ -208,7 +209,7 @@ class Coordinators(Part):
         return self.write_ahead.add_record(StartCounter(generation), now)
 
     def record_existence(self) -> None:
-        """Record that this host has a journal, though no start may have been made."""
+        """Record that this host has a journal, though no start may have been made, unless one is recorded."""
         if not self._has_record:
             self.persist(StartCounter(0))
 
@@ -277,7 +278,7 @@ class Coordinators(Part):
                 return
             since -= down_for
         self.apply_effects(self.mobility.depart(agent.id, target, self._block_maker(agent), since))
-        self._packed = None
+        self._packed = 0
         if self._deadline is None:
             self._set_deadline()
 
@@ -309,15 +310,17 @@ class Coordinators(Part):
         self.apply_effects(self.mobility.on_ended(agent.id, agent.generation, outcome, agent.report))
 
     def _block_maker(self, agent: Agent) -> Callable[[int], Buffer]:
-        image = self._packed = self._machine.pack(agent)
+        self._machine.pack(agent)
+        self._packs += 1
+        self._packed = self._packs
+        return partial(self._seal, agent, self._packs)
 
-        def seal(sequence: int) -> Buffer:
-            agent.block.w[layout.W_SEQUENCE] = sequence
-            if self._packed is not image:  # It has waited meanwhile, and its time limits have decreased.
-                self._machine.store_clock(agent)
-            return image
-
-        return seal
+    def _seal(self, agent: Agent, packed: int, sequence: int) -> Buffer:
+        agent.block.w[layout.W_SEQUENCE] = sequence
+        if self._packed != packed:  # It has waited meanwhile, and its time limits have decreased.
+            self._machine.store_clock(agent)
+        # As `Block.image`, which `pack` has called.
+        return memoryview(agent.block.data)[: 8 * agent.block.top]
 
     def _inject(self, transit: float, header: Transfer, block: Buffer) -> mobile.TransferRefusal | None:
         if self.is_halted:
@@ -344,7 +347,7 @@ class Coordinators(Part):
             self._start(copy.agent, copy.generation)
             self.log(log_messages.AGENT_RESTARTED.line(agent=copy.agent, host=self._hello.host))
             # Its block is not needed before it reaches a portal call.
-            return lambda _: b""
+            return _empty_block
         member = self._members[copy.agent]
         try:
             limits = self._limits[member.id]
@@ -356,7 +359,7 @@ class Coordinators(Part):
         recovered = agent.block.w[layout.W_GENERATION] != copy.generation
         agent.block.w[layout.W_HOPS], agent.block.w[layout.W_GENERATION] = copy.hops, copy.generation
         seal = self._block_maker(agent)
-        self._packed = None
+        self._packed = 0
         if runs:
             self.log(log_messages.AGENT_RESUMED.line(agent=copy.agent))
         if runs and not recovered and self._machine.itinerary.may_continue(agent):
@@ -380,3 +383,7 @@ class Coordinators(Part):
     def log(self, line: LogLine) -> None:
         """Write a log line."""
         self._out(WriteLog(line))
+
+
+def _empty_block(sequence: int) -> Buffer:
+    return b""

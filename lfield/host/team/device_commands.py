@@ -40,8 +40,10 @@ class DeviceCommands(Part):
         self._environment, self._clock, self._here = context.environment, context.clock, context.name
         self._effects, self._out, self._recorder = context.effects, context.effects.append, context.recorder
         self._deadman = DeadmanMonitor(context.mission.devices_of(context.name))
-        #: The instruction that each thread waits for.
-        self._running: dict[tuple[Agent, int], DeviceCallRecord] = {}
+        #: The call that each thread waits for, and all calls without an answer, by number.
+        self._running: dict[tuple[Agent, int], CallDevice] = {}
+        self._unanswered: dict[int, CallDevice] = {}
+        self._number = 0
 
     def on_states(self, host: str, records: Iterable[CoordinatorState]) -> None:
         """A host reports coordinators."""
@@ -60,11 +62,13 @@ class DeviceCommands(Part):
         if not isinstance(value, Pending):
             return value
         until = self._deadline(agent, thread, call) if call.effect != "query" else math.inf
-        self._running[agent, thread] = call
+        self._number += 1
+        command = CallDevice(agent, thread, call, values, until, self._number)
+        self._running[agent, thread] = self._unanswered[self._number] = command
         if self._recorder.detailed:
             device, portal = f"{agent.id}.{call.field}", served_call_of(agent, thread)
             self._recorder.on_device_call(agent.id, thread, portal, device, call.instruction)
-        self._out(CallDevice(agent, thread, call, values, until))
+        self._out(command)
         return PENDING
 
     def _deadline(self, agent: Agent, thread: int, call: DeviceCallRecord) -> float:
@@ -83,15 +87,19 @@ class DeviceCommands(Part):
 
     def cancel_device_call(self, agent: Agent, thread: int) -> bool:
         """See `HostInterface.cancel`."""
-        call = self._running.get((agent, thread))
-        if call is None or not self._environment.may_be_cancelled(agent.id, call):
+        command = self._running.get((agent, thread))
+        if command is None or not self._environment.may_be_cancelled(agent.id, command.call):
             return False
         self._out(CancelCall(agent, thread))
         return True
 
-    def on_device_answer(self, call: CallDevice, value: DeviceValue | DeviceError) -> None:
-        """The result of a device call."""
-        self._running.pop((call.agent, call.thread), None)
+    def on_device_answer(self, number: int, value: DeviceValue | DeviceError) -> None:
+        """The result of the device call of that number; only the first one counts."""
+        call = self._unanswered.pop(number, None)
+        if call is None:
+            return
+        if self._running.get((call.agent, call.thread)) is call:
+            del self._running[call.agent, call.thread]
         error = str(value) if isinstance(value, DeviceError) else ""
         self._recorder.on_device_answer(call.agent.id, call.thread, error)
         if isinstance(value, DeviceError):
@@ -101,8 +109,8 @@ class DeviceCommands(Part):
 
     def wait_reason(self, agent: Agent, thread: int) -> str:
         """The instruction that a thread of an agent waits for, AGENT.FIELD.INSTRUCTION; '' for none."""
-        call = self._running.get((agent, thread))
-        return f"{agent.id}.{call.field}.{call.instruction}" if call is not None else ""
+        command = self._running.get((agent, thread))
+        return f"{agent.id}.{command.call.field}.{command.call.instruction}" if command is not None else ""
 
     def telemetry_reading(self, agent: Agent, call: DeviceCallRecord) -> Reading | None:
         """See `HostInterface.telemetry_reading`."""

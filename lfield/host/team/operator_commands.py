@@ -58,11 +58,29 @@ def set_paused(team: Coordinators, machine: Machine, *, on: bool, order: bytes) 
     that waits for another host waits as long as without the pause.
     """
     team.persist(PauseFlag(on, order))
-    if team.paused == on:
+    if team.is_pause_ordered != on:
+        _change_pause(team, machine, ordered=on, ballot=team.ballot)
+        team.log(log_messages.MISSION_PAUSED.line() if on else log_messages.MISSION_RESUMED.line())
+
+
+def set_ballot_hold(team: Coordinators, machine: Machine, ballot: bytes) -> None:
+    """As `set_paused`, by the ballot about an activation in which this robot votes; b"" ends it.
+
+    It is not stored: the service starts no host before it knows the result.
+    """
+    if team.ballot == ballot:
         return
-    team.set_paused(on=on)
-    team.log(log_messages.MISSION_PAUSED.line() if on else log_messages.MISSION_RESUMED.line())
-    if not on:
+    was_held = bool(team.ballot)
+    _change_pause(team, machine, ordered=team.is_pause_ordered, ballot=ballot)
+    if was_held != bool(ballot):
+        team.log(log_messages.MISSION_HELD.line() if ballot else log_messages.MISSION_HOLD_ENDED.line())
+
+
+def _change_pause(team: Coordinators, machine: Machine, *, ordered: bool, ballot: bytes) -> None:
+    """Set both reasons for a pause. When it begins, calls under way end."""
+    was_paused = team.paused
+    team.set_paused(ordered=ordered, ballot=ballot)
+    if was_paused or not team.paused:
         return
     callers = {call.agent for call in machine.pending_calls.calls()}
     here = {agent.id for agent in machine.agents.values() if agent.member.kind == "coordinator"}

@@ -41,6 +41,7 @@ class CoordinatorOperations(Protocol):
     recovery: JournalContents
     restart_notified: set[tuple[str, int]]
     paused: bool
+    ballot: bytes
     stopped: str
     is_halted: bool
     write_trouble: str

@@ -23,6 +23,8 @@ from lfield.wire.observer_messages import StartResponse, StartStatus
 #: Why an emergency stop during the wait holds the start.
 EMERGENCY_STOPPED = "an emergency stop holds ('lfield estop --lift' ends it)"
 PAUSED = "the mission is paused; 'lfield resume' continues it"
+#: Why the vote about an activation holds the start.
+VOTE_OPEN = "the result of a vote about an activation is not known; 'lfield status' shows it"
 #: Minimum seconds between two checks.
 CHECK_EVERY = 0.25
 
@@ -185,9 +187,14 @@ class Startup(Part):
 
     def _is_paused(self, agents: Sequence[str]) -> bool:
         if self._team.paused and not self._pause_logged:
-            self._log(log_messages.START_PAUSED.line(agents=" and ".join(agents), reason=PAUSED))
+            self._log(log_messages.START_PAUSED.line(agents=" and ".join(agents), reason=self._pause_reason))
         self._pause_logged = self._team.paused
         return self._team.paused
+
+    @property
+    def _pause_reason(self) -> str:
+        """What pauses the mission, '' if nothing does."""
+        return VOTE_OPEN if self._team.ballot else PAUSED if self._team.paused else ""
 
     # --- operators ------------------------------------------------------------------------------------
 
@@ -198,7 +205,7 @@ class Startup(Part):
             return None
         found = self.readiness.status(agents)
         unreachable = [host for host in self._gate.missing if host not in found.hosts]
-        held = found.held or (PAUSED if self._team.paused else "")
+        held = found.held or self._pause_reason
         return StartStatus(found.agents, [*found.hosts, *unreachable], found.without, held)
 
     @property

@@ -161,7 +161,9 @@ class TlsLink(StreamLink):
     def _check_host(self, channel: TlsChannel) -> None:
         who, required = channel.who, self._required
         if required and who.kind == "host" and who.name != required:
-            raise HandshakeError(f"{who.name} answered at an address of {required}; correct the address")
+            raise HandshakeError(
+                f"{who.name} answered at an address of {required}; correct the address", answered_by=who.name
+            )
 
     def _on_tls_error(self, channel: TlsChannel, error: LfieldError) -> None:
         self._error = self._error or error

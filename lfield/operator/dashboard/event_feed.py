@@ -11,13 +11,19 @@ from collections import deque
 from collections.abc import AsyncIterator, Awaitable, Callable, Collection, Mapping, Sequence
 from contextlib import asynccontextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from lfield.clock import Clock, SystemClock
+from lfield.errors import LfieldError
 from lfield.net.transport import Transport
-from lfield.operator.client import observer_transport, own_keys, presented_crl
+from lfield.operator.client import SNAPSHOT, ask_all, observer_transport, own_keys, presented_crl
 from lfield.operator.dashboard.event_stream.background_task import background_tasks
-from lfield.operator.dashboard.event_stream.event_follower import EventFollower, FollowOptions
+from lfield.operator.dashboard.event_stream.event_follower import (
+    EventFollower,
+    FollowOptions,
+    StreamHandler,
+)
 from lfield.operator.dashboard.event_stream.host_locator import HostLocator
 from lfield.operator.dashboard.timeline.event_timeline import DatedEvent, EventTimeline
 from lfield.operator.observer_link import PresentedCrl
@@ -49,7 +55,8 @@ class FeedNotice:
 class TeamFeed:
     """The hosts of one team; `names` are their display names. Implements `StreamHandler`.
 
-    `telemetry`: subscribed, so its loss is reported. `kinds` are the kinds to keep, None for all.
+    `telemetry`: subscribed, so its loss is reported. `kinds` are the kinds to keep, None for all. The
+    `observer` is called like this.
     """
 
     def __init__(
@@ -59,8 +66,10 @@ class TeamFeed:
         *,
         telemetry: bool = False,
         kinds: Collection[str] | None = None,
+        observer: StreamHandler | None = None,
     ) -> None:
         self._names, self._clock, self._telemetry, self._kinds = names, clock, telemetry, kinds
+        self._observer = observer
         self._timeline = EventTimeline()
         self._notices: list[FeedNotice] = []
         self._why: dict[str, str] = {}
@@ -73,11 +82,15 @@ class TeamFeed:
 
     def on_linked(self, host: str) -> None:
         """See `StreamHandler.on_linked`."""
+        if self._observer is not None:
+            self._observer.on_linked(host)
         if self._why.pop(host, None) is not None:
             self._notices.append(FeedNotice(self._names[host], "reachable again"))
 
     def on_unlinked(self, host: str, why: str) -> None:
         """See `StreamHandler.on_unlinked`: one notice for each reason."""
+        if self._observer is not None:
+            self._observer.on_unlinked(host, why)
         if host in self._incarnations:
             self._cut.add(host)
         if self._why.get(host) != why:
@@ -86,6 +99,8 @@ class TeamFeed:
 
     def on_batch(self, host: str, batch: EventBatch, took: float | None) -> None:
         """See `StreamHandler.on_batch`."""
+        if self._observer is not None:
+            self._observer.on_batch(host, batch, took)
         name, now = self._names[host], self._clock.monotonic()
         if self._incarnations.setdefault(host, batch.incarnation) != batch.incarnation:
             self._incarnations[host] = batch.incarnation
@@ -126,16 +141,26 @@ class TeamFeed:
         return [*notices, *(dated._replace(host=self._names[dated.host]) for dated in dated_events)]
 
 
+#: Requests the state of all hosts of a team.
+SnapshotQuery = Callable[[], Awaitable[Mapping[str, EventBatch | LfieldError]]]
+
+
 class EventFeed:
-    """The hosts of several teams."""
+    """The hosts of several teams. `query` requests snapshots."""
 
-    def __init__(self, parts: Sequence[TeamFeed]) -> None:
-        self._feeds = parts
+    def __init__(self, parts: Sequence[TeamFeed], query: SnapshotQuery | None = None) -> None:
+        self._feeds, self._query = parts, query
 
-    async def events(self, *, follow: bool) -> AsyncIterator[DatedEvent | FeedNotice]:
-        """The events until this is closed; without `follow` only the stored ones."""
+    async def events(
+        self, *, follow: bool, until: Callable[[], bool] = lambda: False
+    ) -> AsyncIterator[DatedEvent | FeedNotice]:
+        """The events until this is closed or `until` is true; without `follow` only the stored ones."""
         while True:
-            is_last = not follow and all(part.is_complete for part in self._feeds)
+            is_over = until()
+            if is_over:
+                # The other hosts may have more to send.
+                await asyncio.sleep(HOLD_TIME)
+            is_last = is_over or (not follow and all(part.is_complete for part in self._feeds))
             for item in self.remaining() if is_last else self._drain_items():
                 yield item
             if is_last:
@@ -148,6 +173,11 @@ class EventFeed:
     def remaining(self) -> list[DatedEvent | FeedNotice]:
         """The items that are still held back."""
         return [item for part in self._feeds for item in part.drain_items(everything=True)]
+
+    async def snapshots(self) -> Mapping[str, EventBatch | LfieldError]:
+        """The state of every host of a single team, requested now, by name."""
+        assert self._query is not None, "the feed of one team"
+        return await self._query()
 
     @property
     def unreached(self) -> Sequence[str]:
@@ -186,18 +216,22 @@ async def open_feed(
     *,
     since: int | None = None,
     telemetry: float = 0.0,
+    observer: StreamHandler | None = None,
 ) -> AsyncIterator[EventFeed]:
     """Follow the hosts that have a display name. `find` locates the teams again.
 
+    The `observer` gets the batches of a single team, whose hosts it may query.
     `since` and `telemetry` (Hz): see `StreamCursor`. Raises KeysError for keys that cannot be used.
     """
     clock, parts, followers = SystemClock(), [], []
+    query: SnapshotQuery | None = None
     own = own_keys([address for party in teams for address in party.addresses.values()], keys)
     transport, brings = observer_transport(own), presented_crl(own)
     for party in teams:
         called = {place.host: names[place] for place in party.host_refs if place in names}
-        part = TeamFeed(called, clock, telemetry=telemetry > 0.0)
+        part = TeamFeed(called, clock, telemetry=telemetry > 0.0, observer=observer)
         reach = HostLocator(party, find)
+        query = partial(_query_snapshots, transport, reach, brings)
         follower = EventFollower(
             transport,
             list(called),
@@ -209,4 +243,10 @@ async def open_feed(
         parts.append(part)
         followers.append(follower.run())
     async with background_tasks(*followers):
-        yield EventFeed(parts)
+        yield EventFeed(parts, query)
+
+
+async def _query_snapshots(
+    transport: Transport, reach: HostLocator, crl: PresentedCrl | None
+) -> Mapping[str, EventBatch | LfieldError]:
+    return await ask_all(transport, dict(reach.addresses), SNAPSHOT, crl)

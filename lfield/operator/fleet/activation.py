@@ -21,6 +21,7 @@ from lfield.wire.service_messages import (
     VoteQuery,
     VoteReport,
     ballot_outcome,
+    missing_votes,
 )
 
 #: Bytes of the id of a ballot.
@@ -57,6 +58,11 @@ class BallotResult:
         """The result of the votes that are known here."""
         return ballot_outcome(self.ballot.hosts, self.votes)
 
+    @property
+    def missing(self) -> list[str]:
+        """The hosts whose votes are not known here."""
+        return missing_votes(self.ballot.hosts, self.votes)
+
 
 def new_ballot(
     digest: bytes,
@@ -88,7 +94,7 @@ async def activate(
     tasks = [asyncio.ensure_future(ask(host, Proposal(ballot), VOTE_TIMEOUT)) for host in ballot.hosts]
     await _until_decided(result, tasks)
     if result.outcome == "open":
-        left = [host for host in ballot.hosts if host not in result.votes]
+        left = result.missing
         query = VoteQuery(ballot.id, closes=True)
         await asyncio.gather(*(ask(host, query, ANSWER_TIMEOUT) for host in left))
     report = VoteReport(ballot.id, result.votes)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 from lfield.address_race import first_connected
-from lfield.errors import AddressError, LfieldError, NoListener
+from lfield.errors import AddressError, HandshakeError, LfieldError, NoListener
 from lfield.net.connections.resolver import ResolvedAddress, resolve
 from lfield.net.connections.socket_errors import describe
 from lfield.net.transport import join_address, split_address
-from lfield.operator.fleet.service_link import ServiceLink
+from lfield.operator.fleet.service_link import open_service_link
 
 if TYPE_CHECKING:
     from lfield.inventory.inventory import InventoryHost
@@ -89,22 +89,15 @@ async def check_endpoints(
 
 
 async def _authenticate(endpoint: Endpoint, transport: Transport, crl: PresentedCrl | None) -> EndpointState:
-    """Compare the certificate of the host, then exchange the handshake. Raises LfieldError."""
-    handler = ServiceLink(endpoint.host, crl)
-    link = await transport.connect(endpoint.address, handler)
+    """Exchange the handshake, which compares the certificate of the host. Raises LfieldError."""
     try:
-        if link.who.kind != "host":
-            return EndpointState("refused", error=AddressError(endpoint.address, "no certificate of a host"))
-        if link.who.name != endpoint.host:
-            return EndpointState("other-host", link.who.name)
-        handler.greet(link)
-        await handler.wait_greeted()
-        return EndpointState("answers", link.who.name)
-    except TimeoutError:
-        raise AddressError(endpoint.address, "connection accepted, and then no answer") from None
-    finally:
-        handler.give_up()
-        link.close()
+        link = await open_service_link(transport, endpoint.address, endpoint.host, crl)
+    except HandshakeError as error:
+        if not error.answered_by:
+            raise
+        return EndpointState("other-host", error.answered_by)
+    link.close()
+    return EndpointState("answers", endpoint.host)
 
 
 async def _connect(endpoint: Endpoint) -> EndpointState:

@@ -96,6 +96,7 @@ class HostModel:
             self.known,
             report=report,
             paused=report.paused,
+            held=bool(report.ballot),
             stopped=report.stopped,
             late=report.late,
             bundle=short_digest(bundle.digest) if bundle is not None else "",
@@ -123,6 +124,8 @@ class HostModel:
                 self.known = replace(self.known, stopped=stopped)
                 self.stopped_by, self.stopped_at = ("", None) if lifted else (by, when)
                 self.refusals = {}
+            case events.PauseChanged(_, lifted, True):
+                self.known = replace(self.known, held=not lifted)
             case events.PauseChanged(_, lifted):
                 self.known = replace(self.known, paused=not lifted)
             case events.HostStopping(reason):

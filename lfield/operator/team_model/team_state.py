@@ -61,7 +61,8 @@ class HostState:
 
     `linked`: connected now; else `trouble` is the reason and `age` the age (s) of its data, None if there was
     no contact. `ending` is why it ends or has ended, if it reported that. `stopped` is the reason of an
-    active emergency stop, '' for none. `links` are its links to other hosts with their measurements, `away`
+    active emergency stop, '' for none. `paused`: an operator has paused the mission there; `held`: the vote
+    about an activation does. `links` are its links to other hosts with their measurements, `away`
     the seconds since its last contact with each unreachable one. Coordinators not started yet wait for the
     hosts in `waits_for`, or for an operator because of `start_held`; `refused` are the hosts that it cannot
     link with, each with the reason. `bundle` are the first digits of the digest of its bundle, '' for none.
@@ -80,6 +81,7 @@ class HostState:
     ending: str | None = None
     stopped: str = ""
     paused: bool = False
+    held: bool = False
     waits_for: tuple[str, ...] = ()
     start_held: str = ""
     refused: Mapping[str, str] = field(default_factory=dict)

@@ -154,7 +154,7 @@ class TeamView:
         match what:
             case events.EmergencyStopChanged(_, _, lifted):
                 self._commands.on_order_event("lift" if lifted else "stop", when)
-            case events.PauseChanged(_, lifted):
+            case events.PauseChanged(_, lifted, False):
                 self._commands.on_order_event("resume" if lifted else "pause", when)
             case _:
                 pass

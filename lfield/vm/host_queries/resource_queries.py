@@ -7,7 +7,7 @@ threads may command no device (`Machine.served_call`), even if the registry decl
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 
 from lfield.manifest import DeviceValue
 from lfield.vm import portal_calls
@@ -64,12 +64,10 @@ class ResourceQueries:
         except Trap as trap:
             on_answer(None, f"{trap.kind}: {trap.message}")
             return
-        scheduler.resource_queries[number] = lambda word, thrown: self._finish(
-            resource, method, word, thrown, on_answer
-        )
+        scheduler.resource_queries[number] = partial(self._finish, resource, method, on_answer)
         portal_calls.serve(scheduler, resource, thread, method, scheduler.run_queue.push_back)
 
-    def _finish(self, resource: Agent, method: int, word: int, thrown: int, on_answer: OnAnswer) -> None:
+    def _finish(self, resource: Agent, method: int, on_answer: OnAnswer, word: int, thrown: int) -> None:
         block, program = resource.block, self._scheduler.program
         record = program.core.methods[method]
         if thrown:

@@ -103,6 +103,11 @@ def fields_of(block: Block, program: Program, place: int, members: Sequence[str]
     return _Decoder(block, program, members).parts(_field_types(program, place, block), place)
 
 
+def value_text(block: Block, program: Program, kind: int, word: int, members: Sequence[str] = ()) -> str:
+    """A value of a type (by index), one level deep."""
+    return _Decoder(block, program, members).shown(kind, word)
+
+
 def _field_types(program: Program, place: int, block: Block) -> list[int]:
     """Types of an object's fields, except those added by the machine."""
     fields = program.core.classes[block.w[place] >> 8 & 0xFFFFFF].fields

@@ -50,7 +50,8 @@ UNUSABLE = (ImportError, MemoryError, OSError, wasmtime.WasmtimeError)
 class WasmEngine:
     """Runs threads of blocks of one program; blocks outside its arena only by the reference engine.
 
-    `note` writes a log line when a method or agent runs slowly by the reference engine.
+    `note` writes a log line when a method or agent runs slowly by the reference engine. `stopwatch` limits
+    the duration of a run, by default `now`.
     """
 
     pace = 50
@@ -64,9 +65,10 @@ class WasmEngine:
         now: Callable[[], float],
         cache: CodeCache | None = None,
         note: Callable[[LogLine], object] = lambda _: None,
+        stopwatch: Callable[[], float] | None = None,
     ) -> None:
         self.program = program
-        self._note, self._now = note, now
+        self._note, self._stopwatch = note, stopwatch or now
         #: Agents whose blocks were found outside the arena.
         self._outside_arena: set[str] = set()
         self._reference = Reference(program, now)
@@ -127,7 +129,7 @@ class WasmEngine:
         if base < 0:
             self._log_unsupported(block)
             points = {}
-        w, until = block.w, self._now() + MAX_STRETCH_SECONDS
+        w, until = block.w, self._stopwatch() + MAX_STRETCH_SECONDS
         while self.unused_budget > 0:
             status = STEP
             if point := points.get(w[thread + THREAD_PC], 0):
@@ -142,7 +144,7 @@ class WasmEngine:
             leave = self._run_reference(block, thread, limits, readings, None if status == SHORT else points)
             if leave is not HALTED and leave is not BUDGET_EXHAUSTED:
                 return leave
-            if self._now() > until:
+            if self._stopwatch() > until:
                 break
         return BUDGET_EXHAUSTED
 

@@ -53,7 +53,7 @@ def telemetry(swing: float) -> float:
 async def measured_host(mission: Mission, swing: float, seconds: float) -> None:
     """The first host of the mission, with devices that only report."""
 
-    async def opened(self: DeviceGuards, devices: Any) -> None:
+    async def opened(self: DeviceGuards, devices: Any, recording: Any = None) -> None:
         pass
 
     def last(self: DeviceGuards, device: str, quantity: str) -> Observation:

@@ -114,6 +114,16 @@ def test_without_inventory_and_run_there_is_no_mission(team) -> None:
         assert team.here(command).status == 69, command
 
 
+def test_events_of_the_inventory_say_that_they_follow_until_a_ctrl_c(team) -> None:
+    team.inventory(alpha="'127.0.0.2:{alpha}'")
+    following = team.lfield.start("events")
+    following.wait_for("^lfield: following the hosts of the inventory; Ctrl-C ends this$")
+    following.signal(signal.SIGINT)
+    assert following.wait() == 130
+    stored = team.here("events", "--no-follow")
+    assert not any("Ctrl-C" in line for line in stored.err)
+
+
 def test_a_damaged_inventory_is_reported_with_its_position(team) -> None:
     team.lfield.write("config/lfield/inventory.yaml", "hosts:\n  alpha: {addresses: ['1.2.3']}\n")
     refused = team.here("estop")

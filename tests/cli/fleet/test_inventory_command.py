@@ -52,10 +52,13 @@ def test_an_address_of_another_robot_is_named_by_its_certificate(lfield, here, r
     assert state_of(said, "alpha", "service") == ("other-host", "bravo")
     assert state_of(said, "bravo", "service") == ("other-host", "alpha")
     assert not any(each["reached"] for each in told(said).values())
-    assert any(
-        f"127.0.0.1:{ports['bravo']} is an address of bravo" in line
-        for line in here("inventory", "check").out
-    )
+    shown = here("inventory", "check")
+    assert any(f"127.0.0.1:{ports['bravo']} is an address of bravo" in line for line in shown.out)
+    # Both have answered.
+    assert shown.err == [
+        "lfield: bravo answered at an address of alpha",
+        "lfield: alpha answered at an address of bravo",
+    ]
 
 
 def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
@@ -65,6 +68,8 @@ def test_a_host_of_another_team_is_refused(lfield, here, robots) -> None:
     said = here("inventory", "check", "--keys", other, "--json")
     assert said.status == 69
     assert state_of(said, "alpha", "service") == ("refused", "")
+    shown = here("inventory", "check", "--keys", other)
+    assert shown.err == ["lfield: refused: alpha"]
 
 
 def test_a_program_that_is_no_host_is_not_reached(lfield, here, robots) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,16 @@ def test_a_python_that_is_too_old_is_prepared_for(folder, here, monkeypatch) -> 
     collected.parent.mkdir(exist_ok=True)
     collected.write_bytes(b"python")
     assert here(*prepare).status == exit_status.DONE
+
+
+@pytest.mark.skipif(shutil.which("ssh") is None, reason="there is no ssh here")
+def test_each_address_that_does_not_answer_is_named(folder, here) -> None:
+    (folder / "two.yaml").write_text("hosts: {alpha: {addresses: [127.0.0.1, 127.0.0.2], ssh_port: 1}}\n")
+    done = here("provision", "--inventory", "two.yaml", "--json")
+    assert done.status == exit_status.UNAVAILABLE
+    said = str(reports(done.out)["alpha"]["message"])
+    assert "127.0.0.1 is unreachable" in said
+    assert "127.0.0.2 is unreachable" in said
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import time
 
@@ -81,8 +82,11 @@ def test_coordinators_that_have_not_ended_forbid_an_activation_until_they_are_di
     checked = here("service", "--host", "alpha", "--state", "state-alpha", "--check")
     assert (checked.status, checked.out) == (1, ["coordinator tom of mission has not ended: moved"])
     # It continues where it was, until it is discarded.
-    assert here("start").status == 0
+    started = here("start")
+    assert started.status == 0
+    assert any(line.startswith("tom continues: it has not ended") for line in started.out)
     team.services["bravo"].wait_for("restarted")
+    assert told(here("start", "--json"))["continues"] == []
     gone = told(here("stop", "--discard", "--json"))
     assert {name for each in gone.values() for name in each["discarded"]} == {"tom"}
     assert here("service", "--host", "alpha", "--state", "state-alpha", "--check").status == 0
@@ -100,8 +104,8 @@ def test_a_second_start_waits_for_a_host_that_is_missing(lfield, here, robots) -
     until(lambda: {each["run"]["phase"] for each in told(here("status", "--json")).values()} == {"ended"})
     # As if carol were forgotten: its host does not run.
     team.inventory.write_text("".join(team.inventory.read_text().splitlines(keepends=True)[:-1]))
+    # It waits for 20 s itself.
     assert here("start").status == 1
-    time.sleep(7.0)
     runs = {host: each["run"]["phase"] for host, each in told(here("status", "--json")).items()}
     assert runs == {"alpha": "running", "bravo": "running"}
 
@@ -134,6 +138,31 @@ def test_a_killed_service_leaves_the_mission_alone_and_supervises_it_again(lfiel
     team.services["bravo"].signal(signal.SIGTERM)
     assert team.services["bravo"].wait() == 0
     team.services["bravo"].wait_for("ended with status 130")
+
+
+def test_a_service_whose_state_was_deleted_finds_its_host_and_votes_no(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission(rounds=1000, pause=0.2)
+    assert here("push", "mission.dL").status == 0
+    assert here("start").status == 0
+    team.services["bravo"].wait_for("^visit 2$")
+    team.kill("bravo")
+    pid = team.state("bravo")["run"]["pid"]
+    shutil.rmtree(lfield.folder / "state-bravo")
+    team.up("bravo")
+    team.services["bravo"].wait_for("host of .* still running")
+    assert team.state("bravo")["run"]["pid"] == pid
+    told_status = told(here("status", "--json"))["bravo"]
+    assert (told_status["bundle"], told_status["run"]["phase"]) == ("", "running")
+    team.mission(text="call")
+    refused = told(here("push", "mission.dL", "--without", "alpha", "--json"))
+    assert (refused["outcome"], refused["votes"]) == ("aborted", {"bravo": "no"})
+    assert "the vehicles of the mission's host are unknown" in refused["reasons"]["bravo"]
+    # It ends in order, and its result is known although the file of it was deleted.
+    stopped = told(here("stop", "--discard", "--json"))["bravo"]
+    assert (stopped["phase"], stopped["trouble"]) == ("stopped", "")
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
 
 
 def test_a_host_that_is_off_is_named_before_the_vote_and_cannot_start_with_the_old_bundle(

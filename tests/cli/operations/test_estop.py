@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import resource
 import signal
@@ -89,6 +90,12 @@ def test_who_does_not_confirm_and_who_is_not_reached_is_named(lfield, team, alon
     assert pressed.err == [
         "bravo: wing.fc: NOT CONFIRMED: its safe state was not confirmed in 5 s",
     ]
+    pressed = lfield("estop", *team.words, "--no-wait", "--json")
+    assert lfield.status(pressed) == 3, pressed.said
+    found = {host: answer["devices"] for host, answer in json.loads("".join(pressed.out)).items()}
+    assert found["alpha"] == {"lead.fc": {"confirmed": True, "at_rest": None, "problem": ""}}
+    assert found["bravo"]["wing.fc"]["confirmed"] is False
+    assert found["bravo"]["wing.fc"]["problem"]
     team.hosts["bravo"].popen.kill()
     team.hosts["bravo"].popen.wait()
     again = lfield("estop", *team.words, "--no-wait")
@@ -148,9 +155,12 @@ def test_the_way_down_is_shown_until_all_are_at_rest_and_what_does_not_come_down
     assert "stopped watching; the order is unchanged: 'lfield ps' shows the devices" in told
     assert re.search("bravo: wing.fc: NOT .*; last seen ", told)
     assert "lead.fc" not in told
-    looking = lfield("estop", env=own)
+    looking = lfield("estop", "--json", env=own)
     assert lfield.status(looking) == 3, looking.said
     assert re.search("bravo: wing.fc: NOT .*; last seen ", looking.err[-1])
+    (answers,) = map(json.loads, looking.out)
+    assert answers["alpha"]["devices"]["lead.fc"]["at_rest"] is True
+    assert answers["bravo"]["devices"]["wing.fc"]["at_rest"] is False
 
 
 @pytest.mark.few(0)
@@ -278,3 +288,34 @@ def test_bytes_that_are_no_text_keep_nothing_from_a_running_mission(lfield, own)
         told = lfield(*words, env=own)
         assert lfield.status(told) == 64, told.said
         assert r"\u{dcff}" in told.said
+
+
+@pytest.fixture
+def half_team(lfield, alone):
+    """The arguments of commands for two hosts, of which alpha runs."""
+    deployment = lfield.mission(BELL, BELL_DEPLOYED + "//Bell:other@bravo\n")
+    arguments = ("--deploy", deployment, *lfield.maps(["alpha", "bravo"]))
+    lfield.start("up", *arguments, "--host", "alpha", env=alone).wait_for("listening on")
+    yield arguments
+    lfield.end()
+
+
+def test_a_host_where_nothing_runs_has_nothing_to_lift(lfield, half_team) -> None:
+    stopped = lfield("estop", *half_team, "--no-wait")
+    assert lfield.status(stopped) == 3, stopped.said
+    lifted = lfield("estop", *half_team, "--lift")
+    assert lfield.status(lifted) == 0, lifted.said
+    assert [line.partition(":")[0] for line in lifted.out] == ["alpha", "bravo"]
+    assert lifted.err == []
+
+
+def test_json_has_each_host_with_its_devices_or_its_error(lfield, half_team) -> None:
+    stopped = lfield("estop", *half_team, "--no-wait", "--json")
+    assert lfield.status(stopped) == 3, stopped.said
+    (line,) = stopped.out
+    found = json.loads(line)
+    assert found["alpha"] == {"devices": {}, "trouble": ""}
+    assert found["bravo"]["code"] == "no-listener"
+    lifted = lfield("estop", *half_team, "--lift", "--json")
+    assert lfield.status(lifted) == 0
+    assert json.loads(lifted.out[0])["alpha"] == {"devices": {}, "trouble": ""}

@@ -11,6 +11,7 @@ import time
 from itertools import pairwise
 
 import pytest
+from mcap.reader import make_reader
 
 from lfield import exit_status
 
@@ -171,6 +172,76 @@ def test_nobody_there_is_a_status(lfield, here):
     assert said.status == exit_status.UNAVAILABLE
     assert said.out == []
     assert [line.split(":")[0] for line in said.err] == ["alpha", "beta"]
+
+
+# --- recordings ---------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def recorders(walk, shared_lfield):
+    """Two recorders, each with its file."""
+    found = {}
+    for name in ("ended", "killed"):
+        file = shared_lfield.folder / f"{name}.mcap"
+        words = ("--json", "--mcap", file, "--rate", "10")
+        found[name] = shared_lfield.start("events", "--deploy", walk.deployment, *words), file
+    for recorder, _ in found.values():
+        recorder.wait_for('"kind":"hopped"')
+        recorder.wait_for('"kind":"measured"')
+    return found
+
+
+def topics(reader) -> set[str]:
+    return {channel.topic for _, channel, _ in reader.iter_messages(log_time_order=False)}
+
+
+EXPECTED = {"/devices/p/fc", "/devices/p/fc/fix", "/events", "/hops", "/tf"}
+
+
+def test_a_recorder_that_is_asked_to_end_completes_its_file(recorders):
+    recorder, file = recorders["ended"]
+    recorder.signal(signal.SIGTERM)
+    assert recorder.wait() == exit_status.INTERRUPTED
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert topics(reader) >= EXPECTED
+        summary = reader.get_summary()
+    assert f"{file}: {summary.statistics.message_count} messages in " in recorder.err[-1]
+
+
+def test_a_recorder_that_is_killed_leaves_a_valid_file(recorders):
+    recorder, file = recorders["killed"]
+    before = file.stat().st_size
+    # The next flush has all that was printed by then.
+    for _ in range(2):
+        end = time.monotonic() + 60.0
+        while file.stat().st_size == before:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        before = file.stat().st_size
+    recorder.signal(signal.SIGKILL)
+    recorder.wait()
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        assert topics(reader) >= EXPECTED
+        assert reader.get_summary() is None
+
+
+@pytest.mark.parametrize(
+    ("words", "status"),
+    [
+        (["--until-done", "--no-follow"], exit_status.USAGE),
+        (["--until-done", "--lost-after", "0"], exit_status.USAGE),
+        (["--mcap", "/dev/full", "--no-follow"], exit_status.NO_OUTPUT),
+        (["--mcap", "/", "--no-follow"], exit_status.NO_OUTPUT),
+        (["--mcap", __file__, "--no-follow"], exit_status.NO_OUTPUT),
+    ],
+)
+def test_what_cannot_be_recorded_is_an_error_of_one_sentence(words, status, walk, here):
+    said = here("events", "--deploy", walk.deployment, *words)
+    assert said.status == status
+    assert len([line for line in said.err if line.startswith("lfield: ")]) == 1
+    assert said.out == []
 
 
 FLOOD = """

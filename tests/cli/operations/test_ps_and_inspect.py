@@ -157,6 +157,7 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "silence": None,
             "lease": None,
             "paused": False,
+            "held": False,
             "stopped": "",
             "unkept": "",
             "refused": [],

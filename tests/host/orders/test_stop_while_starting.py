@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from lfield.host.inputs import HostInput, OrderExecuted
 from lfield.host.order_history.executed_orders import ExecutedOrders
 from lfield.host.stop_orders.order_executor import NOT_OPEN, OrderExecutor
 from lfield.wire.observer_messages import EmergencyStop
@@ -43,15 +44,18 @@ def stopped(found: dict[str, str]) -> tuple[GuardsStub, list]:
         recorder=SimpleNamespace(on_emergency_stop=lambda who, reason, lifted: None),
         mission=SimpleNamespace(devices_of=lambda host: devices),
         coordinators=SimpleNamespace(stopped="fog", write_trouble=""),
-        set_emergency_stop=lambda reason, order: None,
     )
     guards, answers = GuardsStub(found), []
 
     async def kept(seconds: float | None) -> bool:
         return True
 
+    def dispatch(entry: HostInput) -> None:
+        if isinstance(entry, OrderExecuted):
+            core.orders.on_executed(entry.kind, entry.id)
+
     async def story() -> None:
-        executor = OrderExecutor(core, guards, lambda event: event(), lambda line: None, kept)
+        executor = OrderExecutor(core, guards, dispatch, lambda line: None, kept)
         for number in (1, 2):
             order = EmergencyStop(ID, "fog", epoch=core.orders.epochs.of("stop"))
             executor.on_order(order, "anna", answers.append)

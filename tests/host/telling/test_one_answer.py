@@ -61,7 +61,7 @@ class Telemetry:
         guards = running.host.guards
         guards.open, guards.last, guards.trouble = self.open, self.last, {}.get
 
-    async def open(self, devices):
+    async def open(self, devices, recording):
         pass
 
     def last(self, device, quantity):

@@ -94,7 +94,7 @@ def two_starts_on_one_host(patch: Patch) -> None:
 
 
 def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
-    enter, unlinked = Host._dispatch, HostCore.on_unlinked
+    enter, unlinked = Host.dispatch, HostCore.on_unlinked
 
     def breaks(self: HostCore, host: str) -> None:
         self.breaks = getattr(self, "breaks", 0) + 1  # type: ignore[attr-defined]
@@ -102,22 +102,22 @@ def a_pump_dies_while_guards_are_fed(patch: Patch) -> None:
             raise ValueError("a bug that nobody has met yet")
         unlinked(self, host)
 
-    def enter_if_alive(self: Host, event: Callable[[], None]) -> None:
+    def enter_if_alive(self: Host, *entry: Any) -> None:
         if not hasattr(self, "pump_died"):
-            enter(self, event)
+            enter(self, *entry)
 
     patch.setattr(HostCore, "on_unlinked", breaks)
-    patch.setattr(Host, "_dispatch", enter_if_alive)
+    patch.setattr(Host, "dispatch", enter_if_alive)
     patch.setattr(Host, "fail", lambda self, error: setattr(self, "pump_died", error))
-    patch.setattr(Host, "step", lambda self: self._dispatch(lambda: None) or True)
+    patch.setattr(Host, "step", lambda self: self.dispatch() or True)
 
 
 def an_exception_loses_a_thread(patch: Patch) -> None:
     answered = HostCore.on_device_answer
 
-    def lost(self: HostCore, asked: Any, value: Any) -> None:
+    def lost(self: HostCore, number: int, value: Any) -> None:
         if not isinstance(value, DeviceError):
-            answered(self, asked, value)
+            answered(self, number, value)
 
     patch.setattr(HostCore, "on_device_answer", lost)
 
@@ -222,7 +222,7 @@ BUGS = [
         silence_is_a_loss,
         "a host without an answer counts as lost: one cut link makes a live coordinator 'lost'",
         frozenset({"lost", "stuck"}),
-        507,
+        775,
     ),
     Bug(
         two_starts_on_one_host,

@@ -80,7 +80,7 @@ TERMINATED_BUGS = [
         99,
         calm,
     ),
-    _bug(an_end_is_told_before_it_is_on_disk, "a termination is sent before it is on disk", 7, slowly),
+    _bug(an_end_is_told_before_it_is_on_disk, "a termination is sent before it is on disk", 184, slowly),
     _bug(
         an_end_is_written_down_in_spite_of_a_promise,
         "a termination is stored although a failover has been promised",

@@ -16,7 +16,9 @@ from lfield.service import ballots, service
 from lfield.service.ballots import ActivationState
 from lfield.service.mission_runner import MissionRunner
 from lfield.service.service import Service
+from lfield.service.service_interfaces import AskPeer
 from lfield.wire.service_messages import BallotOutcome, BallotState, Vote
+from simulation_testing.services.robot_mission import ModelProbe, RobotMission
 
 Patch = pytest.MonkeyPatch
 
@@ -85,19 +87,9 @@ def unknown_votes_count_as_yes(patch: Patch) -> None:
     patch.setattr(ballots, "ballot_outcome", outcome)
 
 
-def a_paused_host_is_not_released(patch: Patch) -> None:
+def a_held_host_is_not_released(patch: Patch) -> None:
     async def release(self: Service) -> None:
         self._set_held(False)
-
-    patch.setattr(Service, "_release", release)
-
-
-def a_pause_is_released_for_a_running_host_only(patch: Patch) -> None:
-    async def release(self: Service) -> None:
-        if self._held:
-            if self._runner.is_running:
-                await self._probe.release()
-            self._set_held(False)
 
     patch.setattr(Service, "_release", release)
 
@@ -109,18 +101,18 @@ def votes_of_earlier_ballots_are_forgotten(patch: Patch) -> None:
     patch.setattr(ballots, "_known", known)
 
 
-def a_host_is_not_paused_for_its_vote(patch: Patch) -> None:
-    async def hold(self: Service) -> str:
+def a_host_is_not_held_for_its_vote(patch: Patch) -> None:
+    async def hold(self: Service, ballot: bytes) -> str:
         return ""
 
     patch.setattr(Service, "_hold", hold)
 
 
-def a_host_votes_without_a_check_after_its_pause(patch: Patch) -> None:
+def a_host_votes_without_a_check_after_its_hold(patch: Patch) -> None:
     refusal = Service._refusal
 
     async def once(self: Service, digest: bytes | None) -> str:
-        if digest is not None and self._held:
+        if self._held:
             return ""
         return await refusal(self, digest)
 
@@ -169,6 +161,38 @@ def a_result_is_not_carried_out_after_a_restart(patch: Patch) -> None:
     patch.setattr(Service, "settle", settle)
 
 
+def a_hold_ends_before_the_result(patch: Patch) -> None:
+    ask = Service._ask_for_votes
+
+    async def release_and_ask(self: Service, bound: BallotState, peers: AskPeer) -> None:
+        async with self._lock:
+            await self._release()
+        await ask(self, bound, peers)
+
+    patch.setattr(Service, "_ask_for_votes", release_and_ask)
+
+
+def a_resume_of_a_person_ends_the_hold_of_a_vote(patch: Patch) -> None:
+    order = RobotMission.order_pause
+
+    def order_all(self: RobotMission, *, on: bool) -> bool:
+        done = order(self, on=on)
+        self.held = self.held if on or not done else b""
+        return done
+
+    patch.setattr(RobotMission, "order_pause", order_all)
+
+
+def the_end_of_a_vote_ends_the_pause_of_a_person(patch: Patch) -> None:
+    release = ModelProbe.release
+
+    async def release_all(self: ModelProbe) -> str:
+        self._mission.is_paused = False
+        return await release(self)
+
+    patch.setattr(ModelProbe, "release", release_all)
+
+
 PUSH_BUGS = (
     PushBug(
         a_vote_is_sent_before_it_is_stored,
@@ -192,7 +216,7 @@ PUSH_BUGS = (
         a_majority_activates,
         "a majority of votes activates a bundle",
         frozenset({"activated without a yes", "two outcomes"}),
-        6,
+        7,
     ),
     PushBug(
         unknown_votes_count_as_yes,
@@ -201,16 +225,10 @@ PUSH_BUGS = (
         0,
     ),
     PushBug(
-        a_paused_host_is_not_released,
-        "a host that was paused for a ballot stays paused after its result",
-        frozenset({"still paused"}),
-        3,
-    ),
-    PushBug(
-        a_pause_is_released_for_a_running_host_only,
-        "a host that crashed while it was paused for a ballot starts paused",
-        frozenset({"still paused"}),
-        4,
+        a_held_host_is_not_released,
+        "a host that was held for a ballot stays held after its result",
+        frozenset({"still held"}),
+        24,
     ),
     PushBug(
         votes_of_earlier_ballots_are_forgotten,
@@ -219,22 +237,22 @@ PUSH_BUGS = (
         7,
     ),
     PushBug(
-        a_host_is_not_paused_for_its_vote,
+        a_host_is_not_held_for_its_vote,
         "a host votes yes and can start coordinators until the result",
-        frozenset({"yes without pause", "yes without rest"}),
+        frozenset({"yes without hold", "yes without rest"}),
         4,
     ),
     PushBug(
-        a_host_votes_without_a_check_after_its_pause,
-        "a vehicle takes off between the check and the pause of a vote",
+        a_host_votes_without_a_check_after_its_hold,
+        "a vehicle takes off between the check and the hold of a vote",
         frozenset({"yes without rest"}),
-        39,
+        108,
     ),
     PushBug(
         a_crashed_host_counts_as_at_rest,
         "a host without a process votes yes while its vehicle is in the air",
-        frozenset({"yes without rest", "yes without pause"}),
-        30,
+        frozenset({"yes without rest", "yes without hold"}),
+        68,
     ),
     PushBug(
         an_old_bundle_is_restarted_after_an_activation,
@@ -245,7 +263,7 @@ PUSH_BUGS = (
     PushBug(
         a_host_whose_number_was_not_stored_is_forgotten,
         "a service that was killed while it started a host does not find its process",
-        frozenset({"two hosts", "yes without pause", "yes without rest"}),
+        frozenset({"two hosts", "yes without hold", "yes without rest"}),
         2,
     ),
     PushBug(
@@ -257,7 +275,27 @@ PUSH_BUGS = (
     PushBug(
         a_result_is_not_carried_out_after_a_restart,
         "a service that was killed after it stored a result does not carry it out",
-        frozenset({"still paused", "old bundle runs"}),
-        4,
+        frozenset({"still held", "old bundle runs"}),
+        225,
+    ),
+    PushBug(
+        a_hold_ends_before_the_result,
+        "a host is released while the result of its ballot is unknown",
+        frozenset({"acts while bound"}),
+        40,
+        within=600,
+    ),
+    PushBug(
+        a_resume_of_a_person_ends_the_hold_of_a_vote,
+        "a person resumes a mission, and its host can arm although it has voted",
+        frozenset({"acts while bound", "yes without hold"}),
+        26,
+        within=600,
+    ),
+    PushBug(
+        the_end_of_a_vote_ends_the_pause_of_a_person,
+        "a pause of a person ends with the vote of the robot",
+        frozenset({"acts while paused", "pause changed"}),
+        21,
     ),
 )

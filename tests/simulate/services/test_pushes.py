@@ -67,9 +67,9 @@ def test_a_run_does_not_depend_on_the_process() -> None:
 
 @pytest.mark.few(0)
 def test_a_story_with_a_breach_is_made_smaller(monkeypatch: pytest.MonkeyPatch) -> None:
-    from planted_push_bugs import a_paused_host_is_not_released
+    from planted_push_bugs import a_held_host_is_not_released
 
-    a_paused_host_is_not_released(monkeypatch)
+    a_held_host_is_not_released(monkeypatch)
     found = next(v for v in map(run_push_seed, range(30)) if v.breaches)
     small = shrink_push_story(found, most=25)
     assert small.breaches[0].name == found.breaches[0].name

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
-from lfield.host.core import HostCore
+from lfield.host.inputs import HostInput, PauseOrdered, StartOrdered, StopOrdered
 from lfield.journal.records import StartCounter
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.loader import load_mission
@@ -73,10 +73,10 @@ def started(fleet: Fleet) -> bool:
     return said(fleet, "boss: begins") > 0
 
 
-def event(fleet: Fleet, event: Callable[[HostCore], object]) -> None:
-    """Let something happen to alpha, in its own process."""
+def event(fleet: Fleet, entry: HostInput) -> None:
+    """An input of alpha, in its own process."""
     life = fleet.lives["alpha"]
-    life.process.loop.enter(lambda: life.host._dispatch(lambda: event(life.core)))
+    life.process.loop.enter(lambda: life.host.dispatch(entry))
 
 
 def alone(made: Mission, *absent: str, keeps: bool = True) -> Fleet:
@@ -247,11 +247,11 @@ def test_a_stop_of_the_host_ends_the_wait(tmp_path: Path) -> None:
 def test_a_pause_during_the_wait_holds_the_start_until_the_mission_is_resumed(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
-    event(fleet, lambda core: core.set_paused(on=True))
+    event(fleet, PauseOrdered(True))
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
-    event(fleet, lambda core: core.set_paused(on=False))
+    event(fleet, PauseOrdered(False))
     fleet.run(1.0)
     assert started(fleet)
 
@@ -259,18 +259,18 @@ def test_a_pause_during_the_wait_holds_the_start_until_the_mission_is_resumed(tm
 def test_an_emergency_stop_during_the_wait_holds_the_start_until_a_command(tmp_path: Path) -> None:
     fleet = alone(mission(tmp_path), "carol")
     fleet.run(5.0)
-    event(fleet, lambda core: core.set_emergency_stop("a person on the field"))
+    event(fleet, StopOrdered("a person on the field"))
     fleet.boot("carol")
     fleet.run(5.0)
     assert not started(fleet)
     # To lift it moves nothing.
-    event(fleet, lambda core: core.set_emergency_stop(""))
+    event(fleet, StopOrdered(""))
     fleet.run(20.0)
     start = status(fleet, "alpha").start
     assert start is not None
     assert "emergency stop" in start.held
     assert not started(fleet)
-    event(fleet, lambda core: core.startup.start([]))
+    event(fleet, StartOrdered([]))
     fleet.run(1.0)
     assert started(fleet)
 

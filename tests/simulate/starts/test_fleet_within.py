@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from lfield.host.inputs import PauseOrdered
 from lfield.host.team.reachability import ANSWER_GRACE
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, copies
@@ -270,7 +271,7 @@ def paused(host: str, *, on: bool) -> Event:
 
     def happens(fleet: Fleet) -> None:
         life = fleet.lives[host]
-        life.process.loop.enter(lambda: life.host._dispatch(lambda: life.core.set_paused(on=on)))
+        life.process.loop.enter(lambda: life.host.dispatch(PauseOrdered(on)))
 
     return happens
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from test_fleet_starts import event, mission, said, started, status
 
+from lfield.host.inputs import StartOrdered
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from lfield.simulate import hardware
@@ -46,7 +47,7 @@ def test_an_orderly_restart_while_a_vehicle_is_off_the_ground_begins_nothing_ane
     monkeypatch.setitem(hardware.VALUES, "boolean", True)  # type: ignore[arg-type]
     fleet.run(30.0)
     assert said(fleet, "boss: begins") == 1
-    event(fleet, lambda core: core.startup.start([]))
+    event(fleet, StartOrdered([]))
     fleet.run(1.0)
     assert said(fleet, "boss: begins") == 2
 
@@ -90,6 +91,6 @@ def test_a_vehicle_that_does_not_say_where_it_is_stops_the_start_until_its_host_
     assert (start.hosts, start.held) == (["bravo"], "")
     why = "boss not started: waiting for bravo (two.fc has not reported whether it is on the ground)"
     assert said(fleet, why, "alpha") >= 1
-    event(fleet, lambda core: core.startup.start(["bravo"]))
+    event(fleet, StartOrdered(["bravo"]))
     fleet.run(2.0)
     assert started(fleet)

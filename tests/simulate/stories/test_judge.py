@@ -109,7 +109,7 @@ def test_a_judge_sees_a_call_for_a_copy_that_has_a_successor() -> None:
     judge.fleet.close()
 
 
-@pytest.mark.parametrize("seed", [0, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_a_judge_sees_a_number_that_is_given_again_while_the_first_waits_elsewhere(
     seed: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

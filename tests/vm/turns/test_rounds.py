@@ -10,9 +10,10 @@ from lfield.clock import ManualClock
 from lfield.testing.golden import GoldenWorld, compile_text, run_until_idle
 from lfield.vm.agent import MachineTeam, TeamMember
 from lfield.vm.engine_interface import AgentLimits
-from lfield.vm.machine import SECONDS_PER_RUN, SLICE, SLICES_PER_RUN, TURNS_PER_RUN, Machine
+from lfield.vm.machine import SLICE, SLICES_PER_RUN, TURNS_PER_RUN, Machine
 from lfield.vm.memory.collector import collect
 from lfield.vm.memory.layout import W_SELF
+from lfield.vm.turns.run_limit import SECONDS_PER_RUN
 
 TEAM = [TeamMember(0, "store", "Store", "resource", 0), TeamMember(1, "clerk", "Clerk", "coordinator", 0)]
 PROGRAM = """

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from lfield import exit_status
+from lfield.host.recording.recording_target import RecordingTarget
 from lfield.mission.bindings import MAX_MEMBERS
 from lfield.replication.transfer.transfer_sender import MIN_DOUBT_TIME
 from lfield.simulate.computers.event_queue import TooManyEvents
@@ -54,18 +55,20 @@ class RunVerdict:
     log: tuple[tuple[float, str, str], ...] = ()
 
 
-def run_scenario(story: Scenario, *, keep_log: bool = False) -> RunVerdict:
-    """Let a story happen; it ends with the first breach, or when all that may go on have done so."""
+def run_scenario(
+    story: Scenario, *, keep_log: bool = False, record: RecordingTarget | None = None
+) -> RunVerdict:
+    """Run a story; it ends with the first breach, or when all that may go on have done so."""
     # A story leaves much behind that is in circles: young while it is told, it is found at once afterwards.
     gc.disable()
     try:
-        return _judged_run(story, keep_log=keep_log)
+        return _judged_run(story, record, keep_log=keep_log)
     finally:
         gc.collect(0)
         gc.enable()
 
 
-def _judged_run(story: Scenario, *, keep_log: bool) -> RunVerdict:
+def _judged_run(story: Scenario, record: RecordingTarget | None, *, keep_log: bool) -> RunVerdict:
     judge, outcome = RunJudge(), OutcomeRecorder()
 
     def born(name: str, life: HostLife) -> None:
@@ -81,6 +84,7 @@ def _judged_run(story: Scenario, *, keep_log: bool) -> RunVerdict:
             lost_after=story.lost_after,
             keeps=story.journals,
             slowness=story.slowness,
+            record=record,
         ),
     )
     for disk in fleet.disks.values():

@@ -23,6 +23,8 @@ class PushJudge:
         self.outcomes: dict[bytes, BallotOutcome] = {}
         #: Called at the next vote for a ballot of a robot.
         self.at_vote: dict[str, Callable[[], None]] = {}
+        #: The robots whose missions a person has paused.
+        self.paused: set[str] = set()
         self._votes: dict[tuple[str, bytes], Vote] = {}
         #: The last ballot that was really activated, by robot: it is when the last host votes yes.
         self._activated: dict[str, Ballot] = {}
@@ -65,8 +67,8 @@ class PushJudge:
             if not mission.is_at_rest:
                 state = "flies" if mission.is_airborne else f"has coordinators {[*mission.unfinished]}"
                 self.breaches.add("yes without rest", (robot,), f"it {state} at its vote")
-            if mission.host is not None and not mission.is_paused:
-                self.breaches.add("yes without pause", (robot,), "its host can start anything")
+            if mission.host is not None and not mission.held:
+                self.breaches.add("yes without hold", (robot,), "its host can start anything")
         if all(self._votes.get((host, ballot.id)) == "yes" for host in ballot.hosts):
             self._activated |= dict.fromkeys(ballot.hosts, ballot)
 
@@ -88,7 +90,7 @@ class PushJudge:
         self.counts["starts"] += 1
         activation = self.records.get(robot, ServiceRecord()).activation
         if activation.open_ballot is not None:
-            self.breaches.add("start while bound", (robot,), "its ballot is not decided")
+            self.breaches.add("start while bound", (robot,), "its ballot has no result")
         if bundle != activation.active:
             self.breaches.add("start of another bundle", (robot,), "its bundle is not active there")
         if self.missions[robot].host is not None:
@@ -97,6 +99,13 @@ class PushJudge:
     def on_act(self, robot: str, bundle: bytes) -> None:
         """A coordinator acts on a robot: no other robot of the same activation may run another bundle."""
         self.counts["acts"] += 1
+        if robot in self.paused:
+            self.breaches.add("acts while paused", (robot,), "a person has paused it, and not resumed it")
+        activation = self.records.get(robot, ServiceRecord()).activation
+        bound = activation.open_ballot
+        if bound is not None and bound.ballot is not None and bound.ballot.digest != activation.active:
+            # Its vehicle can leave the ground.
+            self.breaches.add("acts while bound", (robot,), "it has voted, and does not know the result")
         own = self._activated.get(robot)
         if own is None:
             return
@@ -105,7 +114,7 @@ class PushJudge:
             if other == robot or theirs is None or robot not in theirs.hosts or other not in own.hosts:
                 continue
             host = mission.host
-            if host is not None and host.bundle != bundle and not mission.is_paused and mission.unfinished:
+            if host is not None and host.bundle != bundle and not mission.rests and mission.unfinished:
                 self.breaches.add("two bundles", (robot, other), "two bundles run within one mission")
 
     # --- the end --------------------------------------------------------------------------------------
@@ -127,8 +136,10 @@ class PushJudge:
             record = self.records.get(robot, ServiceRecord())
             if record.activation.open_ballot is not None:
                 self.breaches.add("no decision", (robot,), "a ballot is still open")
-            if mission.host is not None and mission.is_paused:
-                self.breaches.add("still paused", (robot,), "no ballot binds it, and its host is paused")
+            if mission.host is not None and mission.held:
+                self.breaches.add("still held", (robot,), "no ballot binds it, and its host is held")
+            if mission.is_paused is not (robot in self.paused):
+                self.breaches.add("pause changed", (robot,), "not by a person")
             last = self._activated.get(robot)
             if last is not None and record.activation.active != last.digest:
                 self.breaches.add("activation lost", (robot,), "it does not know the last activation")

@@ -48,6 +48,8 @@ KINDS: Mapping[str, float] = {
     "freeze": 25.0,
     "disk_full": 30.0,
     "disk_slow": 30.0,
+    "person_pauses": 25.0,
+    "person_resumes_at_vote": 12.0,
 }
 _ACTIONS: tuple[tuple[DeskAction, int], ...] = (
     ("push", 6),
@@ -211,6 +213,7 @@ class PushWeather:
         for desk in self._desks:
             desk.kill()
         for robot, disk in fleet.disks.items():
+            self._order_pause(robot, on=False)
             disk.plan_kill("")
             disk.is_full, disk.slow, disk.kills_host = False, 0.0, False
             fleet.power_on(robot)
@@ -326,6 +329,27 @@ class PushWeather:
             return None
         process.loop.freeze()
         return process.loop.thaw
+
+    # --- persons --------------------------------------------------------------------------------------
+
+    def _person_pauses(self, fault: PushFault) -> Callable[[], None]:
+        """A person pauses the mission of a robot for a while."""
+        self._order_pause(fault.one, on=True)
+        return partial(self._order_pause, fault.one, on=False)
+
+    def _person_resumes_at_vote(self, fault: PushFault) -> None:
+        """A person resumes the mission of a robot that has just voted."""
+
+        def resume() -> None:
+            if not self._is_over:
+                self._order_pause(fault.one, on=False)
+
+        self._fleet.judge.at_vote[fault.one] = lambda: self._fleet.later(resume)
+
+    def _order_pause(self, robot: str, *, on: bool) -> None:
+        judge = self._fleet.judge
+        if judge.missions[robot].order_pause(on=on):
+            (judge.paused.add if on else judge.paused.discard)(robot)
 
     # --- disks ----------------------------------------------------------------------------------------
 

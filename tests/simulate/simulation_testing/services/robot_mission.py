@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from lfield import exit_status
-from lfield.service.mission_runner import HostEnd, ProcessId
+from lfield.service.mission_runner import HostEnd, HostProcess, ProcessId
 from lfield.simulate.computers.process_loop import ProcessLoop
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -51,9 +51,11 @@ class RobotMission:
         self.rng = random.Random(computer.machine.rng.random())
         self.is_airborne = False
         #: The journal: coordinators that have not ended as far as this robot knows, with their places, and
-        #: whether the mission is paused.
+        #: whether a person has paused the mission.
         self.unfinished: dict[str, str] = {}
         self.is_paused = False
+        #: The ballot that holds the host, b"" for none. It is in the memory of its process.
+        self.held = b""
         #: Hosts that run, by process number; how others have ended.
         self.hosts: dict[int, ModelHost] = {}
         self.ends: dict[int, int] = {}
@@ -64,6 +66,11 @@ class RobotMission:
     def host(self) -> ModelHost | None:
         """The host that runs."""
         return next(iter(self.hosts.values()), None)
+
+    @property
+    def rests(self) -> bool:
+        """Whether no coordinator may act, start or arrive."""
+        return self.is_paused or bool(self.held)
 
     @property
     def is_at_rest(self) -> bool:
@@ -84,8 +91,15 @@ class RobotMission:
     def on_power_off(self) -> None:
         """The robot is without power: its vehicle too."""
         self.hosts.clear()
-        self.is_airborne = False
+        self.is_airborne, self.held = False, b""
         self.boots += 1
+
+    def order_pause(self, *, on: bool) -> bool:
+        """A person pauses the mission, or resumes it; returns whether the order was carried out."""
+        if self.host is None or not self.host.is_up:
+            return False
+        self.is_paused = on
+        return True
 
     def new_coordinator(self) -> None:
         """A coordinator starts here."""
@@ -93,11 +107,11 @@ class RobotMission:
         self.unfinished[f"walker {self.robot} {self._coordinators}"] = self.robot
 
     def move(self, agent: str, bundle: bytes, network: SimulatedNetwork) -> None:
-        """A coordinator moves to another robot whose host runs and is not paused."""
+        """A coordinator moves to another robot whose host runs and does not rest."""
         there = self._team[self.rng.choice(sorted(self._team))]
         reachable = not network.ways.silences(self.robot, there.robot) and there.computer.machine.on
         host = there.host
-        if there is self or not reachable or there.is_paused or host is None or host.bundle != bundle:
+        if there is self or not reachable or there.rests or host is None or host.bundle != bundle:
             return
         there.unfinished[agent] = there.robot
         self.unfinished[agent] = there.robot
@@ -115,6 +129,7 @@ class RobotMission:
 
     def _on_end(self, pid: int, status: int) -> None:
         del self.hosts[pid]
+        self.held = b""
         self.ends[pid] = status
         if self.is_airborne:
             # Its guard lands it, unless a next host flies it.
@@ -147,7 +162,7 @@ class ModelHost:
                 return
             mission.receive_ends(self.process.computer.network)
             here = [agent for agent, place in mission.unfinished.items() if place == mission.robot]
-            if mission.is_paused or not here:
+            if mission.rests or not here:
                 mission.is_airborne = mission.is_airborne and rng.random() > LANDS
             else:
                 self._act(rng.choice(here))
@@ -185,10 +200,10 @@ class ModelProcesses:
             raise ProcessKilled
         return ProcessId(self._mission.start_host(bundle), 1)
 
-    def find(self, bundle: bytes) -> ProcessId | None:
-        """The process of the host of a bundle."""
+    def find(self) -> HostProcess | None:
+        """The process of the host that an earlier service has started."""
         hosts = self._mission.hosts.items()
-        return next((ProcessId(pid, 1) for pid, host in hosts if host.bundle == bundle), None)
+        return next((HostProcess(host.bundle, ProcessId(pid, 1)) for pid, host in hosts), None)
 
     def is_alive(self, process: ProcessId) -> bool:
         """Whether the process still runs."""
@@ -240,23 +255,20 @@ class ModelProbe:
         await self._answer("")
         return found
 
-    async def is_paused(self) -> bool:
-        """Whether the host is paused."""
-        await self._request()
-        return self._mission.is_paused
-
-    async def hold(self) -> str:
-        """Pause the host."""
-        return await self._pause(on=True)
-
-    async def release(self) -> str:
-        """Resume the host."""
-        return await self._pause(on=False)
-
-    async def _pause(self, *, on: bool) -> str:
+    async def hold(self, ballot: bytes) -> str:
+        """Hold the host."""
         if trouble := await self._request():
             return trouble
-        self._mission.is_paused = on
+        self._mission.held = ballot
+        return await self._answer("")
+
+    async def release(self) -> str:
+        """End the hold of the host, whatever ballot it is for."""
+        ballot = self._mission.held
+        if trouble := await self._request():
+            return trouble
+        if self._mission.held == ballot:
+            self._mission.held = b""
         return await self._answer("")
 
     async def condition(self) -> str:

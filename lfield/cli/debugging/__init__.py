@@ -1,0 +1,1 @@
+"""`lfield debug`: the front ends of the time-travel debugger."""

@@ -1,0 +1,288 @@
+"""One session of the Debug Adapter Protocol: requests of an editor in, responses and events out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from lfield.cli.debugging.command_line import DebuggerCommands
+from lfield.cli.debugging.dap.dap_values import DapValues, Row
+from lfield.cli.debugging.dap.dap_wire import DapStream, Message
+from lfield.errors import LfieldError, UsageError
+from lfield.replay.debugger.debugger import Breakpoint, Debugger
+from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
+from lfield.replay.debugger.moment import Target
+from lfield.replay.debugger.targets import AnyTarget, StatementTarget
+
+CAPABILITIES = {
+    "supportsConfigurationDoneRequest": True,
+    "supportsConditionalBreakpoints": True,
+    "supportsStepBack": True,
+    "supportsEvaluateForHovers": True,
+    "supportsTerminateRequest": True,
+    "exceptionBreakpointFilters": [
+        {"filter": "portal", "label": "Portal calls"},
+        {"filter": "hop", "label": "Hops"},
+        {"filter": "device", "label": "Calls of devices"},
+        {"filter": "event", "label": "Events"},
+    ],
+}
+#: What begins a command of the terminal in an expression to evaluate: `:time 12.5`.
+COMMAND = ":"
+
+
+class OpenedDebugger(NamedTuple):
+    """A debugger, and the folder of the source files, None where they are unknown."""
+
+    debugger: Debugger
+    folder: Path | None
+
+
+#: Opens what an editor asks for in `launch` or `attach`, by the arguments of the request.
+OpenDebugger = Callable[[Mapping[str, Any]], OpenedDebugger]
+
+
+class DapSession:
+    """Serves one client. `open_debugger` is called once, with the arguments of `launch` or `attach`."""
+
+    def __init__(self, stream: DapStream, open_debugger: OpenDebugger) -> None:
+        self._stream, self._open = stream, open_debugger
+        self._debugger: Debugger | None = None
+        self._values: DapValues | None = None
+        self._commands: DebuggerCommands | None = None
+        self._stops_at_entry = True
+        self._is_done = False
+        self._breakpoints: dict[str, list[Breakpoint]] = {}
+        self._filters: list[str] = []
+        self._handlers: Mapping[str, Callable[[Row], Row | None]] = {
+            "initialize": lambda given: CAPABILITIES,
+            "launch": self._launch,
+            "attach": self._launch,
+            "setBreakpoints": self._set_breakpoints,
+            "setExceptionBreakpoints": self._set_filters,
+            "configurationDone": lambda given: None,
+            "threads": lambda given: self._threads(),
+            "stackTrace": self._stack_trace,
+            "scopes": self._scopes,
+            "variables": lambda given: {"variables": self._known.rows(given.get("variablesReference"))},
+            "evaluate": self._evaluate,
+            "source": self._source,
+            "pause": lambda given: None,
+            "search": self._check_search,
+            "gotoTime": lambda given: None,
+            "disconnect": self._end,
+            "terminate": self._end,
+        }
+        #: Requests that move: they are answered first, and an event says where the debugger stands then.
+        self._moves: Mapping[str, Callable[[Debugger], bool]] = {
+            "next": lambda debugger: debugger.step_over(),
+            "stepIn": lambda debugger: debugger.step_line(),
+            "stepOut": lambda debugger: debugger.step_out(),
+            "stepBack": lambda debugger: debugger.step_over(backward=True),
+        }
+
+    def serve(self) -> None:
+        """Handle requests until the client disconnects."""
+        while not self._is_done and (message := self._stream.read()) is not None:
+            if message.get("type") == "request":
+                self._handle(message)
+
+    def _handle(self, request: Message) -> None:
+        command, given = str(request.get("command")), request.get("arguments")
+        given = given if isinstance(given, dict) else {}
+        try:
+            if command in self._moves or command in ("continue", "reverseContinue"):
+                self._ready.choose(self._chosen(given))
+                self._respond(request, {"allThreadsContinued": True})
+            elif command in self._handlers:
+                self._respond(request, self._handlers[command](given))
+            else:
+                raise UsageError(f"the request {command} is not supported")
+            self._after(command, given)
+        except (LfieldError, ValueUnknown, ValueError, TypeError) as error:
+            self._stream.write({**_reply(request), "success": False, "message": str(error)})
+
+    def _respond(self, request: Message, body: Row | None) -> None:
+        self._stream.write({**_reply(request), "success": True, "body": body or {}})
+
+    def _event(self, name: str, body: Row | None = None) -> None:
+        self._stream.write({"type": "event", "event": name, "body": body or {}})
+
+    # --- moves ----------------------------------------------------------------------------------------
+
+    def _after(self, command: str, given: Row) -> None:
+        """What follows a response: events, and moves."""
+        if command in self._moves:
+            found = self._moves[command](self._ready)
+            self._stopped("step", "" if found else "there is no further statement")
+        elif command == "initialize":
+            self._event("initialized")
+        elif command in ("continue", "reverseContinue"):
+            self._resume(backward=command == "reverseContinue")
+        elif command == "configurationDone":
+            self._enter()
+        elif command == "gotoTime":
+            self._ready.go_to_time(float(given.get("seconds", 0.0)))
+            self._stopped("goto")
+        elif command == "search":
+            found = self._ready.search(self._searched(given), backward=bool(given.get("backward")))
+            self._stopped("goto", "" if found else "nothing was found")
+        elif command == "pause":
+            self._stopped("pause")
+        elif command == "evaluate" and str(given.get("expression", "")).startswith(COMMAND):
+            self._stopped("goto")
+        elif command in ("disconnect", "terminate"):
+            self._event("terminated")
+
+    def _enter(self) -> None:
+        debugger = self._ready
+        debugger.search(StatementTarget())
+        if self._stops_at_entry:
+            self._stopped("entry")
+        else:
+            self._resume(backward=False)
+
+    def _resume(self, *, backward: bool) -> None:
+        debugger = self._ready
+        target = AnyTarget([*(debugger.target_of(each) for each in debugger.breakpoints), *self._filtered()])
+        if debugger.search(target, backward=backward):
+            self._stopped("breakpoint")
+            return
+        debugger.go_to(debugger.team.start if backward else debugger.team.end)
+        self._stopped("pause", f"the {'start' if backward else 'end'} of the recording")
+
+    def _filtered(self) -> list[Target]:
+        debugger = self._ready
+        made: Mapping[str, Callable[[], Target]] = {
+            "portal": debugger.portal_target,
+            "hop": debugger.hop_target,
+            "device": debugger.device_target,
+            "event": debugger.event_target,
+        }
+        return [made[name]() for name in self._filters if name in made]
+
+    def _check_search(self, given: Row) -> None:
+        self._searched(given)
+
+    def _searched(self, given: Row) -> Target:
+        """The target of the custom request `search`: `kind`, and `text` where it needs one."""
+        debugger, text = self._ready, str(given.get("text", ""))
+        match given.get("kind"):
+            case "portal":
+                return debugger.portal_target()
+            case "device":
+                return debugger.device_target()
+            case "hop":
+                return debugger.hop_target(text)
+            case "event":
+                return debugger.event_target(text.split())
+            case "condition":
+                return debugger.condition_target(text)
+            case "change":
+                return debugger.change_target(text)
+            case "statement":
+                return StatementTarget(text)
+        raise UsageError("'kind' is portal, device, hop, event, condition, change or statement")
+
+    def _stopped(self, reason: str, text: str = "") -> None:
+        debugger, values = self._ready, self._known
+        values.forget()
+        place = f"{debugger.seconds:.6f} s on {debugger.host}"
+        body: Row = {"reason": reason, "description": place, "allThreadsStopped": True}
+        if debugger.focus is not None:
+            body["threadId"] = values.thread_number(debugger.focus)
+        if text:
+            body["text"] = text
+        self._event("stopped", body)
+
+    # --- requests -------------------------------------------------------------------------------------
+
+    @property
+    def _ready(self) -> Debugger:
+        if self._debugger is None:
+            raise UsageError("nothing is being debugged: send 'launch' or 'attach' first")
+        return self._debugger
+
+    @property
+    def _known(self) -> DapValues:
+        if self._values is None:
+            raise UsageError("nothing is being debugged: send 'launch' or 'attach' first")
+        return self._values
+
+    def _launch(self, given: Row) -> None:
+        debugger, folder = self._open(given)
+        self._debugger, self._values = debugger, DapValues(debugger, folder)
+        self._commands = DebuggerCommands(debugger)
+        self._stops_at_entry = given.get("stopOnEntry") is not False
+
+    def _set_breakpoints(self, given: Row) -> Row:
+        path = str(given.get("source", {}).get("path") or given.get("source", {}).get("name", ""))
+        found: list[Breakpoint] = []
+        rows = [self._breakpoint(path, each, found) for each in given.get("breakpoints", [])]
+        self._breakpoints[path] = found
+        self._ready.replace_breakpoints([each for group in self._breakpoints.values() for each in group])
+        return {"breakpoints": rows}
+
+    def _breakpoint(self, path: str, given: Row, found: list[Breakpoint]) -> Row:
+        table, number = self._ready.team.table, int(given["line"])
+        line = table.next_line(path, number)
+        if line is None:
+            return {"verified": False, "line": number, "message": "no statement from this line on"}
+        try:
+            condition = WatchExpression(given["condition"]) if given.get("condition") else None
+        except UsageError as error:
+            return {"verified": False, "line": number, "message": str(error)}
+        found.append(Breakpoint(path, line, condition))
+        return {"verified": True, "line": line}
+
+    def _set_filters(self, given: Row) -> None:
+        self._filters = [str(each) for each in given.get("filters", [])]
+
+    def _threads(self) -> Row:
+        number = self._known.thread_number
+        rows = [
+            {"id": number(each.key), "name": f"{each.name} on {each.host}: {each.state}"}
+            for each in self._ready.threads()
+        ]
+        return {"threads": rows or [{"id": 1, "name": "no thread runs"}]}
+
+    def _chosen(self, given: Row) -> Any:
+        """The thread that a request names, or the one that is followed."""
+        return self._known.key_of(int(given.get("threadId", 0))) or self._ready.focus
+
+    def _stack_trace(self, given: Row) -> Row:
+        frames = self._ready.stack(self._chosen(given))
+        first, levels = int(given.get("startFrame") or 0), int(given.get("levels") or 0) or len(frames)
+        rows = [self._known.frame_row(each) for each in frames[first : first + levels]]
+        return {"stackFrames": rows, "totalFrames": len(frames)}
+
+    def _scopes(self, given: Row) -> Row:
+        frame = self._known.frame(given.get("frameId"))
+        return {"scopes": [] if frame is None else self._known.scope_rows(frame)}
+
+    def _evaluate(self, given: Row) -> Row:
+        text, frame = str(given.get("expression", "")), self._known.frame(given.get("frameId"))
+        if text.startswith(COMMAND) and self._commands is not None:
+            lines = self._commands.execute(text[len(COMMAND) :])
+            return {"result": "\n".join(lines), "variablesReference": 0}
+        value, variable = self._ready.evaluate(text, frame)
+        if variable is None:
+            return {"result": str(value), "variablesReference": 0}
+        frames = [frame] if frame is not None else self._ready.stack()
+        row = self._known.variable_row(frames[0], variable)
+        return {"result": row["value"], "type": row["type"], "variablesReference": row["variablesReference"]}
+
+    def _source(self, given: Row) -> Row:
+        reference = given.get("sourceReference") or given.get("source", {}).get("sourceReference")
+        text = self._known.source_text(reference)
+        if text is None:
+            raise UsageError("this source is not in the bundle")
+        return {"content": text}
+
+    def _end(self, given: Row) -> None:
+        self._is_done = True
+
+
+def _reply(request: Message) -> Message:
+    return {"type": "response", "request_seq": request.get("seq", 0), "command": request.get("command", "")}

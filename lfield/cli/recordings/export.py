@@ -1,0 +1,87 @@
+"""`lfield export PATH...`: a recording as MCAP for Foxglove, or as CSV tables."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from lfield import exit_status
+from lfield.cli.recordings.replay import add_recordings, gap_lines, replay_progress
+from lfield.errors import OutputFileError, UsageError
+
+if TYPE_CHECKING:
+    from lfield.export.export_input import MissionInfo, StreamItem
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_recordings(parser)
+    parser.add_argument(
+        "--mcap",
+        metavar="FILE",
+        type=Path,
+        help="write an MCAP file with Foxglove's schemas, which must not exist",
+    )
+    parser.add_argument(
+        "--csv",
+        metavar="DIR",
+        type=Path,
+        help="write CSV tables into a directory, which must be new or empty",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay the recording, and write its events and telemetry."""
+    from lfield.export.export_input import mission_info
+    from lfield.replay.event_stream import event_stream
+    from lfield.replay.recording_files import load_team
+
+    if args.mcap is None and args.csv is None:
+        raise UsageError("name what to write: --mcap FILE, --csv DIR, or both")
+    recording = load_team(args.paths, args.bundle)
+    for line in gap_lines(recording):
+        print(f"lfield: {line}", file=sys.stderr)
+    turns = sum(part.turns for each in recording.incarnations for part in each.parts)
+    with replay_progress(turns, quiet=False) as on_progress:
+        items = event_stream(recording, on_progress)
+    info = mission_info(recording.mission.name, recording.mission)
+    if args.mcap is not None:
+        _write_mcap(items, info, args.mcap)
+    if args.csv is not None:
+        _write_csv(items, info, args.csv)
+    return exit_status.DONE
+
+
+def _write_mcap(items: list[StreamItem], info: MissionInfo, path: Path) -> None:
+    from lfield.cli.output_files import RecordingFile
+    from lfield.export.mcap_writer import END_WITHOUT_SUMMARY, export_mcap, require_mcap
+
+    require_mcap()
+    file = RecordingFile(path, END_WITHOUT_SUMMARY)
+    try:
+        made = export_mcap(items, info, out=file)
+        file.finish()
+    finally:
+        file.close()
+    print(f"{path}: {made.messages} messages in {made.channels} channels, {made.size} bytes")
+
+
+def _write_csv(items: list[StreamItem], info: MissionInfo, folder: Path) -> None:
+    from lfield.export.tables.csv_tables import export_csv
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if any(folder.iterdir()):
+            raise OutputFileError(str(folder), "the directory is not empty: name another one")
+        with ExitStack() as opened:
+
+            def open_table(name: str) -> TextIO:
+                return opened.enter_context((folder / name).open("x", encoding="utf-8", newline=""))
+
+            names = export_csv(items, info, open_table=open_table)
+    except OSError as error:
+        raise OutputFileError(str(folder), error.strerror or str(error)) from None
+    print(f"{folder}: {', '.join(names)}")

@@ -1,0 +1,152 @@
+"""`lfield replay PATH...`: replays recordings on the real cores and reports the first difference."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from lfield import exit_status
+from lfield.cli.recordings.program_check import check_program
+
+if TYPE_CHECKING:
+    from lfield.replay.recording_files import TeamRecording
+    from lfield.replay.team_check import FirstDifference, OnProgress, ReplaySummary
+    from lfield.vm.engine_interface import Engines
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare its options."""
+    add_recordings(parser)
+    parser.add_argument(
+        "--engine",
+        choices=("reference", "wasm"),
+        default="reference",
+        help="engine that runs the program; the results are the same (default: reference)",
+    )
+    parser.add_argument(
+        "--program",
+        metavar="MISSION.dL",
+        type=Path,
+        help="run the program of another version of the mission on the recorded readings and answers, and "
+        "show where its portal and device calls begin to differ",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def add_recordings(parser: argparse.ArgumentParser) -> None:
+    """Declare the argument that names recordings."""
+    parser.add_argument(
+        "paths",
+        metavar="PATH",
+        type=Path,
+        nargs="+",
+        help="directory of a recording, or of several: those of one run are used together, of several runs "
+        "the newest",
+    )
+    parser.add_argument(
+        "--bundle",
+        metavar="FILE",
+        type=Path,
+        help="bundle of the mission, if the recording has none",
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay and report; returns 0 if everything is equal, 1 at a difference."""
+    from lfield.replay.recording_files import load_team
+    from lfield.replay.team_check import check_team
+
+    recording = load_team(args.paths, args.bundle)
+    if args.program is not None:
+        if not args.json:
+            print("\n".join(gap_lines(recording)), end="\n" * bool(gap_lines(recording)))
+        return check_program(recording, args.program, named_engine(args.engine), as_json=args.json)
+    turns = sum(part.turns for each in recording.incarnations for part in each.parts)
+    with replay_progress(turns, quiet=args.json) as on_progress:
+        result = check_team(recording, named_engine(args.engine), on_progress)
+    if args.json:
+        print(json.dumps(_as_data(recording, result)))
+    else:
+        _print(recording, result)
+    return exit_status.FAILED if result.differences else exit_status.DONE
+
+
+def named_engine(name: str) -> Engines:
+    """The engine with that name. Raises UsageError if it is not installed."""
+    from lfield.host.engine_provider import select_engine
+
+    return select_engine(name, lambda line: None, float)
+
+
+@contextmanager
+def replay_progress(turns: int, *, quiet: bool) -> Iterator[OnProgress]:
+    """A progress bar over so many turns, on a terminal."""
+    from rich.console import Console
+    from rich.progress import Progress
+
+    console = Console(stderr=True)
+    with Progress(console=console, transient=True, disable=quiet or not console.is_terminal) as progress:
+        task = progress.add_task("replaying", total=turns)
+        yield lambda done: progress.advance(task, done)
+
+
+def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, object]:
+    first = result.first
+    return {
+        "digests": result.digests,
+        "differences": result.differences,
+        "first": None if first is None else first.as_data(),
+        "hosts": [
+            {
+                "host": part.host,
+                "incarnation": f"{part.incarnation:x}",
+                "turns": part.turns,
+                "digests": part.digests,
+                "seconds": part.seconds,
+                "differences": part.differences,
+            }
+            for part in result.parts
+        ],
+        "missing": list(recording.missing),
+        "problems": list(recording.problems),
+        "run": recording.incarnations[-1].run,
+    }
+
+
+def _print(recording: TeamRecording, result: ReplaySummary) -> None:
+    for part in result.parts:
+        state = "differs" if part.differences else "equal"
+        print(f"{part.host}: {part.turns} turns, {part.seconds:.1f} s, {part.digests} digests: {state}")
+    for line in gap_lines(recording):
+        print(line)
+    if result.first is not None:
+        print("\n".join(difference_lines(result.first)))
+
+
+def gap_lines(recording: TeamRecording) -> list[str]:
+    """What is missing of a recording, a line each."""
+    lines = [f"incomplete: {problem}" for problem in recording.problems]
+    if recording.missing:
+        lines.append(f"no recording of: {', '.join(recording.missing)}")
+    if recording.others:
+        lines.append(f"not used, of other runs: {', '.join(path.name for path in recording.others)}")
+    return lines
+
+
+def difference_lines(first: FirstDifference) -> list[str]:
+    """The lines that show a difference."""
+    import time
+
+    from lfield.replay.team_check import plain
+
+    at = time.strftime("%H:%M:%S", time.gmtime(first.at)) + f"{first.at % 1:.6f}"[1:]
+    who = f", {first.agent} at {first.place}" if first.place else ""
+    return [
+        f"first difference: {first.host} at {at} UTC, turn {first.turn}{who}: {first.what}",
+        f"  recorded: {json.dumps(plain(first.recorded))}",
+        f"  replayed: {json.dumps(plain(first.replayed))}",
+    ]

@@ -1,0 +1,1 @@
+"""Recordings for other tools: a stream of events and telemetry as MCAP for Foxglove, or as CSV tables."""

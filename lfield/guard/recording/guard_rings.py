@@ -1,0 +1,70 @@
+"""The files of a recording that one guard writes: its records, and the log of its wire.
+
+Both are written by threads, which the loop of the guard never waits for. A disk that is full, too slow or
+gone ends them with one log line each; the guard and its driver are not affected.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from urllib.parse import quote
+
+from lfield.clock import Clock
+from lfield.driver.binding import DeviceBinding
+from lfield.driver.recording import WireLog
+from lfield.guard.messages import OpenDevices
+from lfield.guard.recording.guard_recorder import GuardRecorder
+from lfield.recording.folders import SUFFIX
+from lfield.recording.ring_writer import RingWriter
+from lfield.recording.segments import MAGIC
+from lfield.text import log_messages
+
+#: The share of the records in the limit of a guard; the log of its wire, which grows faster, has the rest.
+RECORDS_SHARE = 0.25
+
+#: Logs a line about a device.
+Note = Callable[[str, str], None]
+
+
+def open_recorder(message: OpenDevices, clock: Clock, note: Note) -> GuardRecorder | None:
+    """The recorder that a message of the host requires; None without a folder."""
+    if not message.recording.folder:
+        return None
+    folder, limit = Path(message.recording.folder), int(message.recording.limit * RECORDS_SHARE)
+    stem = ring_stem("guard", message.devices)
+    on_failure = failure_reporter(message.devices, stem + SUFFIX, note)
+    return GuardRecorder(message, clock, RingWriter(folder, stem, SUFFIX, limit, on_failure, MAGIC))
+
+
+def start_wire_log(log: WireLog, message: OpenDevices, note: Note) -> None:
+    """Starts the log of a driver, if a message of the host requires a recording."""
+    if not message.recording.folder:
+        return
+    folder, limit = Path(message.recording.folder), int(message.recording.limit * (1.0 - RECORDS_SHARE))
+    stem = ring_stem("wire", message.devices)
+
+    def make_ring(suffix: str, header: bytes) -> RingWriter:
+        on_failure = failure_reporter(message.devices, stem + suffix, note)
+        return RingWriter(folder, stem, suffix, limit, on_failure, header)
+
+    log.start(make_ring)
+
+
+def ring_stem(kind: str, devices: Sequence[DeviceBinding]) -> str:
+    """The stem of the files of a bus, named after its first device: `guard-alpha.fc`."""
+    return f"{kind}-{quote(devices[0].name, safe='')}"
+
+
+def failure_reporter(devices: Sequence[DeviceBinding], files: str, note: Note) -> Callable[[str], None]:
+    """A function for any thread that logs why the files of a ring have ended."""
+    loop, device = asyncio.get_running_loop(), devices[0].name
+
+    def report(reason: str) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            line = log_messages.RECORDING_ENDED.line(files=files, reason=reason)
+            loop.call_soon_threadsafe(note, device, line)
+
+    return report

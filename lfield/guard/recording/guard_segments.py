@@ -1,0 +1,140 @@
+"""Reads the ring of a guard: its segments with their records, and the telemetry of its devices."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+from urllib.parse import unquote
+
+import msgspec
+
+from lfield.errors import RecordingError
+from lfield.guard.recording.guard_records import (
+    FORMAT,
+    GuardRecord,
+    SegmentStart,
+    TelemetryRecord,
+    decode_record,
+)
+from lfield.manifest import DeviceValue
+from lfield.recording.folders import SUFFIX
+from lfield.recording.segments import MAGIC, SegmentEnd, SegmentReader, version_of
+
+_RING = re.compile(rf"guard-(?P<device>.+)-\d{{6,}}{re.escape(SUFFIX)}")
+
+
+@dataclass(frozen=True, slots=True)
+class GuardSegment:
+    """One file of a ring. `start` is None if not even its first record is complete; `end` says where the
+    readable part ends, and why.
+    """
+
+    path: Path
+    start: SegmentStart | None
+    records: list[GuardRecord]
+    end: SegmentEnd
+
+    def follows(self, before: GuardSegment | None) -> bool:
+        """Whether it continues a complete segment of the same guard."""
+        if before is None or before.start is None or self.start is None or before.end.reason:
+            return False
+        return before.start.guard == self.start.guard and before.start.number + 1 == self.start.number
+
+
+class TelemetryValue(NamedTuple):
+    """A telemetry value that has changed; `time` is monotonic, `wall_time` is since 1970, in seconds.
+
+    `unit` is that of the manifest.
+    """
+
+    time: float
+    device: str
+    quantity: str
+    value: DeviceValue
+    unit: str
+    wall_time: float
+
+
+def rings_in(folder: Path) -> dict[str, list[Path]]:
+    """The rings of the guards in the folder of an incarnation, by their first devices; oldest file first."""
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if matched := _RING.fullmatch(path.name):
+            found.setdefault(unquote(matched["device"]), []).append(path)
+    return found
+
+
+def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:
+    """The segments in these files, in this order. Raises RecordingError."""
+    return (read_segment(path) for path in paths)
+
+
+def read_segment(path: Path) -> GuardSegment:
+    """One file. Raises RecordingError for one that is no segment, or of a newer version."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from None
+    version = version_of(data)
+    if version is None and not MAGIC.startswith(data):
+        raise RecordingError(f"{path} is not a recording of lfield")
+    if version is not None and version > MAGIC[-1]:
+        raise RecordingError(f"{path} was written by a newer version of lfield (format {version})")
+    reader = SegmentReader(data)
+    records = [_decoded(path, record, is_first=at == 0) for at, record in enumerate(reader)]
+    start = records[0] if records else None
+    if start is not None and not isinstance(start, SegmentStart):
+        raise RecordingError(f"{path} is not the recording of a guard")
+    return GuardSegment(path, start, records[1:], reader.end)
+
+
+def _decoded(path: Path, record: bytes, *, is_first: bool) -> GuardRecord:
+    try:
+        decoded = decode_record(record)
+        newer = isinstance(decoded, SegmentStart) and decoded.format > FORMAT
+    except (msgspec.MsgspecError, UnicodeDecodeError):
+        if not is_first or not (newer := _is_newer(record)):
+            raise RecordingError(f"{path} has a record that is damaged or of a newer version") from None
+    if newer:
+        raise RecordingError(f"{path} was written by a newer version of lfield")
+    return decoded
+
+
+def _is_newer(record: bytes) -> bool:
+    """Whether a record that cannot be decoded is the start of a segment of a newer version."""
+    try:
+        tag, version, *_ = msgspec.msgpack.decode(record, type=list[object])
+    except (msgspec.MsgspecError, UnicodeDecodeError, ValueError):
+        return False
+    return tag == 0 and isinstance(version, int) and version > FORMAT
+
+
+def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
+    """The telemetry in the files of one ring; where earlier files are missing, the values at the start of the
+    first that is present.
+
+    Raises RecordingError.
+    """
+    before: GuardSegment | None = None
+    for segment in read_segments(paths):
+        start = segment.start
+        if start is None:
+            continue
+        if not segment.follows(before):
+            for device, values in enumerate(start.values):
+                yield from _values(start, TelemetryRecord(start.monotonic, device, values))
+        for record in segment.records:
+            if isinstance(record, TelemetryRecord):
+                yield from _values(start, record)
+        before = segment
+
+
+def _values(start: SegmentStart, record: TelemetryRecord) -> Iterator[TelemetryValue]:
+    device = start.state.devices[record.device]
+    wall_time = start.wall_time + record.time - start.monotonic
+    for at, value in record.values.items():
+        quantity = device.manifest.telemetry[at]
+        yield TelemetryValue(record.time, device.name, quantity.name, value, quantity.unit, wall_time)

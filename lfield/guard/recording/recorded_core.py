@@ -1,0 +1,81 @@
+"""A GuardCore with one time per input, whose inputs and decisions are recorded.
+
+The core reads its clock several times in one event. With one time for all of them, that time is an input
+like the others, and a replay is bit-exact.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from operator import getitem
+from typing import cast
+
+from lfield.clock import Clock
+from lfield.guard.core import GuardCore
+from lfield.guard.effects import Effect, Execute, Interrupt
+from lfield.guard.messages import GuardCall
+from lfield.guard.recording.guard_inputs import CallStarting, GuardInput, apply_input
+from lfield.guard.recording.guard_recorder import GuardRecorder
+
+
+class EventClock:
+    """A clock that stands still during an event: `latch` reads the time at its start."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._times = [clock.monotonic()]
+        #: The time of the present event. Not a method of this class: a core reads it several times.
+        self.monotonic: Callable[[], float] = cast("Callable[[], float]", partial(getitem, self._times, 0))
+
+    def latch(self) -> float:
+        """Reads the time for the next event, and returns it."""
+        self._times[0] = now = self._clock.monotonic()
+        return now
+
+    def time(self) -> float:
+        """The wall-clock time, which no event depends on."""
+        return self._clock.time()
+
+
+class RecordedCore:
+    """The core of a guard; `clock` is that of the core. Nothing is recorded without a `recorder`."""
+
+    def __init__(self, core: GuardCore, clock: EventClock, recorder: GuardRecorder | None) -> None:
+        self._core, self._clock, self._recorder = core, clock, recorder
+        #: When the next timer must expire; None without a deadline.
+        self.due = core.due
+        #: The accepted calls that the driver has not started, by token: a segment must contain them.
+        self._unstarted: dict[int, GuardCall] = {}
+        if recorder is not None:
+            recorder.start(core.state, ())
+
+    def handle(self, given: GuardInput) -> list[Effect]:
+        """The effects of an input."""
+        now = self._clock.latch()
+        effects = apply_input(self._core, given)
+        if self._recorder is None:
+            return effects
+        for effect in effects:
+            if isinstance(effect, Execute):
+                self._unstarted[effect.call.token] = effect.call
+            elif isinstance(effect, Interrupt):
+                self._unstarted.pop(effect.token, None)
+        self._recorder.on_input(now, given, effects)
+        self._start_segment_if_full()
+        return effects
+
+    def start_call(self, call: GuardCall) -> str:
+        """Why the driver must not start an accepted call because time has passed; '' when it starts now."""
+        now = self._clock.latch()
+        refusal = self._core.mark_started(call)
+        if self._recorder is not None:
+            self._unstarted.pop(call.token, None)
+            self._recorder.on_call_start(now, CallStarting(call.token), refusal)
+            self._start_segment_if_full()
+        return refusal
+
+    def _start_segment_if_full(self) -> None:
+        assert self._recorder is not None
+        if self._recorder.is_full:
+            self._recorder.start(self._core.state, tuple(self._unstarted.values()))

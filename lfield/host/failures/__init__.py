@@ -1,0 +1,1 @@
+"""Failures: of the host itself, and of agents that died here."""

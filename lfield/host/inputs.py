@@ -1,0 +1,301 @@
+"""The inputs of `HostCore` as data: all that enters it besides time and the answers of its environment.
+
+The shell lets each `enter` the core. A recording contains them, and a replay lets them enter again.
+"""
+
+from __future__ import annotations
+
+from msgspec import Struct
+
+from lfield.errors import DeviceError
+from lfield.host.core import HostCore
+from lfield.manifest import DeviceValue
+from lfield.replication.locate.outcomes import CoordinatorOutcome, UnavailableHosts
+from lfield.wire.coordinator_messages import Transfer
+from lfield.wire.messages import Control, Hello
+from lfield.wire.observer_messages import RecoverRequest, RecoverResponse, StartResponse
+
+
+class HostInput(Struct, frozen=True, array_like=True):
+    """Base class of all inputs."""
+
+    def enter(self, core: HostCore) -> object:
+        """Pass it to the part of the core that handles it; returns the answer to an operator's order."""
+        raise NotImplementedError
+
+
+class ResourcesStart(HostInput, frozen=True, tag=1):
+    """The devices are open: the resources start (`HostCore.start_resources`)."""
+
+    first: bool = False
+
+    def enter(self, core: HostCore) -> None:
+        core.start_resources(first=self.first)
+
+
+class CoordinatorsStart(HostInput, frozen=True, tag=2):
+    """The other hosts had time to report: the coordinators start (`HostCore.start_coordinators`)."""
+
+    first: bool = False
+
+    def enter(self, core: HostCore) -> None:
+        core.start_coordinators(first=self.first)
+
+
+class AgentsHalt(HostInput, frozen=True, tag=3):
+    """The host is stopping (`HostCore.stop_agents`)."""
+
+    def enter(self, core: HostCore) -> None:
+        core.stop_agents()
+
+
+class BatchFailed(HostInput, frozen=True, tag=4):
+    """Writing the journal failed, and is retried."""
+
+    reason: str
+
+    def enter(self, core: HostCore) -> None:
+        core.on_write_failed(self.reason)
+
+
+class BatchDurable(HostInput, frozen=True, tag=5):
+    """All records up to those of that batch are on disk."""
+
+    number: int
+
+    def enter(self, core: HostCore) -> None:
+        core.on_durable(self.number)
+
+
+class DiskSpaceChanged(HostInput, frozen=True, tag=6):
+    """Why the journal should admit nothing more, or ''."""
+
+    trouble: str
+
+    def enter(self, core: HostCore) -> None:
+        core.on_disk_space(self.trouble)
+
+
+class Linked(HostInput, frozen=True, tag=7):
+    """A link with a host opened."""
+
+    hello: Hello
+
+    def enter(self, core: HostCore) -> None:
+        core.on_linked(self.hello)
+
+
+class Unlinked(HostInput, frozen=True, tag=8):
+    """The last link with a host closed; `quietly`: this host did not need it."""
+
+    host: str
+    quietly: bool = False
+
+    def enter(self, core: HostCore) -> None:
+        core.on_unlinked(self.host, quietly=self.quietly)
+
+
+class LinkRejected(HostInput, frozen=True, tag=9):
+    """No link with a host can be made, for that reason; '' when it can again."""
+
+    host: str
+    reason: str
+    bundle: bytes
+
+    def enter(self, core: HostCore) -> None:
+        core.on_link_refused(self.host, self.reason, self.bundle)
+
+
+class TransferArrived(HostInput, frozen=True, tag=10):
+    """A coordinator arrived."""
+
+    host: str
+    header: Transfer
+    block: memoryview
+
+    def enter(self, core: HostCore) -> None:
+        core.on_transfer(self.host, self.header, self.block)
+
+
+class OversizeArrived(HostInput, frozen=True, tag=11):
+    """A coordinator with an oversized block arrived; the block was not read."""
+
+    host: str
+    header: Transfer
+    size: int
+
+    def enter(self, core: HostCore) -> None:
+        core.on_oversize(self.host, self.header, self.size)
+
+
+class MessageArrived(HostInput, frozen=True, tag=12):
+    """A message of a host arrived."""
+
+    host: str
+    message: Control
+
+    def enter(self, core: HostCore) -> None:
+        core.on_message(self.host, self.message)
+
+
+class DeviceAnswered(HostInput, frozen=True, tag=13):
+    """A device has answered the `CallDevice` of that number.
+
+    `error` has device, reason and kind of a DeviceError; it is empty if there is a `value`.
+    """
+
+    number: int
+    value: DeviceValue
+    error: tuple[str, ...] = ()
+
+    def enter(self, core: HostCore) -> None:
+        error = self.error
+        value = DeviceError(error[0], error[1], kind=error[2]) if error else self.value
+        core.on_device_answer(self.number, value)
+
+
+class HostExited(HostInput, frozen=True, tag=14):
+    """A host has ended permanently, as reported by the process that started it."""
+
+    host: str
+
+    def enter(self, core: HostCore) -> None:
+        core.on_host_exited(self.host)
+
+
+class PauseOrdered(HostInput, frozen=True, tag=15):
+    """An operator pauses the mission on this host, or resumes it."""
+
+    on: bool
+    order: bytes = b""
+
+    def enter(self, core: HostCore) -> None:
+        core.set_paused(on=self.on, order=self.order)
+
+
+class StopOrdered(HostInput, frozen=True, tag=16):
+    """An operator has sent an emergency stop with that reason, or has lifted it ('')."""
+
+    reason: str
+    order: bytes = b""
+
+    def enter(self, core: HostCore) -> None:
+        core.set_emergency_stop(self.reason, self.order)
+
+
+class OrderExecuted(HostInput, frozen=True, tag=17):
+    """An order was executed for the first time; '' for a lock-out, which holds like a stop."""
+
+    kind: str
+    id: bytes = b""
+
+    def enter(self, core: HostCore) -> None:
+        core.orders.on_executed(self.kind, self.id)
+
+
+class ForgetOrdered(HostInput, frozen=True, tag=18):
+    """An operator declares a coordinator lost."""
+
+    agent: str
+
+    def enter(self, core: HostCore) -> list[int]:
+        return core.forget(self.agent)
+
+
+class RecoveryOrdered(HostInput, frozen=True, tag=19):
+    """An operator declares the holder of a coordinator permanently lost."""
+
+    request: RecoverRequest
+
+    def enter(self, core: HostCore) -> RecoverResponse:
+        return core.recover(self.request)
+
+
+class StartOrdered(HostInput, frozen=True, tag=20):
+    """An operator starts the waiting coordinators, `without` these hosts."""
+
+    without: list[str]
+
+    def enter(self, core: HostCore) -> StartResponse:
+        return core.startup.start(self.without)
+
+
+class OutcomesFound(HostInput, frozen=True, tag=21):
+    """This host is about to stop: all terminations, and these outcomes, are announced."""
+
+    found: list[CoordinatorOutcome]
+
+    def enter(self, core: HostCore) -> None:
+        core.broadcast_outcomes(self.found)
+
+
+class LinksPlanned(HostInput, frozen=True, tag=22):
+    """The shell asks for the hosts to have links with now (`HostCore.needed_hosts`)."""
+
+    def enter(self, core: HostCore) -> set[str]:
+        return core.needed_hosts()
+
+
+class DirectorySampled(HostInput, frozen=True, tag=23):
+    """An observer asks for the state of this host: its agents are sampled (`TeamDirectory.refresh`)."""
+
+    def enter(self, core: HostCore) -> None:
+        core.directory.refresh()
+
+
+class SilenceChecked(HostInput, frozen=True, tag=24):
+    """Hosts other than these did not answer a query (`Membership.unavailable_hosts`)."""
+
+    answered: list[str]
+    lost_after: float
+    unmet: float
+
+    def enter(self, core: HostCore) -> UnavailableHosts:
+        now, membership = core.context.clock.monotonic(), core.membership
+        return membership.unavailable_hosts(self.answered, now, self.lost_after, self.unmet)
+
+
+class ContactRestored(HostInput, frozen=True, tag=25):
+    """All hosts are linked: none is suspected."""
+
+    def enter(self, core: HostCore) -> None:
+        core.membership.suspected.clear()
+
+
+class BallotHeld(HostInput, frozen=True, tag=26):
+    """The ballot about an activation that holds this host, b"" for none (`HostCore.set_ballot_hold`)."""
+
+    ballot: bytes
+
+    def enter(self, core: HostCore) -> None:
+        core.set_ballot_hold(self.ballot)
+
+
+RecordedInput = (
+    ResourcesStart
+    | CoordinatorsStart
+    | AgentsHalt
+    | BatchFailed
+    | BatchDurable
+    | DiskSpaceChanged
+    | Linked
+    | Unlinked
+    | LinkRejected
+    | TransferArrived
+    | OversizeArrived
+    | MessageArrived
+    | DeviceAnswered
+    | HostExited
+    | PauseOrdered
+    | StopOrdered
+    | OrderExecuted
+    | ForgetOrdered
+    | RecoveryOrdered
+    | StartOrdered
+    | OutcomesFound
+    | LinksPlanned
+    | DirectorySampled
+    | SilenceChecked
+    | ContactRestored
+    | BallotHeld
+)

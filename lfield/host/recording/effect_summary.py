@@ -1,0 +1,68 @@
+"""What a recording keeps of the effects of a turn: enough to compare two runs and to show a difference.
+
+An effect is a list: the name of its class, then its fields. A block is replaced by its CRC-32, and so are
+journal records, which contain blocks. Hybrid timestamps are left out: they order events and decide nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+from zlib import crc32
+
+import msgspec
+from msgspec.structs import replace
+
+from lfield.host import effects as host_effects
+from lfield.replication.transfer.effects import Send, SendTransfer
+from lfield.wire.messages import RelayedMessage
+
+_encode = msgspec.msgpack.Encoder().encode
+_decode = msgspec.msgpack.Decoder().decode
+
+
+def _transfer(effect: SendTransfer) -> list[object]:
+    header = effect.header
+    name = [header.agent, header.generation, header.sequence, header.hops]
+    return [effect.host, *name, header.receiver_memory, header.size, crc32(effect.block)]
+
+
+def _unstamped(message: Any) -> object:
+    """A message without its hybrid timestamp, which depends on who observes the host."""
+    if isinstance(message, RelayedMessage):
+        return [message.origin, message.receiver, _unstamped(message.message)]
+    return replace(message, stamp=0) if hasattr(message, "stamp") else message
+
+
+def _device_call(effect: host_effects.CallDevice) -> list[object]:
+    call = effect.call
+    what = [call.field, call.instruction, effect.values]
+    return [effect.agent.id, effect.thread, *what, effect.until, effect.number]
+
+
+_FIELDS: dict[type[Any], Callable[[Any], list[object]]] = {
+    SendTransfer: _transfer,
+    Send: lambda each: [each.host, type(each.message).__name__, _unstamped(each.message)],
+    host_effects.WriteOutput: lambda each: [each.agent, each.text],
+    host_effects.WriteLog: lambda each: [str(each.text)],
+    host_effects.WriteLogOnce: lambda each: [str(each.text)],
+    host_effects.CallDevice: _device_call,
+    host_effects.CancelCall: lambda each: [each.agent.id, each.thread],
+    host_effects.MakeDeviceSafe: lambda each: [each.device, each.state, each.reason, each.users],
+    host_effects.DumpAgent: lambda each: [each.agent.id],
+    host_effects.PersistRecords: lambda each: [each.number, crc32(_encode([each.records, each.keys]))],
+    host_effects.OpenLink: lambda each: [each.host],
+    host_effects.WakeWaiters: lambda each: [],
+}
+
+
+def encode_effects(effects: Sequence[host_effects.Effect]) -> bytes:
+    """The summary of the effects of a turn; b"" for none."""
+    if not effects:
+        return b""
+    return _encode([[type(each).__name__, *_FIELDS[type(each)](each)] for each in effects])
+
+
+def decode_effects(data: bytes) -> list[list[Any]]:
+    """The effects in a summary, as plain data. Raises msgspec.DecodeError."""
+    return _decode(data) if data else []

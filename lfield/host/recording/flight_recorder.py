@@ -1,0 +1,180 @@
+"""Records the core of one host: an entry for each turn, digests of blocks, and checkpoints.
+
+The recorder encodes between turns and leaves the disk to a thread (`RingWriter`). It never fails the host: if
+the disk or the recorder itself fails, recording ends with a log line.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Protocol
+from zlib import crc32
+
+from msgspec.structs import replace
+
+from lfield.host.core import HostCore
+from lfield.host.effects import Effect
+from lfield.host.inputs import HostInput
+from lfield.host.recording.core_snapshot import CoreSnapshots
+from lfield.host.recording.effect_summary import encode_effects
+from lfield.host.recording.host_records import (
+    BlockDigest,
+    CheckpointRecord,
+    EndRecord,
+    FrameHeader,
+    HostRecord,
+    IdleTurn,
+    RunIdRecord,
+    StartRecord,
+    TurnRecord,
+    encode_frame,
+)
+from lfield.host.recording.recorded_environment import RecordedEnvironment
+from lfield.host.recording.recording_target import RecordSink
+from lfield.recording.segments import frame
+from lfield.vm.memory.block import Block
+from lfield.vm.turns.run_limit import RunLimit
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+#: Seconds between two digests of the blocks, and the bytes of blocks that lengthen it by one second.
+DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
+#: Seconds between two checkpoints, and the bytes of records after which one is made earlier.
+CHECKPOINT_INTERVAL, CHECKPOINT_BYTES = 60.0, 1 << 20
+#: Seconds for which records are collected, and the turns after which they are written earlier.
+BATCH_INTERVAL, BATCH_TURNS = 0.25, 256
+
+
+class TurnTime(Protocol):
+    """The clock of the core's turns."""
+
+    @property
+    def wall_time(self) -> float | None:
+        """The wall-clock time of the present turn, None if it was not read."""
+
+
+class FlightRecorder:
+    """Records `core` into `sink`; `start` describes the incarnation."""
+
+    def __init__(
+        self,
+        core: HostCore,
+        clock: TurnTime,
+        environment: RecordedEnvironment,
+        start: StartRecord,
+        sink: RecordSink,
+        drawn: list[bytes],
+    ) -> None:
+        self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
+        self._start, self._drawn = start, drawn
+        self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
+        self._snapshots = CoreSnapshots(core, environment.number_of)
+        self._records: list[HostRecord] = []
+        self._bytes = self._turns = 0
+        #: The time of the first turn of this batch.
+        self._batch_at = start.at
+        self._is_started = self._is_closed = False
+        self._batch_due = self._digest_due = 0.0
+        self._checkpoint_due = start.at + CHECKPOINT_INTERVAL
+        self._clock_state = self._hybrid.state
+        #: What began with the present turn.
+        self._turn = TurnRecord(0.0)
+
+    # --- turns ----------------------------------------------------------------------------------------
+
+    def start_turn(self, at: float, entry: HostInput | None, *, runs: bool = True) -> None:
+        """A turn begins at that time, with that input; without `runs` the core is not run."""
+        readings = self._environment.start_turn()
+        if not self._records:
+            self._batch_at = at
+        state = self._hybrid.state
+        clock = None if state == self._clock_state else state
+        self._turn = TurnRecord(at, entry, None, clock, readings=readings, run=runs)  # type: ignore[arg-type]
+
+    def end_turn(self, effects: Sequence[Effect]) -> None:
+        """The turn has ended, with these effects; they are not executed yet."""
+        turn, at = self._turn, self._turn.at
+        answers = self._environment.end_turn()
+        self._clock_state = self._hybrid.state
+        cuts = self._limit.drain_cuts()
+        summary = encode_effects(effects) if effects else b""
+        digests = self._digests(at) if at >= self._digest_due else []
+        drawn = self._drawn.copy()
+        self._drawn.clear()
+        changes = (self._clock.wall_time, turn.clock, answers, turn.readings, drawn, cuts, summary, digests)
+        record = TurnRecord(at, turn.entry, *changes, turn.run)
+        self._turns += 1
+        self._records.append(IdleTurn(at) if record == TurnRecord(at) else record)
+
+    def _digests(self, at: float) -> list[BlockDigest]:
+        agents = self._core.machine.agents
+        found = [block_digest(name, agents[name].block) for name in sorted(agents)]
+        size = 8 * sum(each.size for each in found)
+        self._digest_due = at + max(DIGEST_INTERVAL, size / BYTES_PER_SECOND)
+        return found
+
+    # --- files ----------------------------------------------------------------------------------------
+
+    def write_due(self, now: float) -> None:
+        """Between two turns: write what is due."""
+        if now < self._batch_due and len(self._records) < BATCH_TURNS:
+            return
+        self._batch_due = now + BATCH_INTERVAL
+        self._write_batch()
+        if now >= self._checkpoint_due or self._bytes >= CHECKPOINT_BYTES or self._sink.is_full:
+            self._write_checkpoint(now)
+
+    def note_run(self, run: str) -> None:
+        """The run id of this host has changed."""
+        self._records.append(RunIdRecord(run))
+
+    def close(self, at: float) -> None:
+        """The host ends in order."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        self._records.append(EndRecord(at))
+        self._write_batch()
+        self._sink.close()
+
+    def _write_batch(self) -> None:
+        if not self._records:
+            return
+        records, self._records = self._records, []
+        if not self._is_started:
+            self._is_started = True
+            metered = self._core.machine.hooks.meter is not None
+            started = replace(self._start, metered=metered)
+            self._sink.start_file(_frame([started], b"S", started.at))
+        data = _frame(records, b"T", self._batch_at, self._turns)
+        self._turns = 0
+        self._bytes += len(data)
+        self._sink.append(data)
+
+    def _write_checkpoint(self, now: float) -> None:
+        environment = self._environment
+        record = CheckpointRecord(
+            now,
+            replace(
+                self._start, metered=self._core.machine.hooks.meter is not None, clock=self._hybrid.state
+            ),
+            self._snapshots.capture(),
+            environment.answers,
+            environment.readings,
+        )
+        self._bytes, self._checkpoint_due = 0, now + CHECKPOINT_INTERVAL
+        data = _frame([record], b"C", now)
+        if self._sink.is_full:
+            self._sink.start_file(data)
+        else:
+            self._sink.append(data)
+
+
+def block_digest(agent: str, block: Block) -> BlockDigest:
+    """The digest of the used words of a block."""
+    top = block.top
+    return BlockDigest(agent, crc32(memoryview(block.data)[: 8 * top]), top)
+
+
+def _frame(records: list[HostRecord], kind: bytes, at: float, turns: int = 0) -> bytes:
+    return frame(encode_frame(records, FrameHeader(kind, at, turns)))

@@ -1,0 +1,201 @@
+"""The records of a host's recording, and their encoding in frames.
+
+A frame (`lfield.recording.segments`) has the records of a short time: a header, then a msgpack list,
+compressed by zlib. The first frame of an incarnation has a `StartRecord` only; the first one of every later
+segment has a `CheckpointRecord` only.
+"""
+
+from __future__ import annotations
+
+import zlib
+from struct import Struct as Layout
+from typing import Annotated, Any, NamedTuple
+
+import msgspec
+from msgspec import Meta, Struct
+
+from lfield.errors import RecordingError
+from lfield.host.inputs import RecordedInput
+from lfield.journal.records import Record, RecordKey
+from lfield.manifest import DeviceValue
+from lfield.vm.turns.run_limit import UNCUT, RunCuts
+
+#: The version of these records. A file of a newer version is not read.
+VERSION = 1
+#: The largest decompressed frame, in bytes.
+MAX_FRAME = 1 << 28
+#: Hybrid clock of a host, see `HybridClock.state`.
+ClockState = tuple[int, float, float, float]
+
+
+class HostRecord(Struct, frozen=True, array_like=True):
+    """Base class of the records."""
+
+
+class Release(Struct, frozen=True, array_like=True):
+    """The bundle that the mission was read from, see `BundleId`."""
+
+    digest: bytes
+    signature: bytes
+    by: str
+    at: float
+    is_from_files: bool
+
+
+class StartRecord(HostRecord, frozen=True, tag=1):
+    """The start of an incarnation: all that the core is constructed from.
+
+    `bundle` is the digest of the bundle in the folder, which is that of the mission as it runs; `release` is
+    the bundle that the mission was read from. `seed` is that of the core's random numbers. `records` are the
+    contents of the journal, `times` when each was written (Unix time). `pace` is that of the engine;
+    `metered`: a simulation meters its instructions. `at` and `wall` are the time of the construction, `drawn`
+    the random bytes that were drawn in it.
+    """
+
+    version: int
+    lfield: str
+    host: str
+    incarnation: int
+    run: str
+    mission: str
+    bundle: bytes
+    release: Release
+    seed: int
+    unreachable_after: float
+    journal_id: int
+    records: list[Record]
+    times: list[tuple[RecordKey, float]]
+    engine: str
+    pace: int
+    metered: bool
+    at: float
+    wall: float
+    clock: ClockState
+    drawn: list[bytes]
+
+
+class IdleTurn(HostRecord, frozen=True, tag=2):
+    """A turn without input, new answers, effects and digests, at that time of the monotonic clock."""
+
+    at: float
+
+
+class RecordedAnswer(Struct, frozen=True, array_like=True):
+    """The new answer of the environment to a question, with the arguments of the question.
+
+    `error` has device, reason and kind of a DeviceError.
+    """
+
+    question: int
+    arguments: list[str | int]
+    value: Any
+    error: tuple[str, ...] = ()
+
+
+class ReadingChange(Struct, frozen=True, array_like=True):
+    """A reading, by number, has changed since the last turn; `raw` is its word."""
+
+    number: int
+    raw: int
+    until: float
+
+
+class BlockDigest(Struct, frozen=True, array_like=True):
+    """The CRC-32 of the used words of an agent's block, and their number."""
+
+    agent: str
+    digest: int
+    size: int
+
+
+class TurnRecord(HostRecord, frozen=True, tag=3):
+    """One turn: its time and input; what has changed outside the core; what the core made of it.
+
+    `wall` is the wall-clock time if it was read. `clock` is the state of the hybrid clock if events between
+    two turns have changed it. `effects` is the msgpack of the effects (`effect_summary`). `run` is false
+    where an input was passed between two turns, without running the core.
+    """
+
+    at: float
+    entry: RecordedInput | None = None
+    wall: float | None = None
+    clock: ClockState | None = None
+    answers: list[RecordedAnswer] = []
+    readings: list[ReadingChange] = []
+    drawn: list[bytes] = []
+    cuts: RunCuts = UNCUT
+    effects: bytes = b""
+    digests: list[BlockDigest] = []
+    run: bool = True
+
+
+class CheckpointRecord(HostRecord, frozen=True, tag=4):
+    """The whole state of the core after the record before: a replay can begin here.
+
+    `start` is the record of the incarnation, `snapshot` that of `core_snapshot`; `answers` and `readings` are
+    those of the environment as far as the core knows them.
+    """
+
+    at: float
+    start: StartRecord
+    snapshot: bytes
+    answers: list[RecordedAnswer]
+    readings: list[ReadingChange]
+
+
+class RunIdRecord(HostRecord, frozen=True, tag=5):
+    """The run id of this host has changed: it has met an older run (`run_identity`)."""
+
+    run: str
+
+
+class EndRecord(HostRecord, frozen=True, tag=6):
+    """The host has ended in order: nothing is missing."""
+
+    at: float
+
+
+AnyRecord = StartRecord | IdleTurn | TurnRecord | CheckpointRecord | RunIdRecord | EndRecord
+#: A list of records of bounded length.
+_Batch = Annotated[list[AnyRecord], Meta(max_length=1 << 20)]
+_HEADER = Layout("<cdI")
+_encoder = msgspec.msgpack.Encoder()
+_decoder: msgspec.msgpack.Decoder[list[AnyRecord]] = msgspec.msgpack.Decoder(_Batch)
+
+
+class FrameHeader(NamedTuple):
+    """The kind of a frame (b"S" has a start, b"C" a checkpoint, b"T" turns), its time, and its turns."""
+
+    kind: bytes
+    at: float
+    turns: int
+
+
+def encode_frame(records: list[HostRecord], header: FrameHeader) -> bytes:
+    """Records as the content of a frame."""
+    return _HEADER.pack(*header) + zlib.compress(_encoder.encode(records), 1)
+
+
+def header_of(data: bytes) -> FrameHeader:
+    """The header of a frame. Raises RecordingError."""
+    if len(data) < _HEADER.size:
+        raise RecordingError("a frame is too short")
+    return FrameHeader(*_HEADER.unpack_from(data))
+
+
+def decode_frame(data: bytes) -> list[AnyRecord]:
+    """The records of a frame. Raises RecordingError."""
+    try:
+        unpacker = zlib.decompressobj()
+        plain = unpacker.decompress(data[_HEADER.size :], MAX_FRAME)
+        if unpacker.unconsumed_tail:
+            raise RecordingError(f"a frame has more than {MAX_FRAME >> 20} MB")
+        return _decoder.decode(plain)
+    except (zlib.error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise RecordingError(f"a record is damaged: {error}") from None
+
+
+def value_of(answer: RecordedAnswer) -> DeviceValue:
+    """The value of an answer of a device."""
+    value: DeviceValue = answer.value
+    return value

@@ -1,0 +1,322 @@
+"""Walks, writes and reads graphs of objects, for snapshots of a core. Pure."""
+
+from __future__ import annotations
+
+from array import array
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from enum import Enum
+from functools import cached_property, partial
+from itertools import count
+from sys import modules
+from types import BuiltinMethodType, FunctionType, MethodType
+from typing import Any
+
+import msgspec
+from msgspec.structs import force_setattr
+
+from lfield.errors import RecordingError
+from lfield.vm.engine_interface import Reading
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.block_allocator import BlockAllocator
+
+#: Values that are encoded as they are; an int of more than 64 bits does not occur.
+PLAIN = (bool, int, float, str, bytes, type(None))
+_CONTAINERS = (dict, list, set, deque)
+_FUNCTIONS = (FunctionType, MethodType, BuiltinMethodType, partial)
+_OURS = "lfield."
+
+
+def is_instance(value: object) -> bool:
+    """Whether it is an object of a class of lfield, whose attributes are its state."""
+    made = type(value)
+    return made.__module__.startswith(_OURS) and not isinstance(value, (type, Enum, tuple, str, dict))
+
+
+def is_frozen(value: object) -> bool:
+    """Whether the attributes of an instance cannot change."""
+    made: Any = type(value)
+    if isinstance(value, msgspec.Struct):
+        return bool(made.__struct_config__.frozen)
+    parameters = getattr(made, "__dataclass_params__", None)
+    return parameters is not None and parameters.frozen
+
+
+def attributes(value: object) -> Iterator[tuple[str, object]]:
+    """The attributes of an instance by name, without cached ones."""
+    made = type(value)
+    names: set[str] = set(getattr(value, "__dict__", ()))
+    for base in made.__mro__:
+        slots = base.__dict__.get("__slots__", ())
+        names.update((slots,) if isinstance(slots, str) else slots)
+    names.update(getattr(made, "__struct_fields__", ()))
+    for name in sorted(names - {"__weakref__", "__dict__"}):
+        if not isinstance(getattr(made, name, None), cached_property) and hasattr(value, name):
+            yield name, getattr(value, name)
+
+
+def children(value: object) -> Iterable[object]:
+    """The objects that an object refers to, in a fixed order."""
+    if isinstance(value, dict):
+        return () if type(value).__module__.startswith(_OURS) else [x for pair in value.items() for x in pair]
+    if isinstance(value, (list, tuple, deque)):
+        return value
+    if isinstance(value, FunctionType):
+        return [cell.cell_contents for cell in value.__closure__ or ()]
+    if isinstance(value, (MethodType, BuiltinMethodType)):
+        return [value.__self__]
+    if isinstance(value, partial):
+        return [value.func, *value.args, *value.keywords.values()]
+    if is_instance(value):
+        return [each for _, each in attributes(value)]
+    return ()
+
+
+def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...]) -> list[object]:
+    """All objects that can be reached from a root, each once, in a fixed order.
+
+    Plain values and tuples are not listed; objects `excluded` by id are neither listed nor entered, `opaque`
+    ones are listed only.
+    """
+    found: list[object] = []
+    visited: set[int] = set(excluded)
+    # Tuples have no number, but must be alive while their ids are remembered.
+    tuples: list[object] = []
+    stack: list[object] = [root]
+    while stack:
+        each = stack.pop()
+        if isinstance(each, (*PLAIN, Enum, frozenset, type, count)) or id(each) in visited:
+            continue
+        visited.add(id(each))
+        (tuples if isinstance(each, tuple) else found).append(each)
+        if not isinstance(each, opaque):
+            stack.extend(reversed(list(children(each))))
+    return found
+
+
+class GraphWriter:
+    """Encodes objects as plain data; objects with a reference in `known` (by id) are encoded as that."""
+
+    def __init__(self, known: Mapping[int, list[Any]], number_of: Callable[[Reading], int]) -> None:
+        self._known, self._number_of = known, number_of
+        #: The objects that are not known, by id, with their positions among `objects`.
+        self._places: dict[int, int] = {}
+        self._found: list[object] = []
+
+    def state_of(self, value: object) -> Any:
+        """The state of a known object; None if it cannot change."""
+        if isinstance(value, dict):
+            if type(value).__module__.startswith(_OURS):
+                return None
+            return [self.encode(x) for pair in value.items() for x in pair]
+        if isinstance(value, (list, deque, set)):
+            return [self.encode(each) for each in value]
+        if is_instance(value) and not is_frozen(value):
+            return [x for name, each in self._own(value) for x in (name, self.encode(each))]
+        return None
+
+    def _own(self, value: object) -> Iterator[tuple[str, object]]:
+        """The attributes of a known object, without functions that an observer has put into it."""
+        for name, each in attributes(value):
+            if not isinstance(each, FunctionType) or id(each) in self._known:
+                yield name, each
+
+    def objects(self) -> list[Any]:
+        """All objects that were encoded and are not known."""
+        made: list[Any] = []
+        for each in self._found:
+            made.append(self._object(each))
+        return made
+
+    def _object(self, value: object) -> list[Any]:
+        if isinstance(value, Block):
+            return [
+                "block",
+                bytes(memoryview(value.data)[: 8 * value.top]),
+                len(value.w),
+                value.limit,
+                value.packed,
+            ]
+        if isinstance(value, _CONTAINERS):
+            return [type(value).__name__, self.state_of(value)]
+        state = [x for name, each in attributes(value) for x in (name, self.encode(each))]
+        return ["instance", class_name(type(value)), state]
+
+    def encode(self, value: object) -> Any:
+        """A value as plain data. Raises RecordingError if it has no encoding."""
+        if isinstance(value, PLAIN) and type(value) in PLAIN:
+            return value
+        if (reference := self._known.get(id(value))) is not None:
+            return reference
+        if isinstance(value, Enum):
+            return ["enum", class_name(type(value)), value.name]
+        if isinstance(value, (tuple, frozenset)):
+            kind = (
+                class_name(type(value)) if type(value).__module__.startswith(_OURS) else type(value).__name__
+            )
+            return ["tuple", kind, [self.encode(each) for each in value]]
+        if isinstance(value, Reading):
+            return ["reading", self._number_of(value)]
+        return self._encode_rare(value)
+
+    def _encode_rare(self, value: object) -> Any:
+        if isinstance(value, (Block, *_CONTAINERS)) or is_instance(value):
+            if id(value) not in self._places:
+                self._places[id(value)] = len(self._found)
+                self._found.append(value)
+            return ["object", self._places[id(value)]]
+        match value:
+            case type():
+                return ["type", class_name(value)]
+            case count():
+                return ["count", next(iter(value.__reduce__()[1]))]
+            case memoryview() | bytearray():
+                view = memoryview(value)
+                return ["bytes", view.format, view.tobytes()]
+            case array():
+                return ["bytes", value.typecode, value.tobytes()]
+            case MethodType():
+                return ["method", self.encode(value.__self__), value.__func__.__name__]
+            case partial():
+                return ["partial", self.encode(value.func), [self.encode(each) for each in value.args]]
+            case str():
+                return str(value)
+        raise RecordingError(f"a checkpoint cannot contain {value!r}")
+
+
+class GraphReader:
+    """Decodes what a GraphWriter wrote; `resolve` returns the known object of a reference."""
+
+    def __init__(
+        self,
+        resolve: Callable[[list[Any]], object],
+        readings: list[Reading],
+        space: BlockAllocator,
+    ) -> None:
+        self._resolve, self._readings, self._space = resolve, readings, space
+        self._objects: list[Any] = []
+        self._rows: list[Any] = []
+
+    def create(self, objects: list[Any]) -> None:
+        """Create all objects, then set their states: instances before containers that use their hashes."""
+        self._rows = objects
+        self._objects = [self._shell(each) for each in objects]
+        for place, row in enumerate(objects):
+            if row[0] == "instance":
+                made = self._object(place)
+                if not isinstance(made, msgspec.Struct):
+                    self.set_state(made, row[2])
+        for made, row in zip(self._objects, objects, strict=True):
+            if row[0] not in ("instance", "block"):
+                self.set_state(made, row[1])
+
+    def _object(self, place: int) -> Any:
+        """An object; a struct is created here, from its fields."""
+        found = self._objects[place]
+        if found is None:
+            _, name, state = self._rows[place]
+            fields = zip(state[::2], map(self.decode, state[1::2]), strict=True)
+            found = self._objects[place] = class_named(name)(**dict(fields))
+        return found
+
+    def _shell(self, row: list[Any]) -> Any:
+        match row[0]:
+            case "block":
+                return self._block(*row[1:])
+            case "instance":
+                made: Any = class_named(row[1])
+                return None if issubclass(made, msgspec.Struct) else object.__new__(made)
+            case "dict" | "OrderedDict" | "defaultdict":
+                return {}
+            case "list":
+                return []
+            case "set":
+                return set()
+            case "deque":
+                return deque()
+        raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
+
+    def _block(self, data: bytes, capacity: int, limit: int, packed: int) -> Block:
+        if capacity > limit + (1 << 16) or len(data) > 8 * capacity:
+            raise RecordingError("a checkpoint has a block with wrong sizes")
+        buffer = self._space.allocate(8 * capacity)
+        buffer[: len(data)] = data
+        return Block(buffer, len(data) // 8, limit, self._space, packed=packed)
+
+    def set_state(self, made: Any, state: list[Any]) -> None:
+        """Set the state of an object, in place."""
+        if isinstance(made, dict):
+            items = [self.decode(each) for each in state]
+            made.clear()
+            made.update(zip(items[::2], items[1::2], strict=True))
+        elif isinstance(made, set):
+            made.clear()
+            made.update(self.decode(each) for each in state)
+        elif isinstance(made, (list, deque)):
+            values = [self.decode(each) for each in state]
+            made.clear()
+            made.extend(values)
+        else:
+            self._set_attributes(made, state)
+
+    def _set_attributes(self, made: Any, state: list[Any]) -> None:
+        names = state[::2]
+        setter = force_setattr if isinstance(made, msgspec.Struct) else object.__setattr__
+        for name, _ in list(attributes(made)):
+            if name not in names:
+                object.__delattr__(made, name)
+        for name, value in zip(names, state[1::2], strict=True):
+            setter(made, name, self.decode(value))
+
+    def decode(self, value: Any) -> Any:
+        """A value from plain data. Raises RecordingError."""
+        if not isinstance(value, list):
+            return value
+        match value:
+            case ["object", int(place)]:
+                return self._object(place)
+            case ["tuple", str(kind), list(items)]:
+                return self._tuple(kind, [self.decode(each) for each in items])
+            case ["enum", str(kind), str(name)]:
+                return class_named(kind)[name]  # type: ignore[index]
+            case ["type", str(kind)]:
+                return class_named(kind)
+            case ["reading", int(number)]:
+                return self._readings[number]
+            case ["count", int(start)]:
+                return count(start)
+            case ["bytes", str(kind), bytes(data)]:
+                plain: Any = memoryview(bytearray(data))
+                return plain.cast(kind) if kind != "B" else data
+            case ["method", owner, str(name)]:
+                return self._method(self.decode(owner), name)
+            case ["partial", function, list(items)]:
+                return partial(self.decode(function), *(self.decode(each) for each in items))
+        return self._resolve(value)
+
+    def _tuple(self, kind: str, items: list[Any]) -> Any:
+        if kind == "frozenset":
+            return frozenset(items)
+        return tuple(items) if kind == "tuple" else tuple.__new__(class_named(kind), items)
+
+    def _method(self, owner: object, name: str) -> Any:
+        found = getattr(owner, name)
+        if not isinstance(found, MethodType) or not is_instance(owner):
+            raise RecordingError(f"a checkpoint names a method that does not exist: {name}")
+        return found
+
+
+def class_name(made: type) -> str:
+    """The name of a class of lfield, as of `class_named`."""
+    return f"{made.__module__}:{made.__qualname__}"
+
+
+def class_named(name: str) -> type:
+    """The class of lfield with that name, of a module that is loaded. Raises RecordingError."""
+    module, _, path = name.partition(":")
+    found: Any = modules.get(module) if module.startswith(_OURS) else None
+    for part in path.split("."):
+        found = getattr(found, part, None)
+    if not isinstance(found, type) or not found.__module__.startswith(_OURS):
+        raise RecordingError(f"a checkpoint names an unknown class: {name}")
+    return found

@@ -1,0 +1,196 @@
+"""The core's environment while it is recorded: it notes each answer that differs from the last one.
+
+In one turn a question has one answer, so a replay needs a table of the present answers only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+from typing import TypeVar, cast
+
+from lfield.bytecode.program import DeviceCallRecord
+from lfield.capability.directory.directory_delta import Unavailability
+from lfield.errors import DeviceError
+from lfield.host.effects import Environment
+from lfield.host.recording.host_records import ReadingChange, RecordedAnswer
+from lfield.manifest import DeviceValue, Observation
+from lfield.vm.engine_interface import Reading
+from lfield.vm.host_interface import Pending
+
+
+class Question(IntEnum):
+    """The questions of the core."""
+
+    DOWN_SINCE = 0
+    LAST_CONTACT = 1
+    ROUND_TRIP = 2
+    ANSWER_TIMEOUT = 3
+    LAST = 4
+    TROUBLE = 5
+    QUERY = 6
+    READING = 7
+    MAY_BE_CANCELLED = 8
+
+
+T = TypeVar("T")
+#: What stands for PENDING among the answers to a query.
+PENDING_ANSWER = ["pending"]
+_UNASKED = object()
+
+
+class RecordedEnvironment:
+    """Passes the questions on to `inner`. Outside of turns it notes nothing."""
+
+    def __init__(self, inner: Environment, calls: Mapping[DeviceCallRecord, int]) -> None:
+        self._inner, self._calls = inner, calls
+        #: The last answer to each question, and the questions of this turn.
+        self._known: dict[tuple[str | int, ...], object] = {}
+        self._asked: set[tuple[str | int, ...]] = set()
+        self._changes: list[RecordedAnswer] = []
+        #: The readings by number, and as the recording knows them.
+        self._readings: list[Reading] = []
+        self._recorded: list[tuple[int, float]] = []
+        self._in_turn = False
+
+    # --- turns ----------------------------------------------------------------------------------------
+
+    def start_turn(self) -> list[ReadingChange]:
+        """A turn begins; returns the readings that have changed since the last one."""
+        self._in_turn = True
+        changed = []
+        for number, (reading, known) in enumerate(zip(self._readings, self._recorded, strict=True)):
+            now = reading.word, reading.until
+            if now != known:
+                changed.append(ReadingChange(number, *now))
+                self._recorded[number] = now
+        return changed
+
+    def end_turn(self) -> list[RecordedAnswer]:
+        """The turn has ended; returns its new answers."""
+        self._in_turn = False
+        if self._asked:
+            self._asked.clear()
+        if not self._changes:
+            return []
+        changes, self._changes = self._changes, []
+        return changes
+
+    @property
+    def answers(self) -> list[RecordedAnswer]:
+        """The last answers to all questions."""
+        return [_answer(key, value) for key, value in self._known.items()]
+
+    @property
+    def readings(self) -> list[ReadingChange]:
+        """The readings as of the last turn."""
+        return [ReadingChange(number, *known) for number, known in enumerate(self._recorded)]
+
+    def number_of(self, reading: Reading) -> int:
+        """The number of a reading that was given out."""
+        return next(number for number, each in enumerate(self._readings) if each is reading)
+
+    # --- questions ------------------------------------------------------------------------------------
+
+    @property
+    def down_since(self) -> Mapping[str, float]:
+        """See `LinkContacts`."""
+        found: Mapping[str, float] = self._inner.down_since
+        if self._in_turn:
+            self._note((Question.DOWN_SINCE,), dict(found))
+        return found
+
+    def last_contact_at(self, host: str) -> float | None:
+        """See `LinkContacts`."""
+        return self._note((Question.LAST_CONTACT, host), self._inner.last_contact_at(host))
+
+    def round_trip(self, host: str) -> float | None:
+        """See `Environment`."""
+        return self._note((Question.ROUND_TRIP, host), self._inner.round_trip(host))
+
+    def answer_timeout(self, host: str) -> float | None:
+        """See `Environment`."""
+        return self._note((Question.ANSWER_TIMEOUT, host), self._inner.answer_timeout(host))
+
+    def last(self, device: str, quantity: str) -> Observation | None:
+        """See `DeviceReadings`."""
+        return self._note((Question.LAST, device, quantity), self._inner.last(device, quantity))
+
+    def trouble(self, device: str) -> Unavailability | None:
+        """See `DeviceReadings`."""
+        return self._note((Question.TROUBLE, device), self._inner.trouble(device))
+
+    def may_be_cancelled(self, agent: str, call: DeviceCallRecord) -> bool:
+        """See `Environment`."""
+        key = Question.MAY_BE_CANCELLED, agent, self._calls[call]
+        return self._note(key, self._inner.may_be_cancelled(agent, call))
+
+    def query(self, agent: str, call: DeviceCallRecord) -> DeviceValue | Pending:
+        """See `Environment`. Raises DeviceError."""
+        key = Question.QUERY, agent, self._calls[call]
+        if self._in_turn and key in self._asked:
+            known = self._known[key]
+            if isinstance(known, DeviceError):
+                raise DeviceError(known.device, known.reason, kind=known.kind)
+            return cast("DeviceValue | Pending", known)
+        try:
+            return self._note(key, self._inner.query(agent, call))
+        except DeviceError as error:
+            self._note(key, error)
+            raise
+
+    def reading(self, agent: str, call: DeviceCallRecord) -> Reading | None:
+        """See `Environment`."""
+        found = self._inner.reading(agent, call)
+        key = Question.READING, agent, self._calls[call]
+        if found is None:
+            self._note(key, None)
+            return None
+        number = next((n for n, each in enumerate(self._readings) if each is found), -1)
+        if number < 0:
+            number = len(self._readings)
+            self._readings.append(found)
+            self._recorded.append((found.word, found.until))
+            # The recording learns the word at the beginning of a turn, and this one is under way.
+            self._known[key] = number
+            self._changes.append(
+                RecordedAnswer(Question.READING, list(key[1:]), [number, found.word, found.until])
+            )
+        return found
+
+    def _note(self, key: tuple[str | int, ...], value: T) -> T:
+        if not self._in_turn:
+            return value
+        if key in self._asked:
+            return cast(T, self._known[key])
+        self._asked.add(key)
+        known = self._known.get(key, _UNASKED)
+        if known is _UNASKED or not _is_same(known, value):
+            self._known[key] = value
+            self._changes.append(_answer(key, value))
+        return value
+
+
+def _is_same(known: object, value: object) -> bool:
+    if isinstance(known, DeviceError) or isinstance(value, DeviceError):
+        return (
+            isinstance(known, DeviceError)
+            and isinstance(value, DeviceError)
+            and (known.device, known.reason, known.kind) == (value.device, value.reason, value.kind)
+        )
+    return type(known) is type(value) and known == value
+
+
+def _answer(key: tuple[str | int, ...], value: object) -> RecordedAnswer:
+    question, arguments = int(key[0]), list(key[1:])
+    match value:
+        case DeviceError():
+            return RecordedAnswer(question, arguments, None, (value.device, value.reason, value.kind))
+        case Pending():
+            return RecordedAnswer(question, arguments, PENDING_ANSWER)
+        case Unavailability():
+            return RecordedAnswer(question, arguments, [value.reason, value.since])
+        case Observation():
+            return RecordedAnswer(question, arguments, [value.value, value.when])
+        case _:
+            return RecordedAnswer(question, arguments, value)

@@ -1,0 +1,163 @@
+"""Connects the flight recorder to a host: nothing is wrapped where a host is not recorded."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+from lfield import __version__
+from lfield.errors import LfieldError
+from lfield.guard.messages import NO_RECORDING, GuardRecording
+from lfield.host.core import HostCore
+from lfield.host.effects import Environment
+from lfield.host.recording.core_turns import CoreTurns
+from lfield.host.recording.flight_recorder import FlightRecorder
+from lfield.host.recording.host_records import VERSION, Release, StartRecord
+from lfield.host.recording.recorded_environment import RecordedEnvironment
+from lfield.host.recording.recording_target import RecordingTarget
+from lfield.mission.bundle import encode
+from lfield.mission.mission import Mission
+from lfield.text import log_messages
+from lfield.text.log_messages import LogLine
+
+
+class RunIdentity:
+    """The run id of one host: recordings of a team with the same id belong together.
+
+    Each host proposes an id that begins with its time of start (`now`, in seconds since 1970). Hosts that
+    meet keep the smaller one, so all of a team agree on that of the host that was started first.
+    """
+
+    def __init__(self, now: float, random_bytes: Callable[[int], bytes]) -> None:
+        at = time.strftime("%Y%m%dT%H%M%S", time.gmtime(max(0.0, now)))
+        #: The id.
+        self.id = f"{at}-{random_bytes(4).hex()}"
+
+    def on_hello(self, other: str) -> bool:
+        """Another host has this id, '' for none; returns whether it is now the id of this host too."""
+        if not other or other >= self.id:
+            return False
+        self.id = other
+        return True
+
+
+class RecordingSession:
+    """The recording of one incarnation; without `target` nothing is recorded.
+
+    `note` writes a log line.
+    """
+
+    def __init__(
+        self,
+        target: RecordingTarget | None,
+        mission: Mission,
+        run: RunIdentity,
+        note: Callable[[LogLine], None],
+    ) -> None:
+        self._target, self._mission, self.run = target, mission, run
+        self._note, self._loop = note, asyncio.get_running_loop()
+        #: The recorder, None without a recording.
+        self.flight: FlightRecorder | None = None
+        self._environment: RecordedEnvironment | None = None
+        self._turns: CoreTurns | None = None
+        self._host = ""
+        self._drawn: list[bytes] = []
+        self._seed = 0
+
+    # --- while the core is constructed ----------------------------------------------------------------
+
+    def set_seed(self, seed: int) -> None:
+        """The seed of the core's random numbers."""
+        self._seed = seed
+
+    def environment(self, inner: Environment) -> Environment:
+        """The environment for the core."""
+        if self._target is None:
+            return inner
+        calls = self._mission.program.core.device_calls
+        self._environment = RecordedEnvironment(inner, {each: n for n, each in enumerate(calls)})
+        return self._environment
+
+    def random_bytes(self, inner: Callable[[int], bytes]) -> Callable[[int], bytes]:
+        """The source of random bytes for the core."""
+        if self._target is None:
+            return inner
+
+        def draw(size: int) -> bytes:
+            drawn = inner(size)
+            self._drawn.append(drawn)
+            return drawn
+
+        return draw
+
+    def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
+        """The core is constructed, in the present turn."""
+        self._turns, self._host = turns, core.name
+        self._open(core, turns, engine)
+        turns.attach(core, self.flight)
+
+    def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
+        if self._target is None or self._environment is None:
+            return
+        bundle = self._target.bundle or encode(self._mission)
+        start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
+        self._drawn.clear()
+        try:
+            sink = self._target.open_sink(
+                core.name, core.incarnation, clock.time(), bundle, self._on_failure_elsewhere
+            )
+        except LfieldError as error:
+            self._on_failure(str(error))
+            return
+        self.flight = FlightRecorder(core, clock, self._environment, start, sink, self._drawn)
+
+    def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
+        context, release = core.context, self._mission.release
+        signed = Release(release.digest, release.signature, release.by, release.at, release.is_from_files)
+        return StartRecord(
+            VERSION, __version__, core.name, core.incarnation, self.run.id, self._mission.name,
+            bundle, signed, self._seed, context.unreachable_after, context.journal_id, list(context.records),
+            list(context.times.items()), engine, core.machine.engine.pace, False, clock.monotonic(),
+            clock.time(), context.recorder.hybrid_clock.state, self._drawn.copy(),
+        )  # fmt: skip
+
+    # --- while the host runs --------------------------------------------------------------------------
+
+    def on_hello(self, run: str) -> None:
+        """Another host has this run id."""
+        if self.run.on_hello(run) and self.flight is not None:
+            self.flight.note_run(self.run.id)
+
+    def for_guards(self) -> GuardRecording:
+        """What the guards of this host record."""
+        if self.flight is None or self._target is None:
+            return NO_RECORDING
+        return self._target.for_guards(self.run.id)
+
+    def write_due(self, now: float) -> None:
+        """Between two turns: write what is due."""
+        if self.flight is None:
+            return
+        try:
+            self.flight.write_due(now)
+        except Exception as error:
+            # A fault of the recorder must not end the host.
+            self._on_failure(f"{type(error).__name__}: {error}")
+
+    def close(self, now: float) -> None:
+        """The host ends in order."""
+        if self.flight is not None:
+            self.flight.close(now)
+
+    def _on_failure_elsewhere(self, reason: str) -> None:
+        with suppress(RuntimeError):  # the loop has ended
+            self._loop.call_soon_threadsafe(self._on_failure, reason)
+
+    def _on_failure(self, reason: str) -> None:
+        self.flight = None
+        if self._turns is not None:
+            self._turns.stop_recording()
+        self._note(log_messages.HOST_RECORDING_ENDED.line(host=self._host, reason=reason))

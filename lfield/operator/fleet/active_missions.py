@@ -1,0 +1,72 @@
+"""The missions whose bundles are active on robots, as far as the states of their services tell. Pure.
+
+An inventory may have more robots than a mission: only the hosts of the deployment in the active bundle count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+from lfield.wire.service_messages import BundleInfo, ServiceStatus
+
+
+@dataclass(frozen=True, slots=True)
+class ActiveMission:
+    """A bundle and the hosts of its deployment; `coordinators` are its coordinators with their hosts."""
+
+    digest: bytes
+    name: str
+    hosts: tuple[str, ...]
+    coordinators: Mapping[str, str]
+
+
+def active_missions(
+    statuses: Mapping[str, ServiceStatus], without: Collection[str] = ()
+) -> list[ActiveMission]:
+    """The missions whose bundles are active on all of their hosts that are in `statuses`.
+
+    Hosts in `without` do not count, nor do missions that have no other host.
+    """
+    found = []
+    for digest in dict.fromkeys(status.active for status in statuses.values()):
+        mission = _mission(digest, statuses)
+        counted = [host for host in mission.hosts if host not in without]
+        if digest and counted and all(_has(statuses, host, digest) for host in counted):
+            found.append(mission)
+    return found
+
+
+def divided_hosts(statuses: Mapping[str, ServiceStatus]) -> list[str]:
+    """The hosts of a mission with different active bundles, in order; none if all missions are complete.
+
+    A host that only has a bundle of an earlier mission, whose other hosts have a newer mission now, is not
+    one of them.
+    """
+    complete = {host for mission in active_missions(statuses) for host in mission.hosts}
+    left = {host: status for host, status in statuses.items() if host not in complete}
+    found: set[str] = set()
+    for status in left.values():
+        hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in left}
+        found |= hosts if len(hosts) > 1 else set()
+    return [host for host in statuses if host in found]
+
+
+def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> bool:
+    """Whether a bundle is active on a host, as far as is known."""
+    return host not in statuses or statuses[host].active == digest
+
+
+def _mission(digest: bytes, statuses: Mapping[str, ServiceStatus]) -> ActiveMission:
+    info = bundle_info(statuses, digest)
+    if info is None or not info.hosts:
+        # Its bundle is damaged, or its signature is not valid any more.
+        having = tuple(host for host, status in statuses.items() if status.active == digest)
+        return ActiveMission(digest, "", having, {})
+    return ActiveMission(digest, info.name, tuple(info.hosts), info.coordinators)
+
+
+def bundle_info(statuses: Mapping[str, ServiceStatus], digest: bytes) -> BundleInfo | None:
+    """The description of a bundle that one of the hosts has stored."""
+    every = (info for status in statuses.values() for info in status.bundles)
+    return next((info for info in every if info.digest == digest), None)

@@ -1,0 +1,69 @@
+"""Segment files: a magic number, then frames of one record each. Pure.
+
+    frame: length (4 bytes, little endian), CRC-32 of the record (4 bytes), record (msgpack)
+
+A segment is append-only. One that ends within a frame, as after a crash, is valid up to its last complete
+frame. A frame with a wrong checksum ends the readable part as well: its length cannot be trusted either.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from struct import Struct
+from typing import NamedTuple
+from zlib import crc32
+
+#: The first bytes of each segment; the last one is the version of this format.
+MAGIC = b"LFREC\x00\x00\x01"
+#: The largest record, in bytes: a checkpoint of a host with many large blocks.
+MAX_RECORD = 1 << 28
+_HEADER = Struct("<II")
+
+
+class SegmentEnd(NamedTuple):
+    """Where the readable part of a segment ends, in bytes, and why: '' if it is complete."""
+
+    offset: int
+    reason: str
+
+
+def frame(record: bytes) -> bytes:
+    """A record as a frame."""
+    return _HEADER.pack(len(record), crc32(record)) + record
+
+
+def version_of(data: bytes) -> int | None:
+    """The format version of a segment with these first bytes; None if it is not a segment."""
+    if len(data) < len(MAGIC) or data[: len(MAGIC) - 1] != MAGIC[:-1]:
+        return None
+    return data[len(MAGIC) - 1]
+
+
+class SegmentReader:
+    """The records of one segment; `end` says where and why reading ended."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = memoryview(data)
+        self.end = SegmentEnd(len(data), "")
+
+    def __iter__(self) -> Iterator[bytes]:
+        data, offset = self._data, len(MAGIC)
+        while offset < len(data):
+            start = offset + _HEADER.size
+            if start > len(data):
+                self.end = SegmentEnd(offset, "it ends within a record")
+                return
+            size, checksum = _HEADER.unpack_from(data, offset)
+            if size > MAX_RECORD:
+                self.end = SegmentEnd(offset, "the length of a record is damaged")
+                return
+            if start + size > len(data):
+                self.end = SegmentEnd(offset, "it ends within a record")
+                return
+            record = bytes(data[start : start + size])
+            if crc32(record) != checksum:
+                self.end = SegmentEnd(offset, "the checksum of a record is wrong")
+                return
+            yield record
+            offset = start + size
+        self.end = SegmentEnd(offset, "")

@@ -1,0 +1,94 @@
+"""The calls that a program makes: portal calls of coordinators and device calls of resources, in order."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from lfield.host.core import HostCore
+from lfield.host.effects import CallDevice
+from lfield.replay.team_check import location_of
+from lfield.vm.agent import Agent
+
+
+@dataclass(frozen=True, slots=True)
+class LoggedCall:
+    """A call of an agent: `text` is what is compared, `place` the file and line of L where it stands.
+
+    `at` is in seconds since 1970, `host` where the call was made.
+    """
+
+    agent: str
+    text: str
+    at: float
+    host: str
+    place: str
+
+
+class CallDifference(NamedTuple):
+    """Where the calls of an agent differ: their number (from 1), and both calls, None for none."""
+
+    agent: str
+    number: int
+    recorded: LoggedCall | None
+    replayed: LoggedCall | None
+
+    @property
+    def at(self) -> float:
+        """The time of the earlier one."""
+        return min(each.at for each in (self.recorded, self.replayed) if each is not None)
+
+
+class CallLog:
+    """The calls of all agents of a team, as they are made."""
+
+    def __init__(self) -> None:
+        self.by_agent: dict[str, list[LoggedCall]] = {}
+
+    @property
+    def count(self) -> int:
+        """The number of calls."""
+        return sum(len(calls) for calls in self.by_agent.values())
+
+    def add_device_call(self, core: HostCore, command: CallDevice, at: float) -> None:
+        """A resource has given an instruction to a device."""
+        call = command.call
+        values = ", ".join(_text(value) for value in command.values)
+        self._add(command.agent, f"{call.field}.{call.instruction}({values})", core, at)
+
+    def add_portal_call(self, core: HostCore, caller: str, resource: Agent, method: int, at: float) -> None:
+        """A portal of a resource of this host has started for a coordinator."""
+        agent = core.machine.agents.get(caller)
+        name = core.machine.program.core.methods[method].name
+        text = f"{resource.id}.{name}"
+        if agent is not None:
+            self._add(agent, text, core, at)
+        else:
+            self.by_agent.setdefault(caller, []).append(LoggedCall(caller, text, at, core.name, ""))
+
+    def _add(self, agent: Agent, text: str, core: HostCore, at: float) -> None:
+        location = location_of(agent, core.machine.program)
+        place = "" if location is None else f"{location.file}:{location.line}"
+        self.by_agent.setdefault(agent.id, []).append(LoggedCall(agent.id, text, at, core.name, place))
+
+    def first_difference(self, other: CallLog) -> CallDifference | None:
+        """The earliest difference of another log to this one; None if both have the same calls."""
+        found = [
+            difference
+            for agent in sorted(self.by_agent.keys() | other.by_agent.keys())
+            if (difference := self._difference(other, agent)) is not None
+        ]
+        return min(found, key=lambda each: each.at, default=None)
+
+    def _difference(self, other: CallLog, agent: str) -> CallDifference | None:
+        recorded, replayed = self.by_agent.get(agent, []), other.by_agent.get(agent, [])
+        for number in range(max(len(recorded), len(replayed))):
+            one = recorded[number] if number < len(recorded) else None
+            two = replayed[number] if number < len(replayed) else None
+            if one is None or two is None or one.text != two.text:
+                return CallDifference(agent, number + 1, one, two)
+        return None
+
+
+def _text(value: object) -> str:
+    return f"{value:.9g}" if isinstance(value, float) else repr(value)

@@ -1,0 +1,1 @@
+"""The time-travel debugger: positions in recordings, reached by deterministic re-execution."""

@@ -1,0 +1,314 @@
+"""The time-travel debugger: a position in the recordings of a team, moved forwards and backwards.
+
+The front ends (terminal, Debug Adapter Protocol, page) use this class only, and the types of what it returns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+from lfield.replay.debugger.device_readings import DeviceReading, device_readings
+from lfield.replay.debugger.expressions import WatchExpression, WatchScope
+from lfield.replay.debugger.frames import (
+    StackFrame,
+    display_key,
+    frame_places,
+    live_agents,
+    reader_of,
+    stack_of,
+    state_name,
+    thread_keys,
+)
+from lfield.replay.debugger.moment import Moment, Target, ThreadKey
+from lfield.replay.debugger.targets import (
+    AnyTarget,
+    ChangeTarget,
+    ConditionTarget,
+    EffectTarget,
+    EventTarget,
+    HopTarget,
+    InstructionTarget,
+    StatementTarget,
+    StepTarget,
+)
+from lfield.replay.debugger.team_timeline import Place, TeamTimeline
+from lfield.replay.debugger.value_tree import Variable
+from lfield.vm.memory.threads import only_thread
+
+
+@dataclass(frozen=True, slots=True)
+class ThreadInfo:
+    """A thread of the team: where it is, and what it does."""
+
+    key: ThreadKey
+    host: str
+    recording: int
+    state: str
+
+    @property
+    def name(self) -> str:
+        """A coordinator's id, or AGENT#THREAD."""
+        key = self.key
+        return key.agent if key.agent == key.logical else f"{key.agent}#{key.thread}"
+
+
+@dataclass(frozen=True, slots=True)
+class Breakpoint:
+    """A line, and the condition that must hold there."""
+
+    file: str
+    line: int
+    condition: WatchExpression | None = None
+
+
+class Debugger:
+    """Debugs the recordings of `team`. It stands at `place`, and follows the thread `focus`.
+
+    Every method that moves returns whether it has found what it looked for; otherwise the place is unchanged.
+    """
+
+    def __init__(self, team: TeamTimeline) -> None:
+        self.team = team
+        self.place = team.start
+        #: The thread that the steps and expressions are about; None before the first one is chosen.
+        self.focus: ThreadKey | None = None
+        self.breakpoints: list[Breakpoint] = []
+        self._moment: Moment | None = None
+        self._moment_place: Place | None = None
+
+    # --- the present position -------------------------------------------------------------------------
+
+    @property
+    def seconds(self) -> float:
+        """The time of the position, since the start of the recordings."""
+        return self.team.time_of(self.place)
+
+    @property
+    def host(self) -> str:
+        """The host of the position."""
+        return self.team.hosts[self.place.recording].recording.host
+
+    @property
+    def moment(self) -> Moment:
+        """The state of the host of the position."""
+        if self._moment is None or self._moment_place != self.place:
+            self._moment, self.place = self.team.moment_at(self.place)
+            self._moment_place = self.place
+        return self._moment
+
+    def moment_of(self, recording: int) -> Moment:
+        """The state of any host at this time; that of another one is valid until the next call."""
+        return (
+            self.moment if recording == self.place.recording else self.team.moment_of(recording, self.place)
+        )
+
+    @property
+    def running(self) -> list[int]:
+        """The recordings of hosts that run at this time, that of the position first."""
+        own = self.place.recording
+        others = (n for n in range(len(self.team.hosts)) if n != own and self.team.is_running(n, self.place))
+        return [own, *others]
+
+    # --- threads, stacks, values ----------------------------------------------------------------------
+
+    def threads(self) -> list[ThreadInfo]:
+        """The threads of all hosts. A coordinator in transit is on the host where its newest copy is."""
+        found: dict[ThreadKey, tuple[tuple[int, int, bool], ThreadInfo]] = {}
+        for recording in self.running:
+            moment = self.moment_of(recording)
+            agents = live_agents(moment)
+            for key in thread_keys(moment):
+                agent = agents[key.agent]
+                copy = agent.generation, agent.hops, not agent.frozen
+                if key not in found or copy > found[key][0]:
+                    info = ThreadInfo(key, moment.core.name, recording, state_name(moment, key))
+                    found[key] = copy, info
+        return [info for _, info in found.values()]
+
+    def find_thread(self, name: str) -> ThreadInfo | None:
+        """A thread by its name, or by the id of its agent."""
+        known = self.threads()
+        exact = (each for each in known if each.name == name)
+        return next(exact, next((each for each in known if each.key.agent == name), None))
+
+    def choose(self, key: ThreadKey) -> None:
+        """Follow another thread."""
+        self.focus = key
+
+    def stack(self, key: ThreadKey | None = None) -> list[StackFrame]:
+        """The frames of a thread, by default of that which is followed; innermost first."""
+        return self._stack(key)[1]
+
+    def _stack(self, key: ThreadKey | None = None) -> tuple[Moment, list[StackFrame]]:
+        chosen = key or self.focus
+        if chosen is not None:
+            if frames := stack_of(self.moment, chosen):
+                return self.moment, frames
+            info = next((each for each in self.threads() if each.key == chosen), None)
+            if info is not None:
+                moment = self.moment_of(info.recording)
+                return moment, stack_of(moment, chosen)
+        return self.moment, []
+
+    def variables(self, frame: StackFrame) -> list[Variable]:
+        """The named variables of a frame, with `this`."""
+        return reader_of(self._moment_with(frame), frame.key.agent).locals(frame.frame)
+
+    def parts(self, frame: StackFrame, variable: Variable) -> list[Variable]:
+        """The fields or elements of a variable of a frame."""
+        return reader_of(self._moment_with(frame), frame.key.agent).parts(variable)
+
+    def _moment_with(self, frame: StackFrame) -> Moment:
+        if frame.host == self.host:
+            return self.moment
+        hosts = (number for number in self.running if self.team.hosts[number].recording.host == frame.host)
+        return self.moment_of(next(hosts, self.place.recording))
+
+    def readings(self) -> list[DeviceReading]:
+        """The readings of the devices of all hosts, as their cores know them."""
+        return [each for number in self.running for each in device_readings(self.moment_of(number))]
+
+    def evaluate(self, text: str, frame: StackFrame | None = None) -> tuple[object, Variable | None]:
+        """The value of an expression in a frame and those below it, and the variable if it names one.
+
+        Raises UsageError for a mistake in it, ValueUnknown where it has no value.
+        """
+        moment, frames = self._stack(None if frame is None else frame.key)
+        if frame in frames:
+            frames = frames[frames.index(frame) :]
+        scope = WatchScope(moment, [(each.key.agent, each.frame) for each in frames])
+        expression = WatchExpression(text)
+        if (found := expression.variable(scope)) is not None:
+            return scope.plain(found), scope.shown(text, found)
+        return expression.value(scope), None
+
+    # --- moves ----------------------------------------------------------------------------------------
+
+    def go_to(self, place: Place) -> None:
+        """Move to a position."""
+        self.place = place
+
+    def go_to_time(self, seconds: float) -> None:
+        """Move to the first turn that is not earlier than a time."""
+        self.go_to(self.team.place_at(seconds))
+
+    def search(self, target: Target, *, backward: bool = False) -> bool:
+        """Move to the next or last moment that meets a target, and follow the thread that runs there."""
+        found = self.team.find(target, self.place, backward=backward)
+        if found is None:
+            return False
+        self.go_to(found)
+        if self.moment.running is not None:
+            self.focus = display_key(self.moment, self.moment.running)
+        elif (arrived := self.team.arrival_at(found)) and isinstance(target, HopTarget):
+            self.focus = self.thread_of(arrived) or self.focus
+        return True
+
+    def thread_of(self, coordinator: str) -> ThreadKey | None:
+        """The thread of a coordinator on the host of the position."""
+        agent = self.moment.agents.get(coordinator)
+        return None if agent is None else ThreadKey(coordinator, coordinator, only_thread(agent.block))
+
+    def step(self, *, backward: bool = False) -> bool:
+        """One statement of the followed thread, into calls and portals."""
+        return self.search(self._step(None, by_line=False), backward=backward)
+
+    def step_line(self, *, backward: bool = False) -> bool:
+        """To another line of the followed thread, into calls and portals."""
+        return self.search(self._step(None, by_line=True), backward=backward)
+
+    def step_over(self, *, backward: bool = False) -> bool:
+        """To another line in this frame or a calling one."""
+        top = self._top
+        return self.search(self._step(top.depth if top else None, by_line=True), backward=backward)
+
+    def step_out(self, *, backward: bool = False) -> bool:
+        """To a statement of the calling frame: backward to that of the call."""
+        top = self._top
+        return self.search(self._step(top.depth - 1 if top else None, by_line=False), backward=backward)
+
+    def resume(self, *, backward: bool = False) -> bool:
+        """To the next breakpoint."""
+        return self.search(AnyTarget([self.target_of(each) for each in self.breakpoints]), backward=backward)
+
+    @property
+    def _top(self) -> StackFrame | None:
+        frames = self.stack() if self.focus is not None else []
+        return frames[0] if frames else None
+
+    def _step(self, deepest: int | None, *, by_line: bool) -> Target:
+        if self.focus is None:
+            return StatementTarget()
+        top = self._top
+        if top is None:
+            return StatementTarget(self.focus.logical)
+        return StepTarget(top.key, top.depth, deepest, top.line if by_line else None)
+
+    # --- breakpoints and other targets ----------------------------------------------------------------
+
+    def add_breakpoint(self, breakpoint: Breakpoint) -> None:
+        """Add a breakpoint for `resume`."""
+        self.breakpoints.append(breakpoint)
+
+    def remove_breakpoint(self, breakpoint: Breakpoint) -> None:
+        """Remove a breakpoint."""
+        self.breakpoints.remove(breakpoint)
+
+    def replace_breakpoints(self, breakpoints: list[Breakpoint]) -> None:
+        """Set all breakpoints."""
+        self.breakpoints = breakpoints
+
+    def target_of(self, breakpoint: Breakpoint) -> Target:
+        """The statements of a line, where its condition holds."""
+        condition = breakpoint.condition
+        check = None if condition is None else _holds(condition)
+        return InstructionTarget(self.team.table.at_line(breakpoint.file, breakpoint.line), check)
+
+    def portal_target(self) -> Target:
+        """The start of any portal call."""
+        return InstructionTarget(self.team.table.portals)
+
+    def hop_target(self, agent: str = "") -> Target:
+        """The arrival of a coordinator on a host."""
+        return HopTarget(agent)
+
+    def event_target(self, kinds: Iterable[str] = ()) -> Target:
+        """An event of some kinds, see events.md; of any kind without one."""
+        return EventTarget(tuple(kinds))
+
+    def device_target(self) -> Target:
+        """The call of a device instruction."""
+        return EffectTarget()
+
+    def condition_target(self, text: str) -> Target:
+        """A condition becomes true. Raises UsageError."""
+        expression = WatchExpression(text)
+        return ConditionTarget(self._value_of(expression), self._stops_of(expression))
+
+    def change_target(self, text: str) -> Target:
+        """The value of an expression changes. Raises UsageError."""
+        expression = WatchExpression(text)
+        return ChangeTarget(self._value_of(expression), self._stops_of(expression))
+
+    def _stops_of(self, expression: WatchExpression) -> frozenset[int] | None:
+        # A core gets new readings at the input of a turn.
+        return None if expression.names & self.team.table.variables else frozenset()
+
+    def _value_of(self, expression: WatchExpression) -> Callable[[Moment], object]:
+        focus = self.focus
+
+        def value(moment: Moment) -> object:
+            frames = [] if focus is None else frame_places(moment, focus)
+            return expression.value_or_none(WatchScope(moment, frames))
+
+        return value
+
+
+def _holds(condition: WatchExpression) -> Callable[[Moment], bool]:
+    def holds(moment: Moment) -> bool:
+        running = moment.running
+        frames = [] if running is None else frame_places(moment, display_key(moment, running))
+        return condition.value_or_none(WatchScope(moment, frames)) is True
+
+    return holds

@@ -1,0 +1,234 @@
+"""Expressions of L over the variables and device readings of a moment: `battery < 0.3 && leg == 2`.
+
+Names are variables of the frame, of the frames below, fields of the agent, and readings of devices
+(`battery`, `fc.battery`, `lead.fc.battery`). Calls are not evaluated: they could have side effects.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from typing import Any, NamedTuple
+
+from lfield.bytecode.program import DEVICE
+from lfield.errors import UsageError
+from lfield.lang import syntax
+from lfield.lang.parser.expressions import expression
+from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
+from lfield.lang.scanner import scan
+from lfield.replay.debugger.device_readings import reading_named
+from lfield.replay.debugger.frames import reader_of
+from lfield.replay.debugger.moment import Moment
+from lfield.replay.debugger.value_tree import ValueReader, Variable
+from lfield.text.source_text import Diagnostics, Source
+
+_OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
+    "+": operator.add,
+    "-": operator.sub,
+    "*": operator.mul,
+    "/": operator.truediv,
+    "%": operator.mod,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+    "==": operator.eq,
+    "!=": operator.ne,
+}
+
+
+class ValueUnknown(Exception):
+    """An expression has no value at this moment; the message says why."""
+
+
+class FoundValue(NamedTuple):
+    """A value in the block of an agent: its type by index, and the word."""
+
+    agent: str
+    kind: int
+    word: int
+
+
+class WatchScope:
+    """The names at a moment: of some frames, innermost first, and of the devices of the host.
+
+    A frame is given by its agent and its place.
+    """
+
+    def __init__(self, moment: Moment, frames: Sequence[tuple[str, int]]) -> None:
+        self._moment, self._frames = moment, frames
+
+    def variable(self, name: str) -> FoundValue | None:
+        """The variable or field of that name."""
+        types = self._moment.table.program.core.types
+        for agent, frame in self._frames:
+            found = self._reader(agent).local(frame, name)
+            if found is not None and types[found[0]].kind != DEVICE:
+                return FoundValue(agent, *found)
+        return None
+
+    def reading(self, path: tuple[str, ...]) -> object:
+        """The value of a device reading. Raises ValueUnknown."""
+        agent = self._frames[0][0] if self._frames else ""
+        found = reading_named(self._moment, path, agent)
+        if found is None:
+            raise ValueUnknown(f"{'.'.join(path)} is not known here")
+        return found.value
+
+    def part(self, owner: FoundValue, name: str) -> FoundValue | None:
+        """A field or an element of a value."""
+        found = self._reader(owner.agent).part(owner[1:], name)
+        return None if found is None else FoundValue(owner.agent, *found)
+
+    def length(self, owner: FoundValue) -> int | None:
+        """The number of elements of an array."""
+        return self._reader(owner.agent).length(owner[1:])
+
+    def plain(self, value: FoundValue) -> object:
+        """A value, for comparisons."""
+        return self._reader(value.agent).plain(value[1:])
+
+    def shown(self, name: str, value: FoundValue) -> Variable:
+        """A value with its texts."""
+        return reader_of(self._moment, value.agent).variable(name, value.kind, value.word)
+
+    def _reader(self, agent: str) -> ValueReader:
+        return ValueReader(self._moment.agents[agent].block, self._moment.table.program)
+
+
+class WatchExpression:
+    """A parsed expression. Raises UsageError for a mistake in it."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        found = Diagnostics()
+        stream = TokenStream(scan(Source("", text), found, end="the end of the expression"), found)
+        tree = None
+        with suppress(SyntaxRecovery, ParsingAborted):
+            tree = expression(stream)
+        mistakes = found.in_order()
+        if mistakes or tree is None or not stream.at_end():
+            why = mistakes[0].message if mistakes else "it is not one expression"
+            raise UsageError(f"'{text}' cannot be evaluated: {why}")
+        self._tree = tree
+
+    @property
+    def names(self) -> set[str]:
+        """The names that may be those of variables: of `lead.fc.battery` the first part."""
+        return set(_names(self._tree))
+
+    def value(self, scope: WatchScope) -> object:
+        """Its value. Raises ValueUnknown."""
+        return _plain(self._tree, scope)
+
+    def variable(self, scope: WatchScope) -> FoundValue | None:
+        """The variable that it names; None if it is another expression. Raises ValueUnknown."""
+        return _variable(self._tree, scope)
+
+    def value_or_none(self, scope: WatchScope) -> object:
+        """Its value; None where it has none."""
+        try:
+            return self.value(scope)
+        except ValueUnknown:
+            return None
+
+
+def _plain(tree: syntax.Expr, scope: WatchScope) -> object:
+    match tree:
+        case syntax.Literal_(value=value):
+            return value
+        case syntax.Unary(operator="!"):
+            return not _plain(tree.operand, scope)
+        case syntax.Unary(operator="-"):
+            return _number(tree.operand, scope) * -1
+        case syntax.Binary(operator="&&"):
+            return bool(_plain(tree.left, scope)) and bool(_plain(tree.right, scope))
+        case syntax.Binary(operator="||"):
+            return bool(_plain(tree.left, scope)) or bool(_plain(tree.right, scope))
+        case syntax.Binary() if tree.operator in _OPERATORS:
+            return _binary(tree, scope)
+        case syntax.Member(name="length") if (found := _variable(tree.object, scope)) is not None:
+            return _length(found, scope)
+        case syntax.Name() | syntax.Member() | syntax.Index() | syntax.This():
+            if (found := _variable(tree, scope)) is not None:
+                return scope.plain(found)
+            if path := _path(tree):
+                return scope.reading(path)
+    raise ValueUnknown("it has a part that is not evaluated here")
+
+
+def _binary(tree: syntax.Binary, scope: WatchScope) -> object:
+    left, right = _plain(tree.left, scope), _plain(tree.right, scope)
+    try:
+        value = _OPERATORS[tree.operator](left, right)
+    except ZeroDivisionError:
+        raise ValueUnknown("division by zero") from None
+    except TypeError:
+        raise ValueUnknown(f"the sides of {tree.operator} are of different types") from None
+    whole = tree.operator == "/" and type(left) is int and type(right) is int
+    return int(value) if whole and isinstance(value, float) else value
+
+
+def _length(owner: FoundValue, scope: WatchScope) -> object:
+    length = scope.length(owner)
+    if length is not None:
+        return length
+    if (found := scope.part(owner, "length")) is None:
+        raise ValueUnknown("it has no length")
+    return scope.plain(found)
+
+
+def _number(tree: syntax.Expr, scope: WatchScope) -> float:
+    value = _plain(tree, scope)
+    if not isinstance(value, int | float):
+        raise ValueUnknown("it is not a number")
+    return value
+
+
+def _variable(tree: syntax.Expr, scope: WatchScope) -> FoundValue | None:
+    match tree:
+        case syntax.Name(name=name):
+            return scope.variable(name)
+        case syntax.This():
+            return scope.variable("this")
+        case syntax.Member(name=name):
+            owner, part = _variable(tree.object, scope), name
+        case syntax.Index():
+            owner, part = _variable(tree.array, scope), f"[{_plain(tree.index, scope)}]"
+        case _:
+            return None
+    if owner is None:
+        return None
+    if (found := scope.part(owner, part)) is None:
+        raise ValueUnknown(f"it has no {part}")
+    return found
+
+
+def _names(tree: syntax.Expr) -> Iterator[str]:
+    match tree:
+        case syntax.Name(name=name):
+            yield name
+        case syntax.This():
+            yield "this"
+        case syntax.Unary():
+            yield from _names(tree.operand)
+        case syntax.Binary():
+            yield from _names(tree.left)
+            yield from _names(tree.right)
+        case syntax.Member():
+            yield from _names(tree.object)
+        case syntax.Index():
+            yield from _names(tree.array)
+            yield from _names(tree.index)
+
+
+def _path(tree: syntax.Expr) -> tuple[str, ...]:
+    """The parts of a dotted name; () for anything else."""
+    match tree:
+        case syntax.Name(name=name):
+            return (name,)
+        case syntax.Member(name=name):
+            before = _path(tree.object)
+            return (*before, name) if before else ()
+    return ()

@@ -1,0 +1,225 @@
+"""What the debugger can search for: statements of a thread, lines, portal calls, hops, events, values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+from lfield.host.effects import CallDevice, Effect
+from lfield.replay.debugger.moment import Moment, Phase, Target, ThreadKey
+from lfield.replay.debugger.statement_table import SourceLine
+from lfield.wire.events import Event
+
+#: The events of one turn that are compared: their number, and their bytes.
+MAX_EVENTS, MAX_EVENT_BYTES = 100_000, 16 << 20
+_NONE: frozenset[int] = frozenset()
+
+
+class StepTarget:
+    """The next statement of a logical thread. `key` is the thread that stands now, `depth` its depth.
+
+    `deepest` is the largest depth of the frame that is accepted, None for any. With `other_than`, the
+    statement is on another line, or in another frame.
+    """
+
+    stops: frozenset[int] | None = None
+
+    def __init__(
+        self,
+        key: ThreadKey,
+        depth: int = 0,
+        deepest: int | None = None,
+        other_than: SourceLine | None = None,
+    ) -> None:
+        self._key, self._depth, self._deepest, self._other_than = key, depth, deepest, other_than
+
+    def start(self, moment: Moment) -> None:
+        """It compares no moments."""
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        running = moment.running
+        if running is None or running.logical != self._key.logical:
+            return False
+        # From a portal only to the same portal, or back to its coordinator: others run at the same time.
+        is_portal = self._key.agent != self._key.logical
+        if is_portal and running != self._key and running.agent != running.logical:
+            return False
+        if self._deepest is not None and moment.depth > self._deepest:
+            return False
+        return self._other_than is None or moment.depth != self._depth or moment.line != self._other_than
+
+
+class StatementTarget:
+    """The next statement of any thread, or only of those of a logical thread."""
+
+    stops: frozenset[int] | None = None
+
+    def __init__(self, logical: str = "") -> None:
+        self._logical = logical
+
+    def start(self, moment: Moment) -> None:
+        """It compares no moments."""
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        running = moment.running
+        return running is not None and self._logical in ("", running.logical)
+
+
+class InstructionTarget:
+    """Any of some statements, by first instruction, where `condition` holds: breakpoints, portals."""
+
+    def __init__(
+        self, stops: frozenset[int], condition: Callable[[Moment], bool] | None = None, logical: str = ""
+    ) -> None:
+        self.stops: frozenset[int] | None = stops
+        self._stops, self._condition, self._logical = stops, condition, logical
+
+    def start(self, moment: Moment) -> None:
+        """It compares no moments."""
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        running = moment.running
+        if running is None or moment.pc not in self._stops:
+            return False
+        if self._logical not in ("", running.logical):
+            return False
+        return self._condition is None or self._condition(moment)
+
+
+class HopTarget:
+    """A coordinator, or that with an id, has arrived from another host, or was just sent to one."""
+
+    stops: frozenset[int] | None = _NONE
+
+    def __init__(self, agent: str = "") -> None:
+        self._agent = agent
+        self._hops: dict[str, int] = {}
+
+    def start(self, moment: Moment) -> None:
+        """See `Target`."""
+        self._hops = _hops(moment)
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        before, self._hops = self._hops, _hops(moment)
+        # A coordinator that starts here has made none.
+        return any(
+            hops and hops != before.get(name, 0)
+            for name, hops in self._hops.items()
+            if self._agent in ("", name)
+        )
+
+
+def _hops(moment: Moment) -> dict[str, int]:
+    return {name: each.hops for name, each in moment.agents.items() if each.member.kind == "coordinator"}
+
+
+class EventTarget:
+    """An event of the event log, of one of some kinds if any are given, and of an agent if one is named."""
+
+    stops: frozenset[int] | None = _NONE
+
+    def __init__(self, kinds: Collection[str] = (), agent: str = "") -> None:
+        self._kinds, self._agent = frozenset(kinds), agent
+        self._last = 0
+
+    def start(self, moment: Moment) -> None:
+        """See `Target`."""
+        self._last = moment.core.recorder.event_log.latest
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        log = moment.core.recorder.event_log
+        if log.latest == self._last:
+            return False
+        (found, _), self._last = log.after(self._last, MAX_EVENTS, MAX_EVENT_BYTES), log.latest
+        return any(self._is_searched(event) for event in found)
+
+    def _is_searched(self, event: Event) -> bool:
+        if self._kinds and event.kind not in self._kinds:
+            return False
+        return self._agent in ("", getattr(event.what, "agent", None))
+
+
+class EffectTarget:
+    """A turn has an effect of one of some classes: calls of devices, output, messages."""
+
+    stops: frozenset[int] | None = _NONE
+
+    def __init__(self, kinds: tuple[type[Effect], ...] = (CallDevice,)) -> None:
+        self._kinds = kinds
+
+    def start(self, moment: Moment) -> None:
+        """It compares no moments."""
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        return moment.phase is Phase.END and any(isinstance(each, self._kinds) for each in moment.effects)
+
+
+class ConditionTarget:
+    """A condition that did not hold becomes true. `value` returns None where it has no value.
+
+    `stops` are the statements at which it may have changed, None for all.
+    """
+
+    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
+        self._value, self.stops = value, stops
+        self._held: object = None
+
+    def start(self, moment: Moment) -> None:
+        """See `Target`."""
+        self._held = self._value(moment)
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        before, self._held = self._held, self._value(moment)
+        return self._held is True and before is not True
+
+
+class ChangeTarget:
+    """A value changes. Where there is none, as while its coordinator is on another host, nothing changes.
+
+    `stops` are the statements at which it may have changed, None for all.
+    """
+
+    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
+        self._value, self.stops = value, stops
+        self._known: object = None
+
+    def start(self, moment: Moment) -> None:
+        """See `Target`."""
+        self._known = self._value(moment)
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        value = self._value(moment)
+        if value is None:
+            return False
+        known, self._known = self._known, value
+        return known is not None and (type(known) is not type(value) or known != value)
+
+
+class AnyTarget:
+    """Any of several targets, such as a step or a breakpoint. `met` are those of the last match."""
+
+    def __init__(self, targets: Collection[Target]) -> None:
+        self._targets = tuple(targets)
+        self.met: tuple[Target, ...] = ()
+        stops: frozenset[int] | None = _NONE
+        for each in targets:
+            stops = None if stops is None or each.stops is None else stops | each.stops
+        self.stops = stops
+
+    def start(self, moment: Moment) -> None:
+        """See `Target`."""
+        for each in self._targets:
+            each.start(moment)
+
+    def is_met(self, moment: Moment) -> bool:
+        """See `Target`."""
+        found = tuple(each for each in self._targets if each.is_met(moment))
+        self.met = found or self.met
+        return bool(found)

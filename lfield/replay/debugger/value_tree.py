@@ -1,0 +1,171 @@
+"""Values of a block as trees that can be expanded: variables with their L types, and the parts of objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from lfield.bytecode.program import (
+    ANY,
+    ARRAY,
+    BOOLEAN,
+    DEVICE,
+    INT,
+    NULL,
+    OBJECT,
+    PROXY,
+    REAL,
+    REFERENCES,
+    STRING,
+    SUPPRESSED_FIELD,
+    TICKET,
+    VOID,
+    Program,
+)
+from lfield.vm.inspection.block_view import value_text
+from lfield.vm.memory import layout
+from lfield.vm.memory.block import Block
+from lfield.vm.memory.layout import FRAME_SLOTS
+from lfield.vm.memory.word_codec import real_from_bits
+
+#: Maximum number of parts that are listed.
+MAX_PARTS = 1000
+_NAMES = {
+    VOID: "void",
+    BOOLEAN: "boolean",
+    INT: "int",
+    REAL: "real",
+    STRING: "string",
+    ANY: "object",
+    NULL: "null",
+    DEVICE: "device",
+    TICKET: "call",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Variable:
+    """A variable or a part of an object: name, type and value as text.
+
+    `word` is the value as in a slot, `kind` its type by index. `has_parts`: it can be expanded.
+    """
+
+    name: str
+    type: str
+    value: str
+    word: int
+    kind: int
+    has_parts: bool = False
+
+
+#: A type, by index, and the value as in a slot.
+RawValue = tuple[int, int]
+
+
+class ValueReader:
+    """Reads the values of one block; `members` are the ids of the deployment, for proxies."""
+
+    def __init__(self, block: Block, program: Program, members: Sequence[str] = ()) -> None:
+        self._block, self._program, self._members = block, program, members
+
+    def type_name(self, kind: int) -> str:
+        """The name of a type, by index."""
+        core = self._program.core
+        record = core.types[kind]
+        if record.kind == ARRAY:
+            return f"{self.type_name(record.of)}[]"
+        if record.kind in (OBJECT, PROXY):
+            return core.classes[record.of].name
+        return _NAMES[record.kind]
+
+    def variable(self, name: str, kind: int, word: int) -> Variable:
+        """A value with a name."""
+        record = self._program.core.types[kind]
+        is_object = record.kind in (ARRAY, OBJECT, ANY) and word != 0
+        text = value_text(self._block, self._program, kind, word, self._members)
+        has_parts = is_object and self._block.w[word] & 0xFF in (layout.ARRAY, layout.OBJECT)
+        return Variable(name, self.type_name(kind), text, word, kind, has_parts)
+
+    def locals(self, frame: int) -> list[Variable]:
+        """The named variables of the frame at a place; those without a name are temporary."""
+        index = self._block.w[frame] >> 8 & 0xFFFFFF
+        method, debug = self._program.core.methods[index], self._program.debug.methods
+        names = debug[index].names if debug else ()
+        words = self._block.w
+        return [
+            self.variable(name, method.slots[slot], words[frame + FRAME_SLOTS + slot]) for slot, name in names
+        ]
+
+    def agent_fields(self) -> list[Variable]:
+        """The fields of the resource or coordinator."""
+        own = self._block.w[layout.W_SELF]
+        return self._object_parts(own) if own else []
+
+    def parts(self, variable: Variable) -> list[Variable]:
+        """The fields of an object, or the elements of an array."""
+        if not variable.has_parts:
+            return []
+        w, place = self._block.w, variable.word
+        if w[place] & 0xFF == layout.OBJECT:
+            return self._object_parts(place)
+        of = self._program.core.types[w[place] >> 8 & 0xFFFFFF].of
+        size = min((w[place] >> 32) - 1, MAX_PARTS)
+        return [self.variable(f"[{number}]", of, w[place + 1 + number]) for number in range(size)]
+
+    def _object_parts(self, place: int) -> list[Variable]:
+        w = self._block.w
+        fields = self._program.core.classes[w[place] >> 8 & 0xFFFFFF].fields
+        return [
+            self.variable(field.name, field.type, w[place + 1 + number])
+            for number, field in enumerate(fields)
+            if field.name != SUPPRESSED_FIELD
+        ]
+
+    # --- without texts, for expressions ---------------------------------------------------------------
+
+    def local(self, frame: int, name: str) -> RawValue | None:
+        """The variable of that name in the frame at a place, or the field of its object."""
+        w, core, debug = self._block.w, self._program.core, self._program.debug.methods
+        index = w[frame] >> 8 & 0xFFFFFF
+        slots = core.methods[index].slots
+        own: RawValue | None = None
+        for slot, known in debug[index].names if debug else ():
+            found = slots[slot], w[frame + FRAME_SLOTS + slot]
+            if known == name:
+                return found
+            own = found if known == "this" else own
+        return None if own is None else self.part(own, name)
+
+    def part(self, value: RawValue, name: str) -> RawValue | None:
+        """The field of an object, or the element `[NUMBER]` of an array; None if it has none."""
+        kind, place = value
+        w, core = self._block.w, self._program.core
+        if core.types[kind].kind not in (ARRAY, OBJECT, ANY) or not place:
+            return None
+        index, size = w[place] >> 8 & 0xFFFFFF, (w[place] >> 32) - 1
+        if w[place] & 0xFF == layout.OBJECT:
+            fields = enumerate(core.classes[index].fields)
+            return next(((f.type, w[place + 1 + n]) for n, f in fields if f.name == name), None)
+        if w[place] & 0xFF == layout.ARRAY and name.startswith("[") and name[1:-1].isdigit():
+            number = int(name[1:-1])
+            return (core.types[index].of, w[place + 1 + number]) if number < size else None
+        return None
+
+    def length(self, value: RawValue) -> int | None:
+        """The number of elements of an array; None for other values."""
+        kind, place = value
+        is_array = self._program.core.types[kind].kind == ARRAY and place
+        return (self._block.w[place] >> 32) - 1 if is_array else None
+
+    def plain(self, value: RawValue) -> object:
+        """The value for comparisons: a number, a text, None for null, or the place of an object."""
+        kind, word = self._program.core.types[value[0]].kind, value[1]
+        if kind == BOOLEAN:
+            return bool(word)
+        if kind == REAL:
+            return real_from_bits(word)
+        if kind == INT or kind not in REFERENCES:
+            return word
+        if not word:
+            return None
+        return self._block.text(word) if kind == STRING else ("object", word)

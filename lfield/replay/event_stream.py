@@ -1,0 +1,104 @@
+"""The events and telemetry of a recording, in the order of their times, for exports.
+
+Events are those that the cores emit while they are replayed, log lines included. The events of devices are
+not among them: guards report them, and their telemetry is in the recordings of the guards.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from itertools import groupby
+
+from msgspec.structs import replace
+
+from lfield.errors import RecordingError
+from lfield.export.export_input import StreamItem, StreamNotice, TelemetrySample
+from lfield.guard.recording.guard_segments import rings_in, telemetry_in
+from lfield.host.effects import WriteLog
+from lfield.host.events.portal_events import PortalEvents
+from lfield.operator.dashboard.timeline.event_timeline import Cause, DatedEvent
+from lfield.replay.host_recording import HostRecording, Turn
+from lfield.replay.host_replay import HostReplay
+from lfield.replay.recording_files import Incarnation, TeamRecording
+from lfield.replay.team_check import OnProgress
+from lfield.replay.team_order import TeamOrder
+
+#: Events of one turn.
+_MAX_EVENTS, _MAX_BYTES = 1 << 16, 1 << 28
+#: Turns between two reports of progress.
+_PROGRESS_TURNS = 500
+
+
+def event_stream(recording: TeamRecording, on_progress: OnProgress = lambda turns: None) -> list[StreamItem]:
+    """All items of a recording, by time. Raises RecordingError."""
+    parts = [part for each in recording.incarnations for part in each.parts]
+    order = TeamOrder(parts)
+    shifts = [
+        offset - (part.start.wall - part.start.at) for offset, part in zip(order.offsets, parts, strict=True)
+    ]
+    items: list[StreamItem] = list(_events(recording, order, shifts, on_progress))
+    number = 0
+    for incarnation in recording.incarnations:
+        items += _telemetry(incarnation, shifts[number])
+        items += (
+            StreamNotice(incarnation.started_at, incarnation.host, text) for text in incarnation.problems
+        )
+        number += len(incarnation.parts)
+    items.sort(key=lambda item: item.time)
+    return items
+
+
+def _events(
+    recording: TeamRecording, order: TeamOrder, shifts: list[float], on_progress: OnProgress
+) -> Iterator[DatedEvent]:
+    sources = [
+        _EventSource(HostReplay(part, recording.mission), shift)
+        for part, shift in zip(order.parts, shifts, strict=True)
+    ]
+    for done, turn in enumerate(order, 1):
+        if done % _PROGRESS_TURNS == 0:
+            on_progress(_PROGRESS_TURNS)
+        yield from sources[turn.part].replay(turn.record)
+
+
+class _EventSource:
+    """The events of one recording, whose clock is off by `shift` seconds."""
+
+    def __init__(self, replay: HostReplay, shift: float) -> None:
+        self._turns, self._core = iter(replay), replay.core
+        self._recording: HostRecording = replay.recording
+        self._shift, self._latest = shift, 0
+        PortalEvents(self._core.recorder, self._core.machine).attach()
+
+    def replay(self, record: Turn) -> Iterator[DatedEvent]:
+        """The events of the next turn, which is this one. Raises RecordingError after a difference."""
+        start, recorder = self._recording.start, self._core.recorder
+        turn = next(self._turns)
+        if turn.divergence is not None:
+            raise RecordingError(
+                f"the recording of {start.host} cannot be replayed beyond turn {turn.number}: "
+                "'lfield replay' shows the difference"
+            )
+        for effect in turn.effects:
+            if isinstance(effect, WriteLog) and not effect.is_recorded:
+                recorder.on_log_line(effect.text)
+        recorder.drain()
+        found, _ = recorder.event_log.after(self._latest, _MAX_EVENTS, _MAX_BYTES)
+        for event in found:
+            self._latest = event.number
+            cause = Cause(start.host, start.incarnation, event.cause) if event.cause else None
+            dated = replace(event, at=event.at + self._shift) if abs(self._shift) > 1e-3 else event
+            yield DatedEvent(start.host, start.incarnation, dated, cause)
+
+
+def _telemetry(incarnation: Incarnation, shift: float) -> Iterator[TelemetrySample]:
+    """The telemetry of all guards of an incarnation."""
+    for paths in rings_in(incarnation.folder).values():
+        yield from _samples(incarnation.host, paths, shift)
+
+
+def _samples(host: str, paths: Iterable[object], shift: float) -> Iterator[TelemetrySample]:
+    values = telemetry_in(paths)  # type: ignore[arg-type]
+    for (device, at), group in groupby(values, key=lambda value: (value.device, value.wall_time)):
+        found = {value.quantity: value.value for value in group}
+        yield TelemetrySample(at + shift, host, device, found)  # type: ignore[arg-type]

@@ -1,0 +1,149 @@
+"""The recording of one incarnation of a host: its frames in order, decoded as they are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+from lfield.errors import RecordingError
+from lfield.host.recording.host_records import (
+    AnyRecord,
+    CheckpointRecord,
+    EndRecord,
+    FrameHeader,
+    IdleTurn,
+    RunIdRecord,
+    StartRecord,
+    TurnRecord,
+    decode_frame,
+    header_of,
+)
+
+Turn = IdleTurn | TurnRecord
+#: Decoded frames that are kept.
+_CACHED = 64
+
+
+class IndexedFrame(NamedTuple):
+    """A frame, and the number of turns before it in this recording."""
+
+    header: FrameHeader
+    data: bytes
+    turn: int
+
+
+class HostRecording:
+    """One incarnation; `gap` says what is missing at its end, '' if the host ended in order.
+
+    `frames` are contents of frames, oldest first; `gap` is why reading them ended early. The first frames may
+    be missing (a ring deletes its oldest file): then the recording begins at a checkpoint. Raises
+    RecordingError if nothing can be replayed.
+    """
+
+    def __init__(self, frames: Sequence[bytes], gap: str = "") -> None:
+        self.frames: list[IndexedFrame] = []
+        turn = 0
+        for data in frames:
+            header = header_of(data)
+            if not self.frames and header.kind == b"T":
+                continue
+            self.frames.append(IndexedFrame(header, data, turn))
+            turn += header.turns
+        if not self.frames:
+            raise RecordingError("it has neither the beginning of a recording nor a checkpoint")
+        #: The number of turns that it has.
+        self.turns = turn
+        self._decode = lru_cache(_CACHED)(self._decode_frame)
+        first = self._decode(0)
+        self.start: StartRecord = self._start_of(first[0]) if first else self._raise_empty()
+        #: Whether it has the start of the incarnation.
+        self.is_from_start = isinstance(first[0], StartRecord)
+        last = self._decode(len(self.frames) - 1)
+        self.gap = "" if last and isinstance(last[-1], EndRecord) else gap or "its end is missing"
+
+    @property
+    def host(self) -> str:
+        """The name of the host."""
+        return self.start.host
+
+    @property
+    def run(self) -> str:
+        """The run id, as of the last change."""
+        found = self.start.run
+        for number in range(len(self.frames)):
+            for record in self._decode(number):
+                if isinstance(record, RunIdRecord):
+                    found = record.run
+        return found
+
+    @property
+    def started_at(self) -> float:
+        """The time of the first turn, on the monotonic clock of the host."""
+        return self.frames[0].header.at
+
+    @property
+    def ended_at(self) -> float:
+        """The time of the last turn."""
+        for number in reversed(range(len(self.frames))):
+            times = [record.at for record in self._decode(number) if isinstance(record, Turn)]
+            if times:
+                return times[-1]
+        return self.started_at
+
+    def turns_from(self, turn: int) -> Iterator[tuple[int, Turn]]:
+        """The turns from a number on, with their numbers. Raises RecordingError."""
+        for number in range(self._frame_of(turn), len(self.frames)):
+            at = self.frames[number].turn
+            for record in self._decode(number):
+                if isinstance(record, Turn):
+                    if at >= turn:
+                        yield at, record
+                    at += 1
+
+    def checkpoint_before(self, turn: int) -> tuple[int, CheckpointRecord | None]:
+        """The last checkpoint at which a replay up to a turn can begin, with the number of the turn after it;
+        None for the start of the recording."""
+        for number in reversed(range(len(self.frames))):
+            frame = self.frames[number]
+            if frame.turn <= turn and frame.header.kind == b"C":
+                record = self._decode(number)[0]
+                assert isinstance(record, CheckpointRecord)
+                return frame.turn, record
+        if not self.is_from_start:
+            raise RecordingError("the beginning of the recording is missing")
+        return 0, None
+
+    def turn_at(self, at: float) -> int:
+        """The number of the first turn that is not earlier than a time of the host's clock."""
+        frame = 0
+        for number, each in enumerate(self.frames):
+            if each.header.kind == b"T" and each.header.at <= at:
+                frame = number
+        for number, record in self.turns_from(self.frames[frame].turn):
+            if record.at >= at:
+                return number
+        return self.turns
+
+    def _frame_of(self, turn: int) -> int:
+        """The first frame that may have that turn."""
+        found = 0
+        for number, frame in enumerate(self.frames):
+            if frame.turn > turn:
+                break
+            found = number if frame.header.turns else found
+        return found
+
+    def _decode_frame(self, number: int) -> list[AnyRecord]:
+        return decode_frame(self.frames[number].data)
+
+    def _start_of(self, record: AnyRecord) -> StartRecord:
+        match record:
+            case StartRecord():
+                return record
+            case CheckpointRecord():
+                return record.start
+        return self._raise_empty()
+
+    def _raise_empty(self) -> StartRecord:
+        raise RecordingError("its first record is neither the start of a host nor a checkpoint")

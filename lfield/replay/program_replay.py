@@ -1,0 +1,207 @@
+"""Runs a program on the recorded world of a team: readings, answers of devices, messages and links.
+
+The recorded program makes the recorded calls. Another program gets the same answers as long as it makes the
+same calls: the answer to an agent's n-th device call is that of the recorded n-th one, and a coordinator
+arrives with the block that this program has sent. Records count as durable at once, since the batches differ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from itertools import count
+
+from lfield.bytecode.program import DeviceCallRecord, Program
+from lfield.errors import RecordingError
+from lfield.host.effects import CallDevice, Effect, PersistRecords
+from lfield.host.inputs import BatchDurable, DeviceAnswered, HostInput, TransferArrived
+from lfield.host.recording.effect_summary import decode_effects
+from lfield.host.recording.host_records import IdleTurn, RecordedAnswer, TurnRecord
+from lfield.host.recording.recorded_environment import Question
+from lfield.mission.mission import Mission
+from lfield.replay.call_log import CallLog
+from lfield.replay.host_recording import HostRecording, Turn
+from lfield.replay.host_replay import HostReplay
+from lfield.replay.recording_files import TeamRecording
+from lfield.replay.team_order import TeamOrder, TransferKey, arrival_in
+from lfield.replication.transfer.effects import SendTransfer
+from lfield.vm.agent import Agent
+from lfield.vm.engine_interface import Engines
+from lfield.vm.reference import ReferenceEngine
+
+#: The blocks that were sent, with their headers as the receiver gets them.
+SentBlocks = dict[TransferKey, TransferArrived]
+
+
+class ProgramRun:
+    """One host that runs a program on a recording; `log` gets its calls, `sent` its departures."""
+
+    def __init__(
+        self,
+        recording: HostRecording,
+        mission: Mission,
+        recorded: Program,
+        engines: Engines,
+        log: CallLog,
+        sent: SentBlocks,
+    ) -> None:
+        self._replay = HostReplay(recording, mission, engines)
+        self._core, self._host = self._replay.core, recording.host
+        self._log, self._sent = log, sent
+        self._replay.environment.use_calls(numbers_of(mission.program, recorded))
+        self._replay.environment.preset(_first_answers(recording))
+        self._core.machine.hooks.replace_observer(PortalCallObserver(self))
+        self._at = 0.0
+        #: The agent and the position among its calls of each recorded device call, by number.
+        self._recorded: dict[int, tuple[str, int]] = {}
+        self._counts: dict[str, count[int]] = {}
+        #: The numbers of this program's calls by agent and position, and answers that came before their call.
+        self._made: dict[tuple[str, int], int] = {}
+        self._made_counts: dict[str, count[int]] = {}
+        self._early: dict[tuple[str, int], DeviceAnswered] = {}
+
+    def turn(self, record: Turn, at: float) -> None:
+        """Replay a turn, at a common time of the team."""
+        self._at = at
+        replay, core = self._replay, self._core
+        replay.clock.set(record.at, None if isinstance(record, IdleTurn) else record.wall)
+        entry: HostInput | None = None
+        if isinstance(record, TurnRecord):
+            replay.environment.apply(record.answers, record.readings)
+            replay.draw(record.drawn)
+            entry = self._entry(record)
+        if entry is not None:
+            entry.enter(core)
+        core.run()
+        self._execute(core.drain_effects())
+        if isinstance(record, TurnRecord):
+            self._number_recorded(record)
+
+    def on_portal_call(self, resource: Agent, method: int, caller: str) -> None:
+        """A portal has started for a coordinator."""
+        self._log.add_portal_call(self._core, caller, resource, method, self._at)
+
+    def _entry(self, record: TurnRecord) -> HostInput | None:
+        """The input of a turn for this program; None for none."""
+        entry: HostInput | None = record.entry
+        match entry:
+            case BatchDurable():
+                return None
+            case TransferArrived():
+                hop = arrival_in(self._host, record)
+                return None if hop is None else self._sent.get(hop)
+            case DeviceAnswered():
+                key = self._recorded.get(entry.number)
+                if key is None:
+                    return None
+                number = self._made.get(key)
+                if number is None:
+                    self._early[key] = entry
+                    return None
+                return DeviceAnswered(number, entry.value, entry.error)
+        return entry
+
+    def _execute(self, effects: Iterable[Effect]) -> None:
+        for effect in effects:
+            match effect:
+                case CallDevice():
+                    self._on_device_call(effect)
+                case SendTransfer():
+                    header = effect.header
+                    hop = TransferKey(header.agent, header.generation, header.sequence, effect.host)
+                    block = memoryview(bytes(effect.block))
+                    self._sent[hop] = TransferArrived(self._host, header, block)
+                case PersistRecords():
+                    BatchDurable(effect.number).enter(self._core)
+                    self._core.run()
+                    self._execute(self._core.drain_effects())
+
+    def _on_device_call(self, command: CallDevice) -> None:
+        self._log.add_device_call(self._core, command, self._at)
+        agent = command.agent.id
+        key = agent, next(self._made_counts.setdefault(agent, count()))
+        self._made[key] = command.number
+        if (answer := self._early.pop(key, None)) is not None:
+            DeviceAnswered(command.number, answer.value, answer.error).enter(self._core)
+            self._core.run()
+            self._execute(self._core.drain_effects())
+
+    def _number_recorded(self, record: TurnRecord) -> None:
+        """Remember which device calls the recorded program made in this turn."""
+        if b"CallDevice" not in record.effects:
+            return
+        for effect in decode_effects(record.effects):
+            if effect[0] == "CallDevice":
+                agent = effect[1]
+                self._recorded[effect[-1]] = agent, next(self._counts.setdefault(agent, count()))
+
+
+def _first_answers(recording: HostRecording) -> Iterator[RecordedAnswer]:
+    """The answers to queries, and of devices about their state; a reading is known from its turn on."""
+    for _, turn in recording.turns_from(0):
+        if isinstance(turn, TurnRecord):
+            yield from (answer for answer in turn.answers if answer.question != Question.READING)
+
+
+class PortalCallObserver:
+    """The observer of a machine's portal calls."""
+
+    def __init__(self, run: ProgramRun) -> None:
+        self._run = run
+
+    def on_call_started(self, resource: Agent, thread: int, number: int, method: int, caller: str) -> None:
+        """A portal (by index) has started."""
+        self._run.on_portal_call(resource, method, caller)
+
+    def on_call_returned(self, resource: Agent, number: int, result: int) -> None:
+        """A portal has returned."""
+
+    def on_call_threw(self, resource: Agent, number: int, thrown: int) -> None:
+        """A portal has ended by an exception."""
+
+    def on_resource_died(self, resource: Agent, reason: str) -> None:
+        """A resource has died."""
+
+
+def run_program(
+    recording: TeamRecording, order: TeamOrder, mission: Mission, engines: Engines = ReferenceEngine
+) -> CallLog:
+    """The calls of a mission's program on the recorded world. Raises RecordingError."""
+    log, sent = CallLog(), SentBlocks()
+    runs = [ProgramRun(part, mission, recording.mission.program, engines, log, sent) for part in order.parts]
+    for turn in order:
+        runs[turn.part].turn(turn.record, turn.at)
+    return log
+
+
+def mission_with(recording: TeamRecording, mission: Mission) -> Mission:
+    """Another version of the recorded mission, with the recorded devices and addresses.
+
+    Raises RecordingError if its team is another one.
+    """
+    recorded = recording.mission
+    before, now = recorded.team, mission.team
+    if before.hosts != now.hosts or [m.id for m in before.members] != [m.id for m in now.members]:
+        raise RecordingError("its deployment has other hosts or agents than that of the recording")
+    if any(not part.is_from_start for each in recording.incarnations for part in each.parts):
+        raise RecordingError("another program needs the beginning of the recording, which is missing")
+    team = now.at(before.addresses_by_host)
+    return replace(mission, team=team, bindings=recorded.bindings, drivers=recorded.drivers)
+
+
+def numbers_of(program: Program, recorded: Program) -> Mapping[DeviceCallRecord, int]:
+    """The numbers that the recorded program gives to the device calls of a program.
+
+    A call that the recorded program does not make has a number that is not in the recording.
+    """
+    known = {_key(recorded, call): number for number, call in enumerate(recorded.core.device_calls)}
+    unknown = count(len(known))
+    numbers: dict[DeviceCallRecord, int] = {}
+    for call in program.core.device_calls:
+        key = _key(program, call)
+        numbers[call] = known[key] if key in known else next(unknown)
+    return numbers
+
+
+def _key(program: Program, call: DeviceCallRecord) -> tuple[str, str, str]:
+    return program.core.classes[call.owner].name, call.field, call.instruction

@@ -1,0 +1,175 @@
+"""Replays all hosts of a recording and compares them with it: what `lfield replay` reports."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+from lfield.bytecode.program import Program
+from lfield.host.core import HostCore
+from lfield.replay.host_recording import HostRecording
+from lfield.replay.host_replay import HostReplay, ReplayedTurn
+from lfield.replay.recording_files import TeamRecording
+from lfield.vm.agent import Agent
+from lfield.vm.engine_interface import Engines
+from lfield.vm.inspection.traceback import FrameLocation, innermost
+from lfield.vm.memory.threads import threads
+from lfield.vm.reference import ReferenceEngine
+
+#: Called with the number of turns that were replayed since the last call.
+OnProgress = Callable[[int], None]
+#: Turns between two calls.
+PROGRESS_TURNS = 500
+
+
+@dataclass(frozen=True, slots=True)
+class FirstDifference:
+    """Where a replay first differs from its recording.
+
+    `at` is the time of the turn in seconds since 1970, by the clock of the host at its start; `turn` its
+    number; `agent` and `place` (file:line of L) are '' where no agent is concerned.
+    """
+
+    host: str
+    at: float
+    turn: int
+    agent: str
+    place: str
+    what: str
+    recorded: object
+    replayed: object
+
+    def as_data(self) -> dict[str, object]:
+        """The difference as JSON data."""
+        return {
+            "host": self.host,
+            "time": self.at,
+            "turn": self.turn,
+            "agent": self.agent,
+            "place": self.place,
+            "what": self.what,
+            "recorded": plain(self.recorded),
+            "replayed": plain(self.replayed),
+        }
+
+
+@dataclass(slots=True)
+class PartResult:
+    """The result of one part of a recording; `seconds` is how much time it covers."""
+
+    host: str
+    incarnation: int
+    turns: int = 0
+    digests: int = 0
+    differences: int = 0
+    seconds: float = 0.0
+    first: FirstDifference | None = None
+
+
+@dataclass(slots=True)
+class ReplaySummary:
+    """The results of all parts, in the order in which they were replayed."""
+
+    parts: list[PartResult] = field(default_factory=list)
+
+    @property
+    def digests(self) -> int:
+        """The number of digests and effects that were compared."""
+        return sum(part.digests for part in self.parts)
+
+    @property
+    def differences(self) -> int:
+        """The number of parts that differ: after its first difference a part is not replayed further."""
+        return sum(part.differences for part in self.parts)
+
+    @property
+    def first(self) -> FirstDifference | None:
+        """The earliest difference, None if everything is equal."""
+        found = [part.first for part in self.parts if part.first is not None]
+        return min(found, key=lambda each: each.at, default=None)
+
+
+def check_team(
+    recording: TeamRecording, engines: Engines = ReferenceEngine, on_progress: OnProgress = lambda turns: None
+) -> ReplaySummary:
+    """Replay all hosts. Raises RecordingError for a checkpoint that cannot be restored."""
+    result = ReplaySummary()
+    for incarnation in recording.incarnations:
+        for part in incarnation.parts:
+            result.parts.append(check_part(part, HostReplay(part, recording.mission, engines), on_progress))
+    return result
+
+
+def check_part(
+    recording: HostRecording, replay: HostReplay, on_progress: OnProgress = lambda turns: None
+) -> PartResult:
+    """Replay one part up to its first difference."""
+    found = PartResult(recording.host, recording.start.incarnation)
+    first = recording.started_at
+    for turn in replay:
+        found.turns += 1
+        found.digests += turn.digests
+        found.seconds = turn.record.at - first
+        if found.turns % PROGRESS_TURNS == 0:
+            on_progress(PROGRESS_TURNS)
+        if turn.divergence is not None:
+            found.differences = 1
+            found.first = difference_at(replay, turn)
+            break
+    on_progress(found.turns % PROGRESS_TURNS)
+    return found
+
+
+def difference_at(replay: HostReplay, turn: ReplayedTurn) -> FirstDifference:
+    """The difference of a turn that was just replayed, with the position of the agent that it concerns."""
+    divergence, start = turn.divergence, replay.recording.start
+    assert divergence is not None
+    agent = _agent_of(divergence.what, divergence.replayed, divergence.recorded)
+    place = position(replay.core, agent)
+    at = turn.record.at - start.at + start.wall
+    return FirstDifference(
+        start.host, at, turn.number, agent, place, divergence.what, divergence.recorded, divergence.replayed
+    )
+
+
+def position(core: HostCore, agent: str) -> str:
+    """The file and line of the innermost frame of an agent's most recent thread; '' for none."""
+    found = core.machine.agents.get(agent)
+    location = None if found is None else location_of(found, core.machine.program)
+    return "" if location is None else f"{location.file}:{location.line}"
+
+
+def location_of(agent: Agent, program: Program) -> FrameLocation | None:
+    """The position of an agent's youngest thread; None for one without threads."""
+    places = list(threads(agent.block))
+    return innermost(agent.block, program, places[0]) if places else None
+
+
+def plain(value: object) -> Any:
+    """A value as JSON data: bytes in hex."""
+    if isinstance(value, bytes):
+        return value.hex()
+    if isinstance(value, dict):
+        return {str(name): plain(each) for name, each in value.items()}
+    if isinstance(value, (list, tuple, set, frozenset)) and not hasattr(value, "_fields"):
+        return [plain(each) for each in value]
+    if hasattr(value, "__struct_fields__"):
+        return {name: plain(getattr(value, name)) for name in value.__struct_fields__}
+    return value
+
+
+def _agent_of(what: str, *values: object) -> str:
+    """The agent that a difference concerns: that of the block, or the one that an effect names."""
+    if what.startswith("block of "):
+        return what.removeprefix("block of ")
+    return next(iter(_names(values)), "")
+
+
+def _names(values: Iterable[object]) -> Iterable[str]:
+    for value in values:
+        match value:
+            case ["CallDevice" | "CancelCall" | "WriteOutput" | "DumpAgent", str(agent), *_]:
+                yield agent
+            case ["SendTransfer", _, str(agent), *_]:
+                yield agent

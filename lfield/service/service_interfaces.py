@@ -1,0 +1,48 @@
+"""What surrounds the service of a host: its disk, the mission's host, and the services of other hosts."""
+
+from __future__ import annotations
+
+from collections.abc import Awaitable, Callable
+from typing import Protocol
+
+from lfield.service.bundle_receiver import BundleFiles
+from lfield.service.bundle_store import ServiceRecord
+from lfield.wire.service_messages import BallotState, UnfinishedCoordinator, VoteQuery
+
+
+class ServiceFiles(BundleFiles, Protocol):
+    """The disk of a service (`bundle_store.BundleStore`)."""
+
+    def save(self, record: ServiceRecord) -> None:
+        """Replace the state. Raises OutputFileError."""
+
+
+class MissionProbe(Protocol):
+    """Looks at the mission's host and its journals (`mission_probe.LocalProbe`)."""
+
+    async def vehicles(self) -> str:
+        """Why the vehicles of a running host are not all at rest on the ground; '' if they are."""
+
+    async def unfinished(self) -> list[UnfinishedCoordinator]:
+        """The coordinators that have not ended."""
+
+    async def hold(self, ballot: bytes) -> str:
+        """Hold the running host until the result of a ballot, so that nothing arms; returns why it is not at
+        rest, '' if it is. No person can end that, and a pause of a person is another one.
+        """
+
+    async def release(self) -> str:
+        """End the hold of the running host for any ballot; returns why it is still held, '' if not."""
+
+    async def condition(self) -> str:
+        """Why the running host waits or is paused; '' if it does not."""
+
+    async def start_without(self, hosts: list[str]) -> str:
+        """Have the coordinators of the running host not wait for some hosts; returns why they still do."""
+
+    async def discard(self) -> list[str]:
+        """End the coordinators in the journals of a host that does not run; returns their names."""
+
+
+#: Asks the service of another host. Raises LfieldError.
+AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]

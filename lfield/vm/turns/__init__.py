@@ -1,0 +1,1 @@
+"""Turns of threads: their queue, and the limit of one run."""

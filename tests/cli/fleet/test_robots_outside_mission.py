@@ -1,0 +1,37 @@
+"""An inventory with more robots than the mission: only the hosts of the deployment count."""
+
+from __future__ import annotations
+
+import pytest
+from robots import told
+
+pytestmark = pytest.mark.process
+
+
+def test_a_robot_outside_the_mission_takes_no_part_in_start_status_and_rollback(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo", "carol")
+    team.up()
+    team.mission()
+    first = told(here("push", "mission.dL", "--json"))
+    assert first["outcome"] == "activated"
+    assert not any("differ" in line for line in here("status").out)
+
+    began = here("start", "--json")
+    assert (began.status, told(began)["started"]) == (0, True)
+    assert told(here("status", "--json"))["carol"]["run"]["phase"] == "stopped"
+    assert here("stop", "--discard").status == 0
+    # To leave it out makes no difference.
+    began = here("start", "--without", "carol", "--json")
+    assert (began.status, told(began)["started"]) == (0, True)
+    assert here("stop", "--discard").status == 0
+
+    team.mission(text="call")
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
+    back = told(here("rollback", "--json"))
+    assert (back["outcome"], back["bundle"]) == ("activated", first["bundle"])
+
+    # Nor does it matter that it is off.
+    team.kill("carol")
+    assert here("start").status == 0
+    assert here("stop", "--without", "carol", "--discard").status == 0
+    assert told(here("rollback", "--json"))["outcome"] == "activated"

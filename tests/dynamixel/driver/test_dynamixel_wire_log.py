@@ -1,0 +1,41 @@
+"""The log of a servo bus: bytes in hexadecimal with their times."""
+
+from __future__ import annotations
+
+import pytest
+from dynamixel_bench import Bench, call
+
+from lfield.driver.recording.wire_formats import HEX_HEADER, parse_hex_line
+from lfield.recording.ring_writer import RingWriter
+
+
+def test_requests_and_answers_are_logged(tmp_path):
+    bench = Bench()
+
+    async def story(joint):
+        bench.sent.clear()
+        bench.driver.wire_log.start(
+            lambda suffix, header: RingWriter(tmp_path, "wire-a", suffix, 1 << 20, pytest.fail, header)
+        )
+        await call(joint, "torque", True)
+        await call(joint, "moveTo", 0.1)
+        bench.driver.wire_log.close()
+        return [data for _, data in bench.sent]
+
+    sent = bench.run(story)
+    (path,) = tmp_path.iterdir()
+    assert path.name == "wire-a-000001.hex.log"
+    assert path.stat().st_mode & 0o777 == 0o600
+    header, *lines = path.read_text().splitlines(keepends=True)
+    assert header.encode() == HEX_HEADER
+    found = [parse_hex_line(line) for line in lines]
+    assert [data for _, is_sent, data in found if is_sent] == sent
+    answers = [data for _, is_sent, data in found if not is_sent]
+    assert answers
+    assert all(data.startswith(b"\xff\xff\xfd\x00\x01") for data in answers)
+    assert [time for time, _, _ in found] == sorted(time for time, _, _ in found)
+
+
+@pytest.mark.parametrize("line", [HEX_HEADER.decode(), "1.5 > FF", "1.5 > F\n", "x > FF\n", "\n"])
+def test_what_is_no_line_of_the_log(line):
+    assert parse_hex_line(line) is None

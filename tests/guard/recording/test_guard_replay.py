@@ -1,0 +1,215 @@
+"""A replay of a guard's recording makes the same decisions, bit for bit, or says where it does not."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from recorded_guards import FOLDER, DrawnStory, RecordedGuard
+
+from lfield.errors import RecordingError
+from lfield.guard.core import GuardCore
+from lfield.guard.effects import Exit
+from lfield.guard.messages import GuardCall
+from lfield.guard.recording import guard_inputs as inputs
+from lfield.guard.recording.guard_records import (
+    FORMAT,
+    InputRecord,
+    Pulses,
+    decode_record,
+    framed,
+)
+from lfield.guard.recording.guard_replay import replay_guard
+from lfield.guard.recording.guard_segments import read_segment, rings_in
+from lfield.guard.recording.heartbeat_pulses import MOST_PULSES, PulseCollector, pulses_in
+from lfield.recording.segments import MAGIC, SegmentReader, frame
+
+
+@settings(max_examples=150, deadline=None)
+@given(st.integers(), st.sampled_from([None, 1, 6000]), st.floats(0.0, 1e7))
+def test_drawn_inputs_are_decided_again_in_the_same_way(tmp_path_factory, seed, limit, start):
+    guard = DrawnStory(seed, RecordedGuard(limit, start)).run(60)
+    guard.recorder.close()
+    result = replay_guard(guard.ring.stored(tmp_path_factory.mktemp("ring")))
+    assert (result.differences, result.first, result.cut, result.missing) == (0, None, {}, [])
+    assert result.digests >= 60
+    assert limit != 1 or len(guard.ring.files) > 10
+
+
+def test_each_segment_is_replayed_without_the_earlier_ones(tmp_path):
+    guard = DrawnStory(7, RecordedGuard(limit=5000)).run(400)
+    guard.recorder.close()
+    paths = guard.ring.stored(tmp_path)
+    assert len(paths) > 4
+    for first in range(len(paths)):
+        result = replay_guard(paths[first:])
+        assert (result.differences, result.digests > 0) == (0, True)
+
+
+def test_what_decides_otherwise_is_shown_with_time_input_and_both_decisions(tmp_path, monkeypatch):
+    guard = RecordedGuard()
+    guard.call(1, "go", 1.0)
+    guard.clock.advance(0.25)
+    guard.handle(inputs.TimerExpired())
+    guard.clock.advance(0.25)
+    guard.handle(inputs.HostGone("the host is gone"))
+    guard.recorder.close()
+    paths = guard.ring.stored(tmp_path)
+    monkeypatch.setattr(GuardCore, "tick", lambda core: [Exit(3)])
+    result = replay_guard(paths)
+    assert result.first.path == paths[0]
+    # The first input is BusOpened, which does not use the changed method.
+    assert (result.first.time, result.first.given[:12], result.first.replayed[:7]) == (
+        1000.0,
+        "CallReceived",
+        "Exit(3)",
+    )
+    assert result.first.recorded == "Execute(1)"
+    assert (result.differences, result.digests) == (3, 4)
+
+
+def test_a_changed_state_is_found_at_the_next_segment(tmp_path, monkeypatch):
+    guard = RecordedGuard(limit=1)
+    guard.clock.advance(0.01)
+    guard.handle(inputs.SafeStateRequested("a.arm", "an operator", lock=True))
+    guard.handle(inputs.StopCleared())
+    guard.recorder.close()
+    paths = guard.ring.stored(tmp_path)
+    monkeypatch.setattr(GuardCore, "clear_stop", lambda core: [])
+    result = replay_guard(paths)
+    assert result.differences == 1
+    assert result.first.given == f"the state at the start of {paths[-1].name}"
+
+
+def test_a_call_that_was_accepted_before_a_segment_starts_in_the_next(tmp_path):
+    guard = RecordedGuard(limit=1)
+    guard.call(1, "go", 1.0)
+    (call,) = (effect.call for effect in guard.call(2, "grip"))
+    guard.clock.advance(0.6)
+    assert guard.core.start_call(call) != ""
+    guard.recorder.close()
+    paths = guard.ring.stored(tmp_path)
+    assert replay_guard(paths[-2:]).differences == 0
+    assert [len(read_segment(path).start.unstarted) for path in paths[-2:]] == [2, 1]
+
+
+def test_a_file_that_is_cut_anywhere_is_replayed_up_to_there(tmp_path):
+    guard = DrawnStory(3, RecordedGuard()).run(5)
+    guard.recorder.close()
+    (path,) = guard.ring.stored(tmp_path)
+    data = path.read_bytes()
+    whole, before = replay_guard([path]), 0
+    ends = {len(MAGIC)}
+    for record in SegmentReader(data):
+        ends.add(max(ends) + len(frame(record)))
+    first = sorted(ends)[1]
+    # The long first record has no part that could be used: not every byte of it is tried.
+    for size in [*range(10), *range(10, first, 37), *range(first - 3, len(data))]:
+        path.write_bytes(data[:size])
+        result = replay_guard([path])
+        assert before <= result.digests <= whole.digests
+        assert result.differences == 0
+        assert bool(result.cut) == (size > len(MAGIC) and size not in ends)
+        assert bool(result.missing) == (size < first)
+        before = result.digests
+    assert before == whole.digests - 1
+
+
+def test_a_damaged_file_is_refused_or_ends_there(tmp_path):
+    guard = DrawnStory(4, RecordedGuard()).run(12)
+    guard.recorder.close()
+    (path,) = guard.ring.stored(tmp_path)
+    data = path.read_bytes()
+    whole = replay_guard([path]).digests
+    for at in range(len(MAGIC), len(data), 23):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 0x41]) + data[at + 1 :])
+        result = replay_guard([path])
+        assert result.digests < whole
+        assert list(result.cut) == [path]
+
+
+def newer_start(guard):
+    return MAGIC + framed(msgspec.structs.replace(guard.records[0], format=FORMAT + 1))
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"no recording", "is not a recording"),
+        (MAGIC[:-1] + b"\x02", "newer version"),
+        (MAGIC + frame(b"\x93\x00\x63\xc0"), "newer version"),
+        (MAGIC + frame(b"\x93\x00\x01\xc0"), "damaged or of a newer version"),
+        (MAGIC + framed(Pulses(0.0, [])), "is not the recording of a guard"),
+        (newer_start(RecordedGuard()), "newer version"),
+    ],
+)
+def test_what_is_no_recording_of_a_guard_is_refused(tmp_path, data, text):
+    path = tmp_path / "guard-a-000001.lfrec"
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match=text) as error:
+        replay_guard([path])
+    assert str(path) in str(error.value)
+
+
+def test_a_file_that_is_gone_is_refused(tmp_path):
+    with pytest.raises(RecordingError):
+        replay_guard([tmp_path / "guard-a-000001.lfrec"])
+
+
+def test_the_rings_of_a_folder_are_found_by_their_devices(tmp_path):
+    for name in ("guard-b.fc-000002.lfrec", "guard-b.fc-000001.lfrec", "guard-%C3%A4.x-000001.lfrec"):
+        (tmp_path / name).touch()
+    (tmp_path / "core-000001.lfrec").touch()
+    found = {device: [path.name for path in paths] for device, paths in rings_in(tmp_path).items()}
+    assert found == {
+        "b.fc": ["guard-b.fc-000001.lfrec", "guard-b.fc-000002.lfrec"],
+        "ä.x": ["guard-%C3%A4.x-000001.lfrec"],
+    }
+
+
+def test_no_secret_of_a_binding_is_recorded():
+    guard = RecordedGuard()
+    start = guard.records[0]
+    assert b"hunter2" not in guard.ring.files[0]
+    assert (start.host, start.incarnation, start.run) == ("north", "1f3a9c02", "run 7")
+    assert FOLDER.endswith(start.incarnation)
+    (arm, eye) = start.devices
+    assert (arm.name, arm.endpoint, arm.options) == ("a.arm", "tcp:10.0.0.7:5760", {"system": 7})
+    assert (eye.name, eye.safe_state, eye.manifest) == ("a.eye", "", bytes(32))
+
+
+# --- heartbeats ---------------------------------------------------------------------------------------------
+
+
+@settings(deadline=None)
+@given(st.lists(st.tuples(st.floats(0.0, 1e9), st.floats(-1.0, 1.0), st.booleans()), max_size=30))
+def test_pulses_are_exact_or_refused(pulses):
+    collector, added, read = PulseCollector(), [], []
+    for time, delay, is_timer in sorted(pulses):
+        given = inputs.TimerExpired() if is_timer else inputs.HostBeat(time - delay)
+        if collector.add(time, given):
+            added.append((time, given))
+        if collector.is_full:
+            read += pulses_in(collector.record())
+    if (rest := collector.record()) is not None:
+        read += pulses_in(rest)
+    assert read == added
+
+
+def test_heartbeats_of_a_real_clock_are_recorded_together():
+    guard = RecordedGuard(start=39243.54424449)
+    for _ in range(MOST_PULSES):
+        # As time.clock_gettime makes it of seconds and nanoseconds.
+        guard.clock.now = round(guard.clock.now + 0.0501, 9)
+        guard.handle(inputs.HostBeat(round(guard.clock.now - 0.00013, 9)))
+    _, opened, pulses = guard.records
+    assert isinstance(opened, InputRecord)
+    assert len(list(pulses_in(pulses))) == MOST_PULSES
+    assert len(framed(pulses)) / MOST_PULSES < 13
+
+
+def test_a_call_of_a_later_record_keeps_its_numbers():
+    call = GuardCall(1, "a.arm", "go", [1, 1.0, True, "x", [1.0]], 0.1, float("inf"))
+    record = decode_record(framed(InputRecord(0.1, inputs.CallReceived(call)))[8:])
+    assert repr(record.given.call) == repr(call)

@@ -1,0 +1,85 @@
+"""Which missions are active on the robots of an inventory, from the states of their services."""
+
+from __future__ import annotations
+
+import hashlib
+
+from lfield.operator.fleet.active_missions import active_missions, divided_hosts
+from lfield.wire.service_messages import BundleInfo, RunInfo, ServiceStatus
+
+
+def info(name: str, *hosts: str) -> BundleInfo:
+    return BundleInfo(hashlib.sha256(name.encode()).digest(), name, hosts=list(hosts))
+
+
+TWO, THREE, NEXT = (
+    info("two", "alpha", "bravo"),
+    info("three", "alpha", "bravo", "carol"),
+    info("next", "alpha", "bravo"),
+)
+OTHER = info("other", "carol", "dave")
+
+
+def team(**active: BundleInfo | None) -> dict[str, ServiceStatus]:
+    """The states of hosts with these active bundles."""
+    return {
+        host: ServiceStatus(
+            host,
+            "1",
+            found.digest if found else b"",
+            b"",
+            [found] if found else [],
+            RunInfo(),
+            None,
+            [],
+            "",
+            0.0,
+        )
+        for host, found in active.items()
+    }
+
+
+def names(statuses: dict[str, ServiceStatus], *without: str) -> list[str]:
+    return [mission.name for mission in active_missions(statuses, without)]
+
+
+def test_a_robot_of_no_mission_does_not_count() -> None:
+    statuses = team(alpha=TWO, bravo=TWO, carol=None)
+    assert names(statuses) == names(statuses, "carol") == ["two"]
+    assert divided_hosts(statuses) == []
+
+
+def test_a_host_that_does_not_answer_belongs_to_the_mission_that_names_it() -> None:
+    (found,) = active_missions(team(alpha=TWO, carol=None))
+    assert found.hosts == ("alpha", "bravo")
+
+
+def test_a_mission_with_another_bundle_on_one_of_its_hosts_is_divided() -> None:
+    statuses = team(alpha=TWO, bravo=NEXT, carol=None)
+    assert names(statuses) == []
+    assert divided_hosts(statuses) == ["alpha", "bravo"]
+    assert names(statuses, "bravo") == ["two"]
+    assert divided_hosts(team(alpha=TWO, bravo=None)) == ["alpha", "bravo"]
+
+
+def test_a_bundle_of_an_earlier_mission_on_a_robot_that_is_left_is_no_division() -> None:
+    statuses = team(alpha=TWO, bravo=TWO, carol=THREE)
+    assert names(statuses) == ["two"]
+    assert divided_hosts(statuses) == []
+    # But a robot of the mission with an earlier bundle is one.
+    assert divided_hosts(team(alpha=THREE, bravo=THREE, carol=TWO)) == ["alpha", "bravo", "carol"]
+
+
+def test_two_missions_at_once_are_told_apart_by_the_hosts_that_are_left_out() -> None:
+    statuses = team(alpha=TWO, bravo=TWO, carol=OTHER, dave=OTHER)
+    assert names(statuses) == ["two", "other"]
+    assert divided_hosts(statuses) == []
+    assert names(statuses, "carol", "dave") == ["two"]
+
+
+def test_a_bundle_without_a_description_counts_where_it_is_active() -> None:
+    statuses = team(alpha=TWO, bravo=TWO)
+    for status in statuses.values():
+        status.bundles.clear()
+    (found,) = active_missions(statuses)
+    assert (found.digest, found.hosts) == (TWO.digest, ("alpha", "bravo"))

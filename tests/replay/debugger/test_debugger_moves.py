@@ -1,0 +1,149 @@
+"""Moves of the debugger through a recorded team, in both directions."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.errors import UsageError
+from lfield.replay.debugger.debugger import Breakpoint
+from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
+from lfield.replay.debugger.moment import Phase
+from lfield.replay.debugger.targets import StatementTarget
+
+#: Lines of examples/01-first-flight/mission.L.
+LEG, TOGETHER, FLY, OBSERVE, RETURN = 87, 89, 21, 37, 24
+
+
+def _line(debugger):
+    return debugger.stack()[0].line.line
+
+
+def test_breakpoints_stop_in_both_directions(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    legs = []
+    while debugger.resume():
+        legs.append(debugger.evaluate("leg")[0])
+    assert legs == [0, 1, 2]
+    debugger.go_to(debugger.team.end)
+    while debugger.resume(backward=True):
+        legs.append(debugger.evaluate("leg")[0])
+    assert legs == [0, 1, 2, 2, 1, 0]
+
+
+def test_a_condition_of_a_breakpoint_is_evaluated_in_its_frame(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG, WatchExpression("leg == 1 && step > 3.0")))
+    assert debugger.resume()
+    assert debugger.evaluate("leg")[0] == 1
+    assert not debugger.resume()
+
+
+def test_a_step_over_stays_in_the_frame_and_back_again(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    debugger.resume()
+    lines = [_line(debugger)]
+    for _ in range(4):
+        assert debugger.step_over()
+        lines.append(_line(debugger))
+    assert lines == [LEG, LEG + 1, TOGETHER, TOGETHER + 1, TOGETHER + 2]
+    for _ in range(4):
+        assert debugger.step_over(backward=True)
+    assert _line(debugger) == LEG
+
+
+def test_a_step_follows_the_coordinator_to_another_host(debugger):
+    debugger.search(StatementTarget("pilot"))
+    hosts = [debugger.host]
+    while debugger.step_line() and debugger.seconds < 10.0:
+        hosts.append(debugger.host)
+    assert {"alpha", "bravo"} <= set(hosts)
+
+
+def test_a_step_out_of_a_method_reaches_its_caller(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", OBSERVE))
+    assert debugger.resume()
+    assert [frame.method for frame in debugger.stack()][:2] == ["Copter.observe", "Copter.takeoff"]
+    assert debugger.step_out()
+    assert debugger.stack()[0].method != "Copter.observe"
+
+
+def test_portals_hops_devices_and_events_are_found(debugger):
+    assert debugger.search(debugger.portal_target())
+    assert debugger.stack()[0].method == "Copter.takeoff"
+    assert debugger.search(debugger.hop_target("pilot"))
+    assert debugger.moment.phase is Phase.INPUT
+    assert debugger.focus.agent == "pilot"
+    assert debugger.search(debugger.device_target())
+    assert debugger.moment.phase is Phase.END
+    assert debugger.search(debugger.event_target(["printed"]))
+    assert not debugger.search(debugger.event_target(["latched"]))
+
+
+def test_every_hop_is_found_in_both_directions(debugger):
+    forward = []
+    while debugger.search(debugger.hop_target()):
+        forward.append(debugger.place[:2])
+    assert len(forward) == 11
+    debugger.go_to(debugger.team.end)
+    backward = []
+    while debugger.search(debugger.hop_target(), backward=True):
+        backward.append(debugger.place[:2])
+    assert backward == forward[::-1]
+
+
+def test_a_condition_over_a_device_reading_is_found_where_it_becomes_true(debugger):
+    assert debugger.search(debugger.condition_target("lead.fc.battery < 0.98"))
+    assert debugger.evaluate("lead.battery < 0.98")[0] is True
+    place = debugger.place
+    debugger.go_to(debugger.team.end)
+    assert debugger.search(debugger.condition_target("lead.fc.battery < 0.98"), backward=True)
+    assert debugger.place == place
+
+
+def test_the_changes_of_a_variable_are_found(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    debugger.resume()
+    debugger.choose(debugger.find_thread("pilot").key)
+    assert debugger.search(debugger.change_target("leg"))
+    assert debugger.evaluate("leg")[0] == 1
+    assert debugger.search(debugger.change_target("leg"))
+    assert debugger.search(debugger.change_target("leg"), backward=True)
+    assert debugger.evaluate("leg")[0] == 1
+
+
+def test_a_time_is_reached(debugger):
+    debugger.go_to_time(12.5)
+    assert 12.5 <= debugger.seconds < 13.0
+    debugger.go_to_time(1e9)
+    assert debugger.place == debugger.team.end
+
+
+def test_values_have_types_and_parts(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    debugger.resume()
+    frame = debugger.stack()[0]
+    known = {each.name: each for each in debugger.variables(frame)}
+    assert (known["leg"].type, known["leg"].value) == ("int", "0")
+    assert known["leader"].type == "Copter"
+    parts = {each.name: each for each in debugger.parts(frame, known["first"])}
+    assert (parts["who"].type, parts["who"].value) == ("string", '"lead"')
+    assert not known["leg"].has_parts
+
+
+@pytest.mark.parametrize("text", ["", "1 +", "leg leg", "a = 1 = 2)"])
+def test_a_mistake_in_an_expression_is_reported(debugger, text):
+    with pytest.raises(UsageError):
+        debugger.evaluate(text)
+
+
+@pytest.mark.parametrize("text", ["nothing", "leg.x", "1 / 0", 'leg < "a"', "f(1)", "first.nothing"])
+def test_an_expression_without_a_value_says_so(debugger, text):
+    debugger.add_breakpoint(Breakpoint("mission.L", LEG))
+    debugger.resume()
+    with pytest.raises(ValueUnknown):
+        debugger.evaluate(text)
+
+
+def test_a_search_for_a_reading_stops_at_no_statement(debugger):
+    assert debugger.condition_target("lead.fc.battery < 0.5").stops == frozenset()
+    assert debugger.condition_target("battery < 0.5 || leg > 1").stops is None
+    assert debugger.change_target("wing.fc.position").stops == frozenset()

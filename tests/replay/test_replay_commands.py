@@ -1,0 +1,165 @@
+"""`lfield replay`, `replay --program` and `test --from` on a team that was recorded in virtual time."""
+
+from __future__ import annotations
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from lfield.host.recording.recording_target import RecordingDirectory
+from lfield.mission.bundle import encode
+from lfield.mission.loader import load_mission
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+
+PROGRAM = """
+resource Post {
+    Mavlink fc;
+    init(string[] arg) { }
+    portal climb(real height) emit real {
+        fc.arm();
+        fc.takeoff(height);
+        return height;
+    }
+}
+coordinator Boss {
+    init(string[] arg) {
+        real sum = 0.0;
+        sleep(2.0);
+        sum = sum + findPost("one").climb(2.0);
+        sum = sum + findPost("two").climb(3.0);
+        print("climbed " + f2s(sum, 1));
+    }
+}
+"""
+DEPLOYMENT = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the mission and its recordings in `records`."""
+    folder = tmp_path_factory.mktemp("recorded")
+    write_mission(folder, PROGRAM)
+    mission = load_mission(folder / "mission.dL", simulate=True)
+    target = RecordingDirectory(folder / "records", 64 << 20, encode(mission))
+    fleet = Fleet(mission, 1, options=FleetOptions(record=target))
+    fleet.run(30.0)
+    for name in list(fleet.lives):
+        fleet.stop(name)
+    fleet.run(10.0)
+    assert any("climbed 5.0" in text for _, _, text in fleet.log)
+    fleet.close()
+    return folder
+
+
+def write_mission(folder: Path, program: str) -> Path:
+    (folder / "mission.L").write_text(program)
+    (folder / "mission.dL").write_text(DEPLOYMENT)
+    return folder / "mission.dL"
+
+
+def lfield(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lfield", *map(str, args)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60)
+
+
+@pytest.mark.process
+def test_a_recording_is_replayed_without_a_difference(recorded: Path) -> None:
+    ran = lfield("replay", "records", "--json", cwd=recorded)
+    found = json.loads(ran.stdout)
+    assert ran.returncode == 0
+    assert found["differences"] == 0
+    assert found["first"] is None
+    assert found["digests"] > 100
+    assert {host["host"] for host in found["hosts"]} == {"alpha", "bravo"}
+    assert found["missing"] == found["problems"] == []
+
+
+@pytest.mark.process
+def test_another_program_is_compared_by_its_calls(recorded: Path, tmp_path: Path) -> None:
+    same = write_mission(tmp_path, PROGRAM.replace("fc.arm();", 'print("a new line"); fc.arm();'))
+    ran = lfield("test", "--from", recorded / "records", same, cwd=tmp_path)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    other = write_mission(tmp_path, PROGRAM.replace("climb(3.0)", "climb(4.0)"))
+    ran = lfield("replay", recorded / "records", "--program", other, "--json", cwd=tmp_path)
+    found = json.loads(ran.stdout)
+    assert ran.returncode == 1
+    assert found["differences"] == 1
+    first = found["first"]
+    assert (first["agent"], first["call"]) == ("two", 2)
+    assert first["recorded"]["call"] == "fc.takeoff(3)"
+    assert first["replayed"]["call"] == "fc.takeoff(4)"
+    assert first["replayed"]["place"] == "mission.L:7"
+    ran = lfield("test", "--from", recorded / "records", cwd=tmp_path)
+    assert ran.returncode == 1
+
+
+@pytest.mark.process
+def test_a_program_that_does_not_compile_is_reported_with_its_line(recorded: Path, tmp_path: Path) -> None:
+    wrong = write_mission(tmp_path, PROGRAM.replace("fc.arm()", "fc.arn()"))
+    ran = lfield("replay", recorded / "records", "--program", wrong, cwd=tmp_path)
+    assert ran.returncode == 65
+    assert "mission.L:6:12: error[L305]" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.process
+def test_the_missing_hosts_of_a_team_are_named(recorded: Path, tmp_path: Path) -> None:
+    (alpha,) = (recorded / "records").glob("alpha-*")
+    shutil.copytree(alpha, tmp_path / alpha.name)
+    ran = lfield("replay", tmp_path, "--json", cwd=tmp_path)
+    found = json.loads(ran.stdout)
+    assert ran.returncode == 0
+    assert found["missing"] == ["bravo"]
+    assert found["digests"] > 50
+
+
+@pytest.mark.process
+def test_a_changed_input_is_a_difference(recorded: Path, tmp_path: Path) -> None:
+    """The bundle of another program: the first difference is named with its host, time and values."""
+    copied = tmp_path / "records"
+    shutil.copytree(recorded / "records", copied)
+    other = write_mission(tmp_path, PROGRAM.replace("climb(2.0)", "climb(2.5)"))
+    built = lfield("build", other, "--sim", "-o", tmp_path / "other.lfm", cwd=tmp_path)
+    assert built.returncode == 0
+    ran = lfield("replay", copied, "--bundle", tmp_path / "other.lfm", "--json", cwd=tmp_path)
+    found = json.loads(ran.stdout)
+    assert ran.returncode == 1
+    assert found["first"]["host"] in ("alpha", "bravo")
+    assert found["first"]["recorded"] != found["first"]["replayed"]
+    text = lfield("replay", copied, "--bundle", tmp_path / "other.lfm", cwd=tmp_path).stdout
+    assert "first difference: " in text
+
+
+@pytest.mark.process
+def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path) -> None:
+    file, tables = tmp_path / "flight.mcap", tmp_path / "tables"
+    ran = lfield("export", recorded / "records", "--mcap", file, "--csv", tables, cwd=tmp_path)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    with file.open("rb") as stream:
+        lines = [
+            json.loads(message.data)["message"]
+            for _, channel, message in make_reader(stream).iter_messages()
+            if channel.topic == "/log"
+        ]
+    assert any("climbed 5.0" in line for line in lines)
+    with (tables / "hops.csv").open(newline="") as table:
+        hops = list(csv.DictReader(table))
+    assert [(hop["agent"], hop["from"], hop["to"]) for hop in hops] == [("boss", "alpha", "bravo")]
+    again = lfield("export", recorded / "records", "--mcap", file, cwd=tmp_path)
+    assert again.returncode == 73
+    assert lfield("export", recorded / "records", "--csv", tables, cwd=tmp_path).returncode == 73
+
+
+@pytest.mark.process
+def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -> None:
+    code = "import sys; sys.modules['mcap'] = None; from lfield.__main__ import main; sys.exit(main())"
+    command = [sys.executable, "-c", code, "export", str(recorded / "records"), "--mcap", "x.mcap"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 69
+    assert not (tmp_path / "x.mcap").exists()
