@@ -137,8 +137,7 @@ class DapSession:
             self._event("terminated")
 
     def _enter(self) -> None:
-        debugger = self._ready
-        debugger.search(StatementTarget())
+        self._ready.enter()
         if self._stops_at_entry:
             self._stopped("entry")
         else:
