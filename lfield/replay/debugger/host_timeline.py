@@ -236,7 +236,7 @@ class _Run:
         return found
 
     def replay_turn(self, stops: frozenset[int], on_moment: Callable[[Moment], None] | None) -> None:
-        """Replay the next turn, and call `on_moment` with its moments: its input, these statements, its end."""
+        """Replay the next turn; call `on_moment` with its moments: its input, these statements, its end."""
         self._step = 0
         replay, engine = self.replay, self._engine
         pending = replay.core.context.effects
