@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from recorded_teams import checkpoints_of, run_recorded, walk_mission, write_folder
@@ -12,8 +14,12 @@ from recorded_teams import checkpoints_of, run_recorded, walk_mission, write_fol
 from lfield import exit_status
 from lfield.cli.main import main
 from lfield.errors import InputFileError, RecordingError
+from lfield.host.process import host_process
 from lfield.host.recording import flight_recorder
+from lfield.host.recording.object_graph import walk
+from lfield.host.recording.recording_target import RecordingMemory
 from lfield.mission import bundle
+from lfield.mission.loader import load_mission
 from lfield.recording.segments import MAGIC
 from lfield.replay.recording_files import load_team
 from lfield.replay.team_check import check_team
@@ -168,7 +174,6 @@ def test_one_unusable_folder_does_not_hide_the_others(team, tmp_path, capsys):
 def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
     from recorded_teams import recorded
 
-    from lfield.host.recording.recording_target import RecordingMemory
     from lfield.simulate.host_fleet import Fleet, FleetOptions
 
     memory = RecordingMemory()
@@ -183,3 +188,28 @@ def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
     loaded = load_team([tmp_path / "recordings"])
     assert len(loaded.incarnations) == 2
     assert check_team(loaded).differences == 0
+
+
+def test_the_process_of_a_host_runs_a_mission_from_files_in_the_form_of_a_replay(tmp_path, monkeypatch):
+    """Otherwise no checkpoint of `lfield up --deploy` can be restored: its objects have other numbers."""
+    found = []
+
+    class Started(Exception):
+        pass
+
+    def host(mission, *rest):
+        found.append(mission)
+        raise Started
+
+    walk_mission(tmp_path)
+    mission = load_mission(tmp_path / "mission.dL")
+    identity = SimpleNamespace(address="", tls=None, admission=None, orders=None)
+    monkeypatch.setattr(host_process, "Host", host)
+    monkeypatch.setattr(host_process, "_identity", lambda mission, *rest: (identity, mission))
+    for record in (None, RecordingMemory()):
+        with pytest.raises(Started):
+            asyncio.run(host_process.run_host(mission, "north", record=record))
+    decoded = bundle.decode(bundle.encode(mission))
+    sizes = [len(walk(each, {}, ())) for each in (*found, decoded)]
+    assert sizes[0] != sizes[1] == sizes[2]
+    assert found[1].release == found[0].release
