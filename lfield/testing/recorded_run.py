@@ -1,4 +1,7 @@
-"""Runs a mission on virtual time with simulated devices, and records its hosts in memory."""
+"""Runs a mission on virtual time with simulated devices, and records its hosts in memory.
+
+`lfield debug mission.dL` debugs such recordings. The same seed gives the same run.
+"""
 
 from __future__ import annotations
 

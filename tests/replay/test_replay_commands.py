@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -163,3 +164,12 @@ def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert ran.returncode == 69
     assert not (tmp_path / "x.mcap").exists()
+
+
+@pytest.mark.process
+def test_a_debugger_at_a_port_in_use_says_so(recorded: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ran = lfield("debug", recorded / "records", "--dap", "--port", port, cwd=recorded)
+    assert ran.returncode == 69
+    assert f"127.0.0.1:{port}" in ran.stderr

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from lfield import exit_status
 from lfield.errors import AddressError, LfieldError, UsageError
+from lfield.text.number_arguments import real_above_0, whole_between
 
 if TYPE_CHECKING:
     from lfield.cli.debugging.command_line import DebuggerCommands
@@ -39,17 +40,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--seconds",
-        type=float,
+        type=real_above_0(1e6, "seconds"),
         default=DEFAULT_SECONDS,
         metavar="S",
         help="longest run of a deployment in virtual time (default: 600)",
     )
-    parser.add_argument("--seed", type=int, default=0, metavar="N", help="seed of that run (default: 0)")
+    parser.add_argument(
+        "--seed",
+        type=whole_between(0, 1 << 62),
+        default=0,
+        metavar="N",
+        help="seed of that run (default: 0)",
+    )
     parser.add_argument(
         "--dap", action="store_true", help="serve an editor by the Debug Adapter Protocol on stdin and stdout"
     )
     parser.add_argument(
-        "--port", type=int, metavar="N", help="with --dap: listen on this port of the loopback interface"
+        "--port",
+        type=whole_between(0, 65535),
+        metavar="N",
+        help="with --dap: listen on this port of the loopback interface",
     )
     parser.add_argument(
         "-c",
@@ -138,6 +148,9 @@ def _read_commands(commands: DebuggerCommands) -> int:
                 print(line)
         except LfieldError as error:
             print(f"lfield: {error}", file=sys.stderr)
+        except KeyboardInterrupt:
+            # A search may last long. It has moved nothing yet.
+            print("interrupted", file=sys.stderr)
     return exit_status.DONE
 
 

@@ -5,7 +5,9 @@ Keys: F10 next, F11 step, F12 out, F5 continue; with Shift backward.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 from prompt_toolkit.application import Application
 from prompt_toolkit.buffer import Buffer
@@ -65,13 +67,27 @@ class DebugScreen:
     def execute(self, text: str) -> None:
         """Execute a command and show its output."""
         try:
-            lines = self._commands.execute(text)
+            with self._interruptible():
+                lines = self._commands.execute(text)
         except LfieldError as error:
             lines = [str(error)]
+        except KeyboardInterrupt:
+            lines = ["interrupted"]
         self._output = [*self._output, f"> {text}", *lines][-KEPT_LINES:]
         self._refresh()
         if self._commands.is_done:
             self.application.exit()
+
+    @contextmanager
+    def _interruptible(self) -> Iterator[None]:
+        """A search may last long: Ctrl-C ends it. It has moved nothing until it has found something."""
+        before = signal.getsignal(signal.SIGINT)
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        try:
+            with self.application.input.cooked_mode():
+                yield
+        finally:
+            signal.signal(signal.SIGINT, before)
 
     def lines(self, window: str) -> list[str]:
         """What a window shows: 'source', 'stack', 'variables', 'threads', 'output' or 'timeline'."""

@@ -163,7 +163,7 @@ class Debugger:
         if frame.host == self.host:
             return self.moment
         hosts = (number for number in self.running if self.team.hosts[number].recording.host == frame.host)
-        return self.moment_of(next(hosts))
+        return self.moment_of(next(hosts, self.place.recording))
 
     def readings(self) -> list[DeviceReading]:
         """The readings of the devices of all hosts, as their cores know them."""
@@ -283,11 +283,17 @@ class Debugger:
 
     def condition_target(self, text: str) -> Target:
         """A condition becomes true. Raises UsageError."""
-        return ConditionTarget(self._value_of(WatchExpression(text)))
+        expression = WatchExpression(text)
+        return ConditionTarget(self._value_of(expression), self._stops_of(expression))
 
     def change_target(self, text: str) -> Target:
         """The value of an expression changes. Raises UsageError."""
-        return ChangeTarget(self._value_of(WatchExpression(text)))
+        expression = WatchExpression(text)
+        return ChangeTarget(self._value_of(expression), self._stops_of(expression))
+
+    def _stops_of(self, expression: WatchExpression) -> frozenset[int] | None:
+        # A core gets new readings at the input of a turn.
+        return None if expression.names & self.team.table.variables else frozenset()
 
     def _value_of(self, expression: WatchExpression) -> Callable[[Moment], object]:
         focus = self.focus

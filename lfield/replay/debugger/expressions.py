@@ -7,7 +7,7 @@ Names are variables of the frame, of the frames below, fields of the agent, and 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any, NamedTuple
 
@@ -113,6 +113,11 @@ class WatchExpression:
             raise UsageError(f"'{text}' cannot be evaluated: {why}")
         self._tree = tree
 
+    @property
+    def names(self) -> set[str]:
+        """The names that may be those of variables: of `lead.fc.battery` the first part."""
+        return set(_names(self._tree))
+
     def value(self, scope: WatchScope) -> object:
         """Its value. Raises ValueUnknown."""
         return _plain(self._tree, scope)
@@ -198,6 +203,24 @@ def _variable(tree: syntax.Expr, scope: WatchScope) -> FoundValue | None:
     if (found := scope.part(owner, part)) is None:
         raise ValueUnknown(f"it has no {part}")
     return found
+
+
+def _names(tree: syntax.Expr) -> Iterator[str]:
+    match tree:
+        case syntax.Name(name=name):
+            yield name
+        case syntax.This():
+            yield "this"
+        case syntax.Unary():
+            yield from _names(tree.operand)
+        case syntax.Binary():
+            yield from _names(tree.left)
+            yield from _names(tree.right)
+        case syntax.Member():
+            yield from _names(tree.object)
+        case syntax.Index():
+            yield from _names(tree.array)
+            yield from _names(tree.index)
 
 
 def _path(tree: syntax.Expr) -> tuple[str, ...]:

@@ -60,6 +60,14 @@ class StatementTable:
         return min(lines, default=None)
 
     @cached_property
+    def variables(self) -> frozenset[str]:
+        """The names of all variables and fields."""
+        program = self.program
+        slots = (name for info in program.debug.methods for _, name in info.names)
+        fields = (field.name for record in program.core.classes for field in record.fields)
+        return frozenset([*slots, *fields, "this"])
+
+    @cached_property
     def portals(self) -> frozenset[int]:
         """The first statements of all portals."""
         found = set()

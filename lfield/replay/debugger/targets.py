@@ -160,12 +160,13 @@ class EffectTarget:
 
 
 class ConditionTarget:
-    """A condition that did not hold becomes true. `value` returns None where it has no value."""
+    """A condition that did not hold becomes true. `value` returns None where it has no value.
 
-    stops: frozenset[int] | None = None
+    `stops` are the statements at which it may have changed, None for all.
+    """
 
-    def __init__(self, value: Callable[[Moment], object]) -> None:
-        self._value = value
+    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
+        self._value, self.stops = value, stops
         self._held: object = None
 
     def start(self, moment: Moment) -> None:
@@ -179,12 +180,13 @@ class ConditionTarget:
 
 
 class ChangeTarget:
-    """A value changes. Where there is none, as while its coordinator is on another host, nothing changes."""
+    """A value changes. Where there is none, as while its coordinator is on another host, nothing changes.
 
-    stops: frozenset[int] | None = None
+    `stops` are the statements at which it may have changed, None for all.
+    """
 
-    def __init__(self, value: Callable[[Moment], object]) -> None:
-        self._value = value
+    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
+        self._value, self.stops = value, stops
         self._known: object = None
 
     def start(self, moment: Moment) -> None:

@@ -28,6 +28,9 @@ class Editor:
         self._number = 0
         self.events: list[dict] = []
 
+    def close(self) -> None:
+        self._source.close()
+
     def send(self, command: str, **arguments: object) -> int:
         self._number += 1
         data = json.dumps(
@@ -80,16 +83,17 @@ class Editor:
 def editor(first_flight) -> Iterator[Editor]:
     near, far = socket.socketpair()
     near.settimeout(60.0)
-    stream = DapStream(far.makefile("rb"), far.makefile("wb"))
-    session = DapSession(stream, lambda given: OpenedDebugger(Debugger(first_flight), FOLDER))
-    thread = threading.Thread(target=session.serve)
-    thread.start()
-    client = Editor(near)
-    yield client
-    client.request("disconnect")
-    thread.join()
-    near.close()
-    far.close()
+    with near, far, far.makefile("rb") as source, far.makefile("wb") as sink:
+        session = DapSession(
+            DapStream(source, sink), lambda given: OpenedDebugger(Debugger(first_flight), FOLDER)
+        )
+        thread = threading.Thread(target=session.serve)
+        thread.start()
+        client = Editor(near)
+        yield client
+        client.request("disconnect")
+        thread.join()
+        client.close()
 
 
 def _started(editor: Editor, lines: list[dict], **options: object) -> list[dict]:

@@ -141,3 +141,9 @@ def test_an_expression_without_a_value_says_so(debugger, text):
     debugger.resume()
     with pytest.raises(ValueUnknown):
         debugger.evaluate(text)
+
+
+def test_a_search_for_a_reading_stops_at_no_statement(debugger):
+    assert debugger.condition_target("lead.fc.battery < 0.5").stops == frozenset()
+    assert debugger.condition_target("battery < 0.5 || leg > 1").stops is None
+    assert debugger.change_target("wing.fc.position").stops == frozenset()
