@@ -116,7 +116,8 @@ class GuardIndex:
         number, time = self._team_time(numbers, at)
         start = self._team.hosts[number].recording.start
         wall, up = start.wall + at - start.at, max(0.0, at - start.at)
-        self._index.add(time, number, events.Event(0, wall, up, 0, what))
+        # Events of a number up to 0 would be those before a snapshot.
+        self._index.add(time, number, events.Event(1, wall, up, 0, what))
 
     def _team_time(self, numbers: list[int], at: float) -> tuple[int, float]:
         """The recording that was made at a time of the host's clock, and the time of the team."""

@@ -98,7 +98,8 @@ class EventIndex:
             if isinstance(effect, WriteLog) and not effect.is_recorded:
                 core.recorder.on_log_line(effect.text)
         for event in self._new_events(number, core):
-            self.add(at - (core.recorder.up - event.up), number, event)
+            # Events of the creation of the core are earlier than its first turn.
+            self.add(max(self._times[number][0], at - (core.recorder.up - event.up)), number, event)
 
     def _new_events(self, number: int, core: HostCore) -> list[Event]:
         core.recorder.drain()

@@ -110,16 +110,25 @@ class ReplaySession:
 
     # --- the thread -----------------------------------------------------------------------------------
 
+    @property
+    def has_work(self) -> bool:
+        """Whether a command waits, or the recording is not indexed yet."""
+        return self._waiting is not None or not self._is_indexed
+
+    def advance(self) -> None:
+        """Execute the newest command, else play and index; waits if there is nothing to do."""
+        command = self._next_command()
+        try:
+            if command is not None:
+                self._execute(command)
+            else:
+                self._continue()
+        except LfieldError as error:
+            self._show_trouble(str(error))
+
     def _run(self) -> None:
         while not self._is_closed:
-            command = self._next_command()
-            try:
-                if command is not None:
-                    self._execute(command)
-                else:
-                    self._continue()
-            except LfieldError as error:
-                self._show_trouble(str(error))
+            self.advance()
 
     def _show_trouble(self, trouble: str) -> None:
         """Return to the last position that could be shown."""

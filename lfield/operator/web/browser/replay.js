@@ -91,7 +91,7 @@ export const Program = {
   <div class="program" :data-testid="'program-' + program.agent">
     <details v-for="(frame, n) in program.frames" :key="n" :open="n === 0">
       <summary :data-testid="'frame-' + program.agent + '-' + n"><code>{{ frame.method }}</code> {{ frame.agent }} <code v-if="frame.line">{{ frame.file }}:{{ frame.line }}</code></summary>
-      <ol v-if="frame.source.length" class="source"><li v-for="[number, text] in frame.source" :key="number" :class="{current: number === frame.line}" :data-testid="number === frame.line ? 'line-' + program.agent + '-' + n : null"><i>{{ number }}</i><code>{{ text }}</code></li></ol>
+      <ol v-if="frame.source.length" class="source"><li v-for="[number, text] in frame.source" :key="number" :class="{current: number === frame.line}" :data-testid="'line-' + program.agent + '-' + n + '-' + number"><i>{{ number }}</i><code>{{ text }}</code></li></ol>
       <ul class="variables" :data-testid="'variables-' + program.agent + '-' + n"><replay-variable v-for="variable in frame.variables" :key="variable.name" :variable="variable"/></ul>
     </details>
     <p v-if="program.more" class="why">{{ program.more }} more frames</p>
