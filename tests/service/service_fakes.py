@@ -255,4 +255,4 @@ async def unreachable(host: str, query: VoteQuery) -> BallotState:
 
 
 def run_of(bundle: bytes, pid: int = 0, boot: str = "first boot") -> RunRecord:
-    return RunRecord(bundle, boot, pid, 7 * pid)
+    return RunRecord(bundle, boot, pid, 7 * pid, open_run=bundle)
