@@ -87,6 +87,8 @@ class MissionRunner:
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
+        #: Why the host before the one that runs has failed, '' for none.
+        self.last_failure = ""
 
     def attach(self, store: Callable[[], None], refusal: Callable[[bytes], str]) -> None:
         """Set what stores the record, and what says why the host of a bundle may not start."""
@@ -119,6 +121,7 @@ class MissionRunner:
         # A restart that waits would refuse, or start the host a second time.
         await self._cancel_restart()
         self._restarts.clear()
+        self.last_failure = ""
         self._launch(bundle)
         self._supervision = spawn(self._supervise())
 
@@ -227,6 +230,7 @@ class MissionRunner:
             self._forget()
             self._set_phase("ended", verdict.reason if not verdict.restarts else refusal, bundle, end.status)
             return False
+        self.last_failure = verdict.reason
         self._set_phase("waiting", verdict.reason, bundle, end.status)
         self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
         await asyncio.sleep(RESTART_DELAY)

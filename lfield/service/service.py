@@ -120,7 +120,10 @@ class Service:
         unfinished = await self._probe.unfinished()
         run = self._runner.info
         if self._runner.is_running and run.phase == "running":
-            run = replace(run, reason=truncate(await self._probe.condition()))
+            reason, failure = await self._probe.condition(), self._runner.last_failure
+            # Until it is up, the reason of the attempt before says more.
+            because = f"; restarted after: {failure}" if reason and failure else ""
+            run = replace(run, reason=truncate(reason + because))
         return ServiceStatus(
             self._host,
             __version__,
