@@ -69,6 +69,8 @@ class Service:
         self._lock = asyncio.Lock()
         #: When the open ballot was voted for (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
+        #: Why the state could not be stored at the last attempt, '' if it was.
+        self._store_trouble = ""
         #: When a log line has named the open ballot last.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
@@ -133,7 +135,7 @@ class Service:
             run,
             state.ballot,
             unfinished[:MAX_UNFINISHED],
-            truncate(await self._refusal(None)),
+            truncate(self._disk_trouble() or await self._refusal(None)),
             self._clock.time(),
         )
 
@@ -384,5 +386,15 @@ class Service:
         try:
             self._store.save(record)
         except OutputFileError as error:
-            self.note(messages.STATE_ERROR.line(reason=error))
+            if str(error) != self._store_trouble:
+                self.note(messages.STATE_ERROR.line(reason=error))
+            self._store_trouble = str(error)
             raise
+        self._store_trouble = ""
+
+    def _disk_trouble(self) -> str:
+        """Why no vote can be stored now; '' if the last one was, or the disk has room again."""
+        if self._store_trouble:
+            with suppress(OutputFileError):
+                self._store_run()
+        return f"no vote can be stored: {self._store_trouble}; make room" if self._store_trouble else ""

@@ -22,6 +22,8 @@ from lfield.wire.service_messages import (
     CommandResult,
     MissionCommand,
     Proposal,
+    ServiceQuery,
+    ServiceStatus,
     UnfinishedCoordinator,
     VoteQuery,
 )
@@ -239,6 +241,11 @@ class Robot:
     async def command(self, command: MissionCommand) -> CommandResult:
         answer = await self.service.answer(command, "anna")
         assert isinstance(answer, CommandResult)
+        return answer
+
+    async def status(self) -> ServiceStatus:
+        answer = await self.service.answer(ServiceQuery(), "anna")
+        assert isinstance(answer, ServiceStatus)
         return answer
 
     async def start(self) -> CommandResult:
