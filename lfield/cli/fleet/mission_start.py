@@ -114,8 +114,11 @@ def _start(
     args: argparse.Namespace,
 ) -> int:
     """Start the hosts, whose states `before` are known, and wait until they are up; the exit status."""
+    from lfield.cli.fleet.status_view import differing_versions
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
+    if versions := differing_versions(before):
+        print(versions, file=sys.stderr)
     hosts, continues, digest = list(before), _suspended(before), mission.digest
     order = MissionCommand("start", digest, without=without)
     results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
