@@ -11,10 +11,8 @@ import pytest
 PROJECTS = sorted(Path(__file__).parent.rglob("pyproject.toml"))
 
 
-@pytest.fixture(scope="session")
-def projects(tmp_path_factory):
-    """Folders for Python's path: the projects, and their entry points."""
-    site = tmp_path_factory.mktemp("site")
+def project_folders(site):
+    """Folders for Python's path: the projects, and their entry points, which are written into `site`."""
     for file in PROJECTS:
         project = tomllib.loads(file.read_text())["project"]
         name, version = project["name"], project["version"]
@@ -29,6 +27,12 @@ def projects(tmp_path_factory):
         ]
         (info / "entry_points.txt").write_text("\n".join(lines))
     return [str(site), *(str(file.parent) for file in PROJECTS)]
+
+
+@pytest.fixture(scope="session")
+def projects(tmp_path_factory):
+    """The folders of `project_folders`, once for all tests."""
+    return project_folders(tmp_path_factory.mktemp("site"))
 
 
 @pytest.fixture(autouse=True)

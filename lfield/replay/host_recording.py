@@ -107,9 +107,10 @@ class HostRecording:
         for number in reversed(range(len(self.frames))):
             frame = self.frames[number]
             if frame.turn <= turn and frame.header.kind == b"C":
-                record = self._decode(number)[0]
-                assert isinstance(record, CheckpointRecord)
-                return frame.turn, record
+                records = self._decode(number)
+                if not records or not isinstance(records[0], CheckpointRecord):
+                    raise RecordingError("a checkpoint is damaged")
+                return frame.turn, records[0]
         if not self.is_from_start:
             raise RecordingError("the beginning of the recording is missing")
         return 0, None

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from msgspec import structs
 
+from lfield.errors import RecordingError
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.effects import Effect
@@ -128,7 +129,17 @@ class HostReplay:
 
     def __iter__(self) -> Iterator[ReplayedTurn]:
         for number, record in self._turns:
-            yield self._replay(number, record)
+            yield self._replay_safely(number, record)
+
+    def _replay_safely(self, number: int, record: Turn) -> ReplayedTurn:
+        """Replay a turn; a failure of the core, as of one that does not accept an input, is a difference."""
+        try:
+            return self._replay(number, record)
+        except RecordingError:
+            raise
+        except Exception as error:
+            found = Divergence("failure of the core", None, f"{type(error).__name__}: {error}")
+            return ReplayedTurn(number, record, [], found, 1)
 
     def _replay(self, number: int, record: Turn) -> ReplayedTurn:
         core = self.core

@@ -246,3 +246,14 @@ def test_the_deepest_that_the_front_end_lets_through_compiles(before: str, insid
             return
         assert compile_program(checked.program)
     pytest.fail("the front end let 200 levels through")
+
+
+def test_the_debug_information_has_each_statement_also_of_one_line():
+    program = compiled_body("int a = 1; a = a + 1; while (a < 9) a = a * 2;\nprint(i2s(a));")
+    index = next(n for n in range(len(program.core.methods)) if program.method_name(n) == "R.init")
+    lines = [line for _, line in program.debug.methods[index].lines]
+    first = lines[1]
+    assert lines.count(first) >= 4
+    assert first + 1 in lines
+    starts = [pc for pc, _ in program.debug.methods[index].lines]
+    assert starts == sorted(set(starts))

@@ -81,6 +81,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
     },
     "lfield/docs/watch.md": {
         "lfield watch --deploy mission.dL": WATCH,
+        "lfield watch --replay DIR": "tests/replay/web runs it",
         "ssh -L 8470:127.0.0.1:8470 operator": SERVICE,
     },
     "lfield/docs/security.md": {

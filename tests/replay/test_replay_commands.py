@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 import shutil
+import socket
 import subprocess
 import sys
 from pathlib import Path
@@ -37,6 +39,9 @@ coordinator Boss {
     }
 }
 """
+ROOT = Path(__file__).parents[2]
+#: Options for commands that would read from a terminal.
+PLAIN = {"debug flight": ("-c", "where")}
 DEPLOYMENT = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
 
 
@@ -163,3 +168,37 @@ def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -
     ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert ran.returncode == 69
     assert not (tmp_path / "x.mcap").exists()
+
+
+@pytest.mark.process
+def test_a_debugger_at_a_port_in_use_says_so(recorded: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ran = lfield("debug", recorded / "records", "--dap", "--port", port, cwd=recorded)
+    assert ran.returncode == 69
+    assert f"127.0.0.1:{port}" in ran.stderr
+
+
+@pytest.mark.process
+def test_the_commands_of_the_page_about_a_bad_flight_run(recorded: Path, tmp_path: Path) -> None:
+    """All of them but the copies from robots and the web page, on this recording."""
+    text = (ROOT / "lfield/docs/after-a-bad-flight.md").read_text(encoding="utf-8")
+    shutil.copytree(recorded / "records", tmp_path / "flight")
+    write_mission(tmp_path, PROGRAM)
+    commands = re.findall(r"^\$ lfield (.*)$", text, re.MULTILINE)
+    commands += re.findall(r"`lfield (test --from .*?)`", text)
+    ran = {
+        command: lfield(*command.split(), *PLAIN.get(command, ()), cwd=tmp_path)
+        for command in commands
+        if not command.startswith("watch")
+    }
+    assert len(ran) >= 5
+    assert {command: made.returncode for command, made in ran.items()} == dict.fromkeys(ran, 0)
+    moves = re.findall(r"^\(lfield\) (.*)$", text, re.MULTILINE)
+    assert len(moves) >= 4
+    names = {"lead.battery < 0.3": "one.battery < 2.0", "pilot": "boss"}
+    for move in moves:
+        for name, here in names.items():
+            move = move.replace(name, here)
+        made = lfield("debug", "flight", "-c", "hop boss", "-c", move, cwd=tmp_path)
+        assert made.returncode == 0, made.stderr

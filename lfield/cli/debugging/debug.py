@@ -85,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
 
     debugger = open_debugger(args.paths, args.bundle, args.seconds, args.seed).debugger
     commands = DebuggerCommands(debugger)
-    debugger.step()
+    debugger.enter()
     if args.commands:
         return _execute(commands, args.commands)
     if args.plain or not (sys.stdin.isatty() and sys.stdout.isatty()):

@@ -1,4 +1,4 @@
-"""`lfield watch`: a web page that shows a running team, with an emergency stop."""
+"""`lfield watch`: a web page that shows a running team, with an emergency stop; or a recording of a team."""
 
 from __future__ import annotations
 
@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     from lfield.mission.team import Team
     from lfield.operator.targets import TargetTeam
     from lfield.operator.web.mbtiles import MbtilesSource
+    from lfield.operator.web.page_site import PageSite
+    from lfield.replay.web.replay_session import ReplaySession
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -53,6 +55,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--tiles", metavar="FILE", type=Path, help="MBTiles file with raster tiles, as background of the map"
+    )
+    parser.add_argument(
+        "--replay",
+        metavar="PATH",
+        type=Path,
+        nargs="+",
+        help="show recordings instead of a running team: directories as for 'lfield replay'",
+    )
+    parser.add_argument(
+        "--bundle", metavar="FILE", type=Path, help="bundle of the mission, if the recording has none"
     )
 
 
@@ -84,9 +96,12 @@ def _run(args: argparse.Namespace) -> int:
     from lfield.operator.targets import open_team, running_mission
     from lfield.operator.web.mbtiles import MbtilesSource
 
+    _check_replay_options(args)
     page_keys = _page_keys(args)
     _need_nicegui()
     with closing(MbtilesSource(args.tiles)) if args.tiles else nullcontext() as tiles:
+        if args.replay is not None:
+            return _run_replay(args, tiles, page_keys)
         path = named_mission(args) or running_mission(selected_runs(args))
         team = open_team(path)
         party = selected_team(args)
@@ -96,6 +111,62 @@ def _run(args: argparse.Namespace) -> int:
             print("stopped watching; the mission is unchanged")
             return exit_status.INTERRUPTED
     return exit_status.DONE
+
+
+def _run_replay(args: argparse.Namespace, tiles: MbtilesSource | None, page_keys: WebKeys | None) -> int:
+    from lfield.replay.recording_files import load_team
+    from lfield.replay.web.replay_session import ReplaySession
+
+    print(f"reading {listed([str(path) for path in args.replay])}", flush=True)
+    recording = load_team(args.replay, args.bundle)
+    title = f"{recording.incarnations[0].folder.absolute().parent.name}, recorded"
+    with ReplaySession(title, recording) as session:
+        try:
+            asyncio.run(_serve_replay(args, title, session, tiles, page_keys))
+        except (KeyboardInterrupt, asyncio.CancelledError):
+            return exit_status.INTERRUPTED
+    return exit_status.DONE
+
+
+async def _serve_replay(
+    args: argparse.Namespace,
+    title: str,
+    session: ReplaySession,
+    tiles: MbtilesSource | None,
+    page_keys: WebKeys | None,
+) -> None:
+    from lfield.clock import SystemClock
+    from lfield.operator.web.page_server import ServedPage, serve
+
+    site = await _site(args, page_keys)
+    _cancel_on_ctrl_c()
+    served = ServedPage(title, session, None, SystemClock(), tiles, session)
+    await serve(served, site, lambda link: _print_line(f"open this link: {link}"))
+
+
+def _check_replay_options(args: argparse.Namespace) -> None:
+    """Raises UsageError for options of a running team beside --replay, or --bundle without it."""
+    if args.replay is None:
+        if args.bundle is not None:
+            raise UsageError("--bundle is for recordings: name them with --replay PATH")
+        return
+    given = named_mission(args) or args.run or args.map or args.inventory or args.keys
+    if given:
+        raise UsageError(
+            f"--replay shows recordings, not a running team: leave out '{given}' and the options of a team"
+        )
+
+
+def _print_line(line: str) -> None:
+    print(line, flush=True)
+
+
+async def _site(args: argparse.Namespace, page_keys: WebKeys | None) -> PageSite:
+    from lfield.operator.web.page_site import local_site, network_site
+
+    if page_keys is None:
+        return await local_site(args.port, _print_line)
+    return await network_site(args.listen, args.port, page_keys, _print_line)
 
 
 def _page_keys(args: argparse.Namespace) -> WebKeys | None:
@@ -150,24 +221,17 @@ async def _serve_page(
     from lfield.clock import SystemClock
     from lfield.operator.dashboard.team_watch import watch_team
     from lfield.operator.web.page_server import ServedPage, serve
-    from lfield.operator.web.page_site import local_site, network_site
 
     def found() -> Sequence[TargetTeam]:
         return selected_teams(args, selected_runs(args))
 
-    def print_line(line: str) -> None:
-        print(line, flush=True)
-
-    if page_keys is None:
-        site = await local_site(args.port, print_line)
-    else:
-        site = await network_site(args.listen, args.port, page_keys, print_line)
+    site = await _site(args, page_keys)
     _cancel_on_ctrl_c()
     if not party.runs:
         where = listed([f"{host} at {address}" for host, address in party.addresses.items()])
-        print_line(f"{path} is not running on this computer: the page waits for {where}")
+        _print_line(f"{path} is not running on this computer: the page waits for {where}")
     async with watch_team(path, team, party, found, args.keys) as shown:
         served = ServedPage(
             f"{path.absolute().parent.name}/{path.stem}", shown, shown.actions, SystemClock(), tiles
         )
-        await serve(served, site, lambda link: print_line(f"open this link: {link}"))
+        await serve(served, site, lambda link: _print_line(f"open this link: {link}"))

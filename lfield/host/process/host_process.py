@@ -31,6 +31,7 @@ from lfield.host.process.mission_completion import wait_until_done
 from lfield.host.process.parent_pipe import ParentPipe
 from lfield.host.process.run_result import RunResult, failure_reason, known_hops
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
+from lfield.host.recording.recording_session import replayed_form
 from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.journal import Journal
 from lfield.mission.access.signed_bundle import signing_time
@@ -79,6 +80,7 @@ async def run_host(
     clock = SystemClock()
     logbook = JsonLogbook(name, clock) if as_json else Logbook()
     identity, mission = _identity(mission, name, listen, credentials, journal, logbook)
+    mission = mission if record is None else replayed_form(mission)
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = HostOptions(
         identity.address,

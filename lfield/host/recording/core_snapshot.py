@@ -16,6 +16,7 @@ from typing import Any
 
 import msgspec
 
+from lfield.capability.matching.provider_plans import ProviderPlans
 from lfield.errors import RecordingError
 from lfield.host.core import HostCore
 from lfield.host.recording.object_graph import GraphReader, GraphWriter, walk
@@ -26,6 +27,8 @@ from lfield.vm.memory.liveness import Liveness
 
 #: Objects whose state follows from the program (caches of it), and the connections to observers.
 _OPAQUE = (BlockVerifier, Liveness, VmHooks)
+#: Objects without a state in a snapshot: the opaque ones, and caches that are made anew when they are asked.
+_STATELESS = (*_OPAQUE, ProviderPlans)
 
 
 class CoreSnapshots:
@@ -46,7 +49,7 @@ class CoreSnapshots:
     def capture(self) -> bytes:
         """The state of the core, between two turns. Raises RecordingError if an object has no encoding."""
         writer = GraphWriter(self._known, self._number_of)
-        states = [writer.state_of(each) for each in self._skeleton if not isinstance(each, _OPAQUE)]
+        states = [writer.state_of(each) for each in self._skeleton if not isinstance(each, _STATELESS)]
         sizes = len(self._mission), len(self._skeleton)
         version, numbers, gauss = self._core.context.rng.getstate()
         return msgspec.msgpack.encode([sizes, states, writer.objects(), [version, numbers, gauss]])
@@ -59,13 +62,16 @@ class CoreSnapshots:
                 raise RecordingError("the checkpoint belongs to another mission or version of lfield")
             reader = GraphReader(self._resolve, readings, self._core.machine.engine.space)
             reader.create(objects)
-            parts = [each for each in self._skeleton if not isinstance(each, _OPAQUE)]
+            parts = [each for each in self._skeleton if not isinstance(each, _STATELESS)]
             # Containers last: the hashes of their elements must be final.
             rows = [row for row in zip(parts, states, strict=True) if row[1] is not None]
             for made, state in sorted(rows, key=lambda row: isinstance(row[0], (dict, set))):
                 reader.set_state(made, state)
             self._core.context.rng.setstate((version, tuple(numbers), gauss))
-        except (msgspec.DecodeError, ValueError, TypeError, KeyError, IndexError, AttributeError) as error:
+        except (
+            msgspec.DecodeError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError,
+            RecursionError, MemoryError, BufferError,
+        ) as error:  # fmt: skip
             raise RecordingError(f"the checkpoint cannot be restored: {error}") from None
 
     def _resolve(self, reference: list[Any]) -> object:

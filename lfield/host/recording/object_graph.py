@@ -25,6 +25,8 @@ PLAIN = (bool, int, float, str, bytes, type(None))
 _CONTAINERS = (dict, list, set, deque)
 _FUNCTIONS = (FunctionType, MethodType, BuiltinMethodType, partial)
 _OURS = "lfield."
+#: The memory of all blocks of a snapshot, in bytes.
+_MAX_BLOCKS = 1 << 31
 
 
 def is_instance(value: object) -> bool:
@@ -50,7 +52,10 @@ def attributes(value: object) -> Iterator[tuple[str, object]]:
         slots = base.__dict__.get("__slots__", ())
         names.update((slots,) if isinstance(slots, str) else slots)
     names.update(getattr(made, "__struct_fields__", ()))
-    for name in sorted(names - {"__weakref__", "__dict__"}):
+    for name in sorted(names):
+        # Such as __orig_class__, which `typing` sets.
+        if name.startswith("__"):
+            continue
         if not isinstance(getattr(made, name, None), cached_property) and hasattr(value, name):
             yield name, getattr(value, name)
 
@@ -196,6 +201,9 @@ class GraphReader:
         self._resolve, self._readings, self._space = resolve, readings, space
         self._objects: list[Any] = []
         self._rows: list[Any] = []
+        #: The bytes that further blocks may have, and the structs whose creation has begun.
+        self._free = _MAX_BLOCKS
+        self._created: set[int] = set()
 
     def create(self, objects: list[Any]) -> None:
         """Create all objects, then set their states: instances before containers that use their hashes."""
@@ -214,6 +222,9 @@ class GraphReader:
         """An object; a struct is created here, from its fields."""
         found = self._objects[place]
         if found is None:
+            if place in self._created:
+                raise RecordingError("a checkpoint has an object that contains itself")
+            self._created.add(place)
             _, name, state = self._rows[place]
             fields = zip(state[::2], map(self.decode, state[1::2]), strict=True)
             found = self._objects[place] = class_named(name)(**dict(fields))
@@ -237,7 +248,8 @@ class GraphReader:
         raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
 
     def _block(self, data: bytes, capacity: int, limit: int, packed: int) -> Block:
-        if capacity > limit + (1 << 16) or len(data) > 8 * capacity:
+        self._free -= 8 * capacity
+        if capacity > limit + (1 << 16) or len(data) > 8 * capacity or self._free < 0:
             raise RecordingError("a checkpoint has a block with wrong sizes")
         buffer = self._space.allocate(8 * capacity)
         buffer[: len(data)] = data
@@ -266,6 +278,8 @@ class GraphReader:
             if name not in names:
                 object.__delattr__(made, name)
         for name, value in zip(names, state[1::2], strict=True):
+            if name.startswith("__"):
+                raise RecordingError(f"a checkpoint sets an attribute that is no state: {name}")
             setter(made, name, self.decode(value))
 
     def decode(self, value: Any) -> Any:

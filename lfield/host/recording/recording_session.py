@@ -7,6 +7,7 @@ import hashlib
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import replace
 
 from lfield import __version__
 from lfield.errors import LfieldError
@@ -18,7 +19,7 @@ from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.host_records import VERSION, Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordingTarget
-from lfield.mission.bundle import encode
+from lfield.mission.bundle import decode, encode
 from lfield.mission.mission import Mission
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
@@ -42,6 +43,18 @@ class RunIdentity:
             return False
         self.id = other
         return True
+
+
+def replayed_form(mission: Mission) -> Mission:
+    """The mission as a replay reads it from the bundle: checkpoints number its objects.
+
+    A mission that was loaded from files shares other objects than the same one that was decoded. One that
+    cannot be decoded is returned as it is: the recorder does not prevent a start.
+    """
+    try:
+        return replace(decode(encode(mission)), release=mission.release)
+    except LfieldError:
+        return mission
 
 
 class RecordingSession:

@@ -26,12 +26,12 @@ def snapshot(
 
 def _agents(core: HostCore) -> Iterator[tuple[str, tuple[object, TelemetryEvent]]]:
     for agent in core.machine.agents.values():
-        standing = _activity(agent, core)
+        standing = agent_activity(agent, core)
         yield agent.id, (standing, standing)
 
 
-def _activity(agent: Agent, core: HostCore) -> AgentActivity:
-    """The activity of the most active of its threads."""
+def agent_activity(agent: Agent, core: HostCore) -> AgentActivity:
+    """The activity of an agent: of the most active of its threads."""
     w = agent.block.w
     places = list(threads(agent.block))
     state = truncate(state_of(agent, core, [w[place + THREAD_STATE] for place in places]), MAX_LABEL)

@@ -17,17 +17,18 @@ importlib.import_module("nicegui.elements.echart")
 class TeamPage(Element, component="browser/team.js", esm={"lfield-watch": "browser"}):
     """The whole page. It requests its data from its server (browser/server.js)."""
 
-    def __init__(self, title: str) -> None:
+    def __init__(self, title: str, *, is_recorded: bool) -> None:
         super().__init__()
         self._props["title"] = title
+        self._props["recorded"] = is_recorded
         self.add_resource(Path(inspect.getfile(_LEAFLET)).parent / "dist")
 
 
-def page(title: str) -> None:
-    """Create the page that is served at `/`."""
+def page(title: str, *, is_recorded: bool = False) -> None:
+    """Create the page that is served at `/`; that of recordings has no buttons for orders."""
     style = (Path(__file__).parent / "browser" / "style.css").read_text(encoding="utf-8")
 
     @ui.page("/", title=title)
     def team() -> None:
         ui.add_css(style)
-        TeamPage(title)
+        TeamPage(title, is_recorded=is_recorded)

@@ -29,7 +29,7 @@ from lfield.operator.web.mbtiles import MbtilesSource
 from lfield.operator.web.page import page
 from lfield.operator.web.page_sessions import PageSessions
 from lfield.operator.web.page_site import PageSite
-from lfield.operator.web.page_snapshots import PageSnapshots
+from lfield.operator.web.page_snapshots import PageSnapshots, ReplayControl
 
 #: The longest body of a request, in bytes: the longest question has 4000 characters.
 _MOST_BYTES = 20_000
@@ -39,13 +39,17 @@ _IDLE = 3600
 
 @dataclass(frozen=True, slots=True)
 class ServedPage:
-    """The inputs of a page: state of the team, permitted actions, clock, map background."""
+    """The inputs of a page: state of the team, permitted actions, clock, map background.
+
+    A page of recordings has a `replay`, which is its source, and no actions: nothing can be sent.
+    """
 
     title: str
     source: TeamStateSource
-    actions: OperatorActions
+    actions: OperatorActions | None
     clock: Clock
     tiles: MbtilesSource | None = None
+    replay: ReplayControl | None = None
 
 
 async def serve(served: ServedPage, site: PageSite, print_link: Callable[[str], None]) -> None:
@@ -121,28 +125,46 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
     about = (
         None if tiles is None else {"least": tiles.min_zoom, "most": tiles.max_zoom, "credit": tiles.credit}
     )
+    actions, replay = served.actions, served.replay
     snapshots = PageSnapshots(
-        served.source, lambda: served.actions.denied_orders, about, served.clock.monotonic
+        served.source,
+        lambda: {} if actions is None else actions.denied_orders,
+        about,
+        served.clock.monotonic,
+        replay,
     )
-    page(served.title)
+    page(served.title, is_recorded=replay is not None)
+    if actions is not None:
+        _add_actions(app, actions, served.clock)
+    if replay is not None:
+        _add_replay(app, replay)
 
     @app.get("/look")
-    async def snapshot(after: int = 0) -> Response:
-        return _json(snapshots.snapshot(after))
+    async def snapshot(after: int = 0, epoch: int = 0) -> Response:
+        return _json(snapshots.snapshot(after, epoch))
 
     @app.get("/plots")
     async def plots() -> Response:
         return _json(snapshots.plots())
 
+    @app.get("/tiles/{zoom}/{column}/{row}")
+    async def tile(zoom: int, column: int, row: int) -> Response:
+        found = tiles.tile(zoom, column, row) if tiles is not None else None
+        if found is None:
+            return Response(status_code=404)
+        return Response(found.data, media_type=found.kind, headers={"Cache-Control": "max-age=3600"})
+
+
+def _add_actions(app: FastAPI, actions: OperatorActions, clock: Clock) -> None:
     @app.post("/act")
     async def act(request: Request) -> Response:
         body = await _body(request)
-        action, pressed, now = body.get("action"), body.get("pressed"), served.clock.monotonic()
-        execute = buttons(served.actions, stop_reason(REASON, pressed, now)).get(str(action))
+        action, pressed, now = body.get("action"), body.get("pressed"), clock.monotonic()
+        execute = buttons(actions, stop_reason(REASON, pressed, now)).get(str(action))
         if execute is None:
             return _refused("unknown action")
         # The hosts would refuse a denied order too; this saves the requests.
-        for order, why in served.actions.denied_orders.items():
+        for order, why in actions.denied_orders.items():
             if order == action:
                 return _refused(why, 403)
         if why := refusal(action, pressed, now):
@@ -154,14 +176,15 @@ def _add_routes(app: FastAPI, served: ServedPage) -> None:
         text = (await _body(request)).get("text")
         if not isinstance(text, str) or not text.strip():
             return _refused("empty query: enter a capability or a taxonomy id")
-        return _json(query_json(await served.actions.query(text)))
+        return _json(query_json(await actions.query(text)))
 
-    @app.get("/tiles/{zoom}/{column}/{row}")
-    async def tile(zoom: int, column: int, row: int) -> Response:
-        found = tiles.tile(zoom, column, row) if tiles is not None else None
-        if found is None:
-            return Response(status_code=404)
-        return Response(found.data, media_type=found.kind, headers={"Cache-Control": "max-age=3600"})
+
+def _add_replay(app: FastAPI, replay: ReplayControl) -> None:
+    @app.post("/replay")
+    async def move(request: Request) -> Response:
+        if why := replay.request(await _body(request)):
+            return _refused(why)
+        return _json(b"{}")
 
 
 async def _body(request: Request) -> dict[str, Any]:

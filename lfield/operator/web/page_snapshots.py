@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, NamedTuple, Protocol
 
 import msgspec
 
@@ -87,29 +87,64 @@ def _thinned(points: tuple[tuple[float, float], ...]) -> tuple[tuple[float, floa
     return points[::-1][::step][::-1]
 
 
+class ShownPosition(NamedTuple):
+    """A state of a recorded team, and the position in the recordings as JSON (browser/replay.js).
+
+    `epoch` is the number of its log: lines of another one are not valid any more.
+    """
+
+    state: TeamState
+    epoch: int
+    position: bytes
+
+
+class ReplayControl(TeamStateSource, Protocol):
+    """Recordings whose time can be moved. Nothing of it reaches a host."""
+
+    def published(self) -> ShownPosition:
+        """The newest state and position."""
+
+    def request(self, body: object) -> str:
+        """Request a move by the unchecked body of a request; returns why it is refused, '' if it is not."""
+
+
 @dataclass(slots=True)
 class PageSnapshots:
-    """Makes snapshots on request, at most one per `MIN_INTERVAL`; `now` is a monotonic clock (s)."""
+    """Makes snapshots on request, at most one per `MIN_INTERVAL`; `now` is a monotonic clock (s).
+
+    With a `replay` they are of the position in recordings.
+    """
 
     source: TeamStateSource
     denied_orders: Callable[[], Mapping[OrderKind, str]]
     tiles: Mapping[str, Any] | None
     now: Callable[[], float]
+    replay: ReplayControl | None = None
     _state: TeamState | None = None
     _team: bytes = b""
     _at: float = 0.0
+    _epoch: int = 0
+    _position: bytes = b"null"
 
-    def snapshot(self, after: int) -> bytes:
-        """A snapshot with the log lines after that number: `{"at": s, "look": {...}, "log": [...]}`.
+    def snapshot(self, after: int, epoch: int = 0) -> bytes:
+        """A snapshot with the log lines after that number: `{"at": s, "look": {...}, "log": [...], ...}`.
 
-        `at` is the time of the snapshot by `now`.
+        `at` is the time of the snapshot by `now`, `replay` the position in recordings, null for a running
+        team. A log of another `epoch` is sent again from its first line.
         """
         now = self.now()
         if self._state is None or now - self._at >= MIN_INTERVAL:
-            self._state, self._at = self.source.snapshot(), now
+            self._state, self._at = self._newest_state(), now
             self._team = team_json(self._state, self.denied_orders(), self.tiles)
-        log = log_json(self._state.log, after)
-        return b'{"at":%b,"look":%b,"log":%b}' % (msgspec.json.encode(self._at), self._team, log)
+        log = log_json(self._state.log, after if epoch == self._epoch else 0)
+        parts = msgspec.json.encode(self._at), self._team, log, self._epoch, self._position
+        return b'{"at":%b,"look":%b,"log":%b,"epoch":%d,"replay":%b}' % parts
+
+    def _newest_state(self) -> TeamState:
+        if self.replay is None:
+            return self.source.snapshot()
+        state, self._epoch, self._position = self.replay.published()
+        return state
 
     def plots(self) -> bytes:
         """The curves of the plots as JSON."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from lfield.host.effects import CallDevice
 from lfield.replay.debugger.device_readings import DeviceReading, device_readings
 from lfield.replay.debugger.expressions import WatchExpression, WatchScope
 from lfield.replay.debugger.frames import (
@@ -20,7 +21,7 @@ from lfield.replay.debugger.frames import (
     state_name,
     thread_keys,
 )
-from lfield.replay.debugger.moment import Moment, Target, ThreadKey
+from lfield.replay.debugger.moment import Moment, Target, ThreadKey, thread_key
 from lfield.replay.debugger.targets import (
     AnyTarget,
     ChangeTarget,
@@ -203,12 +204,24 @@ class Debugger:
             self.focus = display_key(self.moment, self.moment.running)
         elif (arrived := self.team.arrival_at(found)) and isinstance(target, HopTarget):
             self.focus = self.thread_of(arrived) or self.focus
+        elif isinstance(target, EffectTarget) and (call := self._device_call) is not None:
+            key = thread_key(self.moment.core, call.agent.id, call.thread)
+            self.focus = display_key(self.moment, key)
         return True
+
+    @property
+    def _device_call(self) -> CallDevice | None:
+        """The first call of a device in this turn."""
+        return next((each for each in self.moment.effects if isinstance(each, CallDevice)), None)
 
     def thread_of(self, coordinator: str) -> ThreadKey | None:
         """The thread of a coordinator on the host of the position."""
         agent = self.moment.agents.get(coordinator)
         return None if agent is None else ThreadKey(coordinator, coordinator, only_thread(agent.block))
+
+    def enter(self) -> bool:
+        """To the first statement of a coordinator, or of any thread if there is none."""
+        return self.search(StatementTarget(coordinators=True)) or self.search(StatementTarget())
 
     def step(self, *, backward: bool = False) -> bool:
         """One statement of the followed thread, into calls and portals."""
@@ -242,7 +255,9 @@ class Debugger:
             return StatementTarget()
         top = self._top
         if top is None:
-            return StatementTarget(self.focus.logical)
+            # A coordinator is somewhere else in time; the thread of a resource has ended.
+            is_coordinator = self.focus.agent == self.focus.logical
+            return StatementTarget(self.focus.logical if is_coordinator else "")
         return StepTarget(top.key, top.depth, deepest, top.line if by_line else None)
 
     # --- breakpoints and other targets ----------------------------------------------------------------

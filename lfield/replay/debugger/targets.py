@@ -50,12 +50,12 @@ class StepTarget:
 
 
 class StatementTarget:
-    """The next statement of any thread, or only of those of a logical thread."""
+    """The next statement of any thread, or only of those of a logical thread, or of coordinators."""
 
     stops: frozenset[int] | None = None
 
-    def __init__(self, logical: str = "") -> None:
-        self._logical = logical
+    def __init__(self, logical: str = "", *, coordinators: bool = False) -> None:
+        self._logical, self._coordinators = logical, coordinators
 
     def start(self, moment: Moment) -> None:
         """It compares no moments."""
@@ -63,7 +63,9 @@ class StatementTarget:
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
         running = moment.running
-        return running is not None and self._logical in ("", running.logical)
+        if running is None or self._logical not in ("", running.logical):
+            return False
+        return not self._coordinators or moment.agents[running.agent].member.kind == "coordinator"
 
 
 class InstructionTarget:

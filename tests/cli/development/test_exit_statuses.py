@@ -134,7 +134,7 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("stop", 1): "fleet/test_fleet_refusals.py",
     ("service", 1): "fleet/test_push_and_start.py",
     ("sign", 73): "development/test_keys_commands.py",
-    ("debug", 69): "../replay/debugger/test_debug_command.py",
+    ("debug", 69): "../replay/test_replay_commands.py",
     ("export", 69): "../replay/test_replay_commands.py",
     ("export", 73): "../replay/test_replay_commands.py",
     ("replay", 1): "../replay/test_replay_commands.py",

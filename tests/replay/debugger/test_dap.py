@@ -98,8 +98,8 @@ def editor(first_flight) -> Iterator[Editor]:
 
 def _started(editor: Editor, lines: list[dict], **options: object) -> list[dict]:
     assert editor.body("initialize", adapterID="lfield")["supportsStepBack"] is True
-    editor.event("initialized")
     editor.body("launch", paths=["x"], **options)
+    editor.event("initialized")
     found = editor.body("setBreakpoints", source={"path": FILE}, breakpoints=lines)["breakpoints"]
     editor.body("configurationDone")
     return found

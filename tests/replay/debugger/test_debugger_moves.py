@@ -74,6 +74,7 @@ def test_portals_hops_devices_and_events_are_found(debugger):
     assert debugger.focus.agent == "pilot"
     assert debugger.search(debugger.device_target())
     assert debugger.moment.phase is Phase.END
+    assert debugger.stack()[0].method.startswith("Copter.")
     assert debugger.search(debugger.event_target(["printed"]))
     assert not debugger.search(debugger.event_target(["latched"]))
 
@@ -147,3 +148,13 @@ def test_a_search_for_a_reading_stops_at_no_statement(debugger):
     assert debugger.condition_target("lead.fc.battery < 0.5").stops == frozenset()
     assert debugger.condition_target("battery < 0.5 || leg > 1").stops is None
     assert debugger.change_target("wing.fc.position").stops == frozenset()
+
+
+def test_it_begins_at_a_coordinator_and_finds_its_last_statement_from_the_end(debugger):
+    assert debugger.enter()
+    assert debugger.focus.agent == "pilot"
+    debugger.go_to(debugger.team.end)
+    assert debugger.stack() == []
+    assert debugger.step(backward=True)
+    assert debugger.focus.agent == "pilot"
+    assert debugger.stack()[-1].method == "FirstFlight.init"

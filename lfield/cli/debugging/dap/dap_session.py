@@ -116,7 +116,8 @@ class DapSession:
         if command in self._moves:
             found = self._moves[command](self._ready)
             self._stopped("step", "" if found else "there is no further statement")
-        elif command == "initialize":
+        elif command in ("launch", "attach"):
+            # Not earlier: breakpoints, which the editor sends next, need the program.
             self._event("initialized")
         elif command in ("continue", "reverseContinue"):
             self._resume(backward=command == "reverseContinue")
@@ -136,8 +137,7 @@ class DapSession:
             self._event("terminated")
 
     def _enter(self) -> None:
-        debugger = self._ready
-        debugger.search(StatementTarget())
+        self._ready.enter()
         if self._stops_at_entry:
             self._stopped("entry")
         else:

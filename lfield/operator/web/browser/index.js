@@ -2,6 +2,7 @@
 export { default as TeamMap } from "./map.js";
 export { default as Halt } from "./halt.js";
 export { default as TeamLog } from "./log.js";
+export { Program, Replay } from "./replay.js";
 export { default as Plots } from "./plots.js";
 export { act, ask, looks } from "./server.js";
 export * as words from "./words.js";

@@ -44,7 +44,7 @@ function unhidden(vehicles, selected) {
 }
 
 export default {
-  props: { look: Object, tiles: Object, selected: String, resources: String },
+  props: { look: Object, tiles: Object, tracks: Array, selected: String, resources: String },
   emits: ["select"],
   template: `
     <div class="map" role="img" aria-label="Map of the team; the table has the same data as text">
@@ -56,6 +56,7 @@ export default {
           </marker>
         </defs>
         <g v-if="grid" class="grid"><path :d="grid.path"/><path class="axes" :d="grid.axes"/><text v-for="label in grid.labels" :key="label.text" :x="label.x" :y="label.y">{{ label.text }}</text></g>
+        <path v-for="track in ways" :key="track.agent" class="track" :class="{selected: track.agent === selected}" :d="track.path" :data-testid="'track-' + track.agent"/>
         <path v-for="hop in hops" :key="hop.key" class="hop" :d="hop.path" :style="{opacity: hop.opacity}"
               marker-end="url(#tip)"/>
         <g v-for="v in placed" :key="v.agent" :data-testid="'marker-' + v.agent" class="marker"
@@ -90,6 +91,13 @@ export default {
       if (this.moved < 0 || !this.map) return [];
       const found = this.look.vehicles.map((v) => ({ ...v, at: this.spot(v), latched: v.devices.some((d) => d.latched) })).filter((v) => v.at);
       return unhidden(found.map((v) => ({ ...v, ...this.pixel(v.at) })), this.selected);
+    },
+    // The ways of the vehicles until this time, in recordings.
+    ways() {
+      if (this.moved < 0 || !this.map) return [];
+      const path = (points) => points.map(({ x, y }) => `${x} ${y}`).join("L");
+      const drawn = (track) => track.points.map(([place, earth]) => this.spot({ place, earth })).filter(Boolean).map((at) => this.pixel(at));
+      return (this.tracks ?? []).map((track) => ({ agent: track.agent, points: drawn(track) })).filter((track) => track.points.length > 1).map((track) => ({ ...track, path: `M${path(track.points)}` }));
     },
     docks() {
       if (this.moved < 0 || !this.map) return [];

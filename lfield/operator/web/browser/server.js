@@ -29,6 +29,9 @@ export const act = (action, pressed) => post("act", { action, pressed });
 
 export const ask = (text) => post("query", { text });
 
+// Moves a replay; of several requests the server executes the newest.
+export const move = (command) => post("replay", command);
+
 export const samples = () => answerOf("plots", {}, PATIENCE);
 
 // Waits for some milliseconds, longer while the page is hidden; ends when the page becomes visible.
@@ -49,10 +52,12 @@ export function rest(milliseconds) {
 export function looks(take, fail) {
   let ended = false;
   let line = 0;
+  let epoch = 0;
 
   async function look() {
-    const answer = await answerOf(`look?after=${line}`, {}, PATIENCE);
-    line = answer.log.at(-1)?.serial ?? line;
+    const answer = await answerOf(`look?after=${line}&epoch=${epoch}`, {}, PATIENCE);
+    line = answer.log.at(-1)?.serial ?? (answer.epoch === epoch ? line : 0);
+    epoch = answer.epoch;
     if (!ended) take(answer);
   }
 

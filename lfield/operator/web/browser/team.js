@@ -1,6 +1,6 @@
 // The whole page: STOP and the other buttons, state of the stop, map, vehicles, coordinators, hosts, log, queries,
 // plots. It draws the last snapshot and marks an old one.
-import { Halt, Plots, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
+import { Halt, Plots, Program, Replay, TeamLog, TeamMap, act, ask, looks, words } from "lfield-watch";
 
 // A snapshot older than this (ms) is marked as old.
 const OLD = 2000;
@@ -19,16 +19,16 @@ const pairOf = (order) => PAIRS.find((pair) => pair.includes(order));
 const without = (table, names) => Object.fromEntries(Object.entries(table).filter(([name]) => !names.includes(name)));
 
 export default {
-  components: { TeamMap, Halt, Plots, TeamLog },
-  props: { title: String, resourcePath: String },
+  components: { TeamMap, Halt, Plots, Program, Replay, TeamLog },
+  props: { title: String, recorded: Boolean, resourcePath: String },
   template: `
   <div class="watch" :class="{stale, halted: look && (look.stands || Object.keys(look.stop.unreached).length)}">
     <header>
-      <button type="button" class="stop" data-testid="stop" :disabled="Boolean(barred.stop)" :title="barred.stop"
+      <button v-if="!recorded" type="button" class="stop" data-testid="stop" :disabled="Boolean(barred.stop)" :title="barred.stop"
               @click="press('stop')">STOP</button>
       <h1>{{ title }}</h1>
       <p class="state" data-testid="state" role="status">{{ state }}</p>
-      <nav aria-label="Mission">
+      <nav v-if="!recorded" aria-label="Mission">
         <button type="button" data-testid="pause" :disabled="Boolean(barred.pause)" :title="barred.pause"
                 @click="press('pause')">Pause</button>
         <button type="button" data-testid="resume" :disabled="Boolean(barred.resume)" :title="barred.resume"
@@ -39,15 +39,16 @@ export default {
     </header>
     <p v-for="(why, order) in barredWords" :key="why" class="barred" :data-testid="'barred-' + order">{{ why }}</p>
     <p v-if="trouble" class="trouble" role="alert" data-testid="trouble">{{ trouble }}</p>
+    <replay v-if="replay" :replay="replay"/>
     <halt :look="look" :pending="pending" :failures="failures" :now="now"/>
     <main v-if="look">
       <div class="column-of">
       <section class="place" aria-label="Map">
-        <team-map :look="look" :tiles="look.tiles" :selected="selected" @select="selected = $event"/>
+        <team-map :look="look" :tiles="look.tiles" :tracks="replay ? replay.tracks : []" :selected="selected" @select="selected = $event"/>
       </section>
       <section class="panel log" aria-label="Log">
         <h2>Log</h2>
-        <team-log :fresh="fresh" :most="look.lines"/>
+        <team-log :key="epoch" :fresh="fresh" :most="look.lines"/>
         <p v-for="loss in losses" :key="loss" class="bad">{{ loss }}</p>
       </section>
       </div>
@@ -55,7 +56,7 @@ export default {
       <section class="panel vehicles" aria-label="Vehicles">
         <h2>Vehicles</h2>
         <table>
-          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th scope="col" class="number">Link</th><th scope="col" class="number wide">{{ geographic ? "Latitude, longitude" : "East, north, m" }}</th></tr></thead>
+          <thead><tr><th scope="col">Vehicle</th><th scope="col">State</th><th scope="col" class="number">Height</th><th scope="col" class="number">Battery</th><th v-if="!recorded" scope="col" class="number">Link</th><th scope="col" class="number wide">{{ geographic ? "Latitude, longitude" : "East, north, m" }}</th></tr></thead>
           <tbody>
             <tr v-for="v in look.vehicles" :key="v.agent" :data-testid="'vehicle-' + v.agent"
                 :class="{old: !v.fresh, selected: v.agent === selected}" @mouseenter="selected = v.agent" @mouseleave="selected = ''">
@@ -64,7 +65,7 @@ export default {
                   :data-testid="'latch-' + d.name.replace('.', '-')" :title="d.latched">{{ latchWords(d) }}</span></template></td>
               <td class="number" :data-testid="'height-' + v.agent">{{ metres(v.height) }}</td>
               <td class="number" :class="{low: v.battery !== null && v.battery < 0.2}">{{ share(v.battery) }}</td>
-              <td class="number" :class="{low: v.link !== null && v.link > 3}">{{ age(v.link) }}</td>
+              <td v-if="!recorded" class="number" :class="{low: v.link !== null && v.link > 3}">{{ age(v.link) }}</td>
               <td class="number wide" :data-what="geographic ? 'latitude, longitude' : 'east, north, m'" :title="geographic ? local(v) : ''" :data-testid="'place-' + v.agent">{{ place(v, geographic) }}</td>
             </tr>
           </tbody>
@@ -76,6 +77,7 @@ export default {
         <article v-for="c in look.coordinators" :key="c.agent" :data-testid="'coordinator-' + c.agent" :class="{old: !c.fresh}">
           <h3>{{ c.agent }}<small>{{ where(c) }}</small></h3>
           <p v-if="c.line || c.waits" class="line"><code v-if="c.line">{{ c.file }}:{{ c.line }}</code><template v-if="c.waits"> waits for <code>{{ c.waits }}</code></template></p>
+          <program v-if="programs[c.agent] && !c.finished" :program="programs[c.agent]"/>
           <p v-if="c.doubt" class="bad">{{ c.doubt }}</p>
           <p v-if="c.finished && c.detail" class="bad">{{ c.detail }}</p>
           <p class="hops"><span v-if="c.hops !== null" class="hop">{{ c.hops }} hop{{ c.hops === 1 ? "" : "s" }}</span><span v-for="hop in c.trail.slice(-3).reverse()" :key="hop.number" class="hop">{{ hop.of }} → {{ hop.to }}{{ hop.failed ? ", failed" : hop.seconds === null ? "" : ", " + duration(hop.seconds) }}</span></p>
@@ -90,7 +92,7 @@ export default {
           </li>
         </ul>
       </section>
-      <section class="panel who" aria-label="Who can do it">
+      <section v-if="!recorded" class="panel who" aria-label="Who can do it">
         <h2>Who can do it</h2>
         <form @submit.prevent="question">
           <input v-model="asked" data-testid="query" aria-label="Question" placeholder="Lift where payload >= 2.0" autocomplete="off" spellcheck="false" maxlength="4000"/>
@@ -112,7 +114,7 @@ export default {
         </ul>
       </section>
       </div>
-      <plots :stale="stale"/>
+      <plots v-if="!recorded" :stale="stale"/>
     </main>
     <p v-else-if="!trouble" class="none">Waiting for the state of the team.</p>
     <dialog ref="sure" @close="sureClosed">
@@ -124,7 +126,7 @@ export default {
     </dialog>
   </div>`,
   data: () => ({
-    look: null, fresh: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
+    look: null, replay: null, epoch: 0, fresh: [], at: null, taken: 0, now: 0, trouble: "", pending: {}, failures: {}, selected: "",
     asked: "", asking: false, answer: null, sure: "",
   }),
   computed: {
@@ -145,7 +147,7 @@ export default {
     state() {
       if (!this.look) return "";
       const linked = this.look.hosts.filter((host) => host.linked).length;
-      const said = [`${linked} of ${this.look.hosts.length} hosts linked`];
+      const said = [`${linked} of ${this.look.hosts.length} hosts ${this.recorded ? "recorded at this time" : "linked"}`];
       const { hosts, unreached, asked } = this.look.stop;
       const missing = Object.keys(unreached);
       if (hosts.length) said.push(hosts.length === linked && !asked.length ? "STOPPED" : `STOPPED at ${hosts.join(", ")}`);
@@ -154,6 +156,10 @@ export default {
       if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
       if (this.stale) said.push(`updated ${words.age((this.now - this.taken) / 1000)} ago`);
       return said.join(" · ");
+    },
+    // The stacks of the coordinators in a recording.
+    programs() {
+      return Object.fromEntries((this.replay?.coordinators ?? []).map((program) => [program.agent, program]));
     },
     sureWords() {
       return QUESTIONS[this.sure] ?? "";
@@ -204,11 +210,13 @@ export default {
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
       return parts.join(" · ");
     },
-    take({ at, look, log }) {
+    take({ at, look, log, epoch, replay }) {
       // NiceGUI's own connection reloads the page when it times out; the last known state and STOP would be gone.
       // The page does not need that connection.
       window.socket?.disconnect();
       this.look = look;
+      this.replay = replay;
+      if (epoch !== this.epoch) [this.epoch, this.fresh] = [epoch, []];
       this.at = at;
       this.taken = this.now = performance.now();
       this.trouble = "";

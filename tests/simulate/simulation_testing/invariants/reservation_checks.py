@@ -32,6 +32,8 @@ class _Resource:
     holder: tuple[str, int] = ("", 0)
     since: float = 0.0
     until: float = 0.0
+    #: The host of the resource.
+    host: str = ""
 
 
 class ReservationChecks:
@@ -107,7 +109,7 @@ class ReservationChecks:
         if others:
             found = f"{resource.id} is given to {start} while it works for {', '.join(sorted(others))}"
             self._breaches.add("busy", host, found)
-        known.number, known.holder = max(number, known.number), start
+        known.number, known.holder, known.host = max(number, known.number), start, life.core.name
         known.since, known.until = self._now(), self._now() + MIN_LEASE_SHARE * self._lease()
 
     def on_dropped(self, agent: Agent, held: Sequence[tuple[TeamMember, int]]) -> None:
@@ -152,6 +154,9 @@ class ReservationChecks:
         known = self._resources[resource]
         agent, generation = known.holder
         if agent in ("", start[0]) or not known.since < at < known.until:
+            return
+        # Its host has stopped a start that is fenced or has ended, and may give the resource to others.
+        if any(_is_over(page, agent, generation) for page in self._pages(known.host) or ()):
             return
         if generation >= self._newest_at(agent, at):
             found = (

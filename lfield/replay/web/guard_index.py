@@ -1,0 +1,143 @@
+"""What the guards have recorded, by the team's time: poses and batteries of devices, tracks, safe states."""
+
+from __future__ import annotations
+
+from array import array
+from bisect import bisect_right
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+
+from lfield.errors import RecordingError
+from lfield.guard.messages import MESSAGES, Latched, Moving, Released
+from lfield.guard.recording.guard_records import NOTIFY, InputRecord, NoteRecord
+from lfield.guard.recording.guard_segments import TelemetryValue, read_segments, rings_in, telemetry_in
+from lfield.manifest import DeviceValue
+from lfield.operator.team_model.team_contents import TeamContents
+from lfield.operator.team_model.team_state import agent_of
+from lfield.replay.debugger.team_timeline import TeamTimeline
+from lfield.replay.recording_files import TeamRecording
+from lfield.replay.web.recorded_events import EventIndex
+from lfield.replay.web.vehicle_tracks import VehicleTracks
+from lfield.wire import events
+
+#: The meanings of quantities that the page shows; others are not kept.
+_SHOWN = ("place", "earth", "heading", "speed", "height", "battery", "mode", "armed")
+
+
+@dataclass(slots=True)
+class _Trace:
+    """The values of a quantity with the times of their changes."""
+
+    times: array[float] = field(default_factory=lambda: array("d"))
+    values: list[DeviceValue] = field(default_factory=list)
+
+
+class GuardIndex:
+    """The recordings of all guards of a recording of a team.
+
+    `steps` reads them, one record at a time; decisions about safe states and notes become events of `index`.
+    """
+
+    def __init__(
+        self, recording: TeamRecording, team: TeamTimeline, contents: TeamContents, index: EventIndex
+    ) -> None:
+        self._recording, self._team, self._contents, self._index = recording, team, contents, index
+        self._traces: dict[str, dict[str, _Trace]] = {}
+        #: The recordings with telemetry of each device.
+        self._hosts: dict[str, int] = {}
+        self.tracks = VehicleTracks(contents)
+        #: What could not be read, a sentence each.
+        self.problems: list[str] = []
+
+    def steps(self) -> Iterator[None]:
+        """Read the files; the caller may pause after each step."""
+        for incarnation in self._recording.incarnations:
+            numbers = [
+                number
+                for number, host in enumerate(self._team.hosts)
+                if any(host.recording is part for part in incarnation.parts)
+            ]
+            if not numbers:
+                continue
+            for paths in rings_in(incarnation.folder).values():
+                try:
+                    yield from self._ring_steps(numbers, paths)
+                except RecordingError as error:
+                    self.problems.append(str(error))
+
+    def _ring_steps(self, numbers: list[int], paths: Iterable[Path]) -> Iterator[None]:
+        paths = list(paths)
+        for value in telemetry_in(paths):
+            self._add_value(numbers, value)
+            yield
+        for segment in read_segments(paths):
+            for record in segment.records:
+                match record:
+                    case InputRecord(at, _, decisions):
+                        for what in _safe_state_events(decisions):
+                            self._add_event(numbers, at, what)
+                    case NoteRecord(at, _, text, code, level):
+                        self._add_event(numbers, at, events.LineLogged(text, code, level))
+                yield
+
+    def values_at(self, device: str, time: float) -> tuple[dict[str, DeviceValue], float] | None:
+        """The values of a device at a time, and the age of the newest; None without any."""
+        found: dict[str, DeviceValue] = {}
+        newest = -1.0
+        for quantity, trace in self._traces.get(device, {}).items():
+            if at := bisect_right(trace.times, time):
+                found[quantity] = trace.values[at - 1]
+                newest = max(newest, trace.times[at - 1])
+        return (found, time - newest) if found else None
+
+    @property
+    def devices(self) -> Mapping[str, int]:
+        """The devices with telemetry, and the newest recording that has it."""
+        return self._hosts
+
+    def _add_value(self, numbers: list[int], value: TelemetryValue) -> None:
+        instruments = self._contents.instruments(value.device)
+        if value.quantity not in {getattr(instruments, meaning) for meaning in _SHOWN}:
+            return
+        number, time = self._team_time(numbers, value.time)
+        self._hosts[value.device] = number
+        trace = self._traces.setdefault(value.device, {}).setdefault(value.quantity, _Trace())
+        if trace.times and time < trace.times[-1]:
+            return
+        trace.times.append(time)
+        trace.values.append(value.value)
+        if value.quantity in (instruments.place, instruments.earth):
+            self.tracks.add(agent_of(value.device), value.device, value.quantity, time, value.value)
+
+    def _add_event(self, numbers: list[int], at: float, what: events.StateEvent) -> None:
+        number, time = self._team_time(numbers, at)
+        start = self._team.hosts[number].recording.start
+        wall, up = start.wall + at - start.at, max(0.0, at - start.at)
+        # Events of a number up to 0 would be those before a snapshot.
+        self._index.add(time, number, events.Event(1, wall, up, 0, what))
+
+    def _team_time(self, numbers: list[int], at: float) -> tuple[int, float]:
+        """The recording that was made at a time of the host's clock, and the time of the team."""
+        hosts, times = self._team.hosts, self._team.times
+        number = max((n for n in numbers if hosts[n].ats[0] <= at), default=numbers[0])
+        turn = max(0, bisect_right(hosts[number].ats, at) - 1)
+        return number, times[number][turn] + at - hosts[number].ats[turn]
+
+
+_LATCHED, _RELEASED, _MOVING = (NOTIFY + MESSAGES.index(kind) for kind in (Latched, Released, Moving))
+
+
+def _safe_state_events(decisions: msgspec.Raw) -> Iterator[events.StateEvent]:
+    """The events of devices in the decisions of a guard."""
+    decoded = msgspec.msgpack.decode(decisions)
+    for kind, *fields in decoded if isinstance(decoded, list) else ():
+        if kind == _LATCHED:
+            device, reason, is_confirmed = fields[:3]
+            yield (events.SafeStateConfirmed if is_confirmed else events.DeviceLatched)(device, "", reason)
+        elif kind == _RELEASED:
+            yield events.DeviceReleased(fields[0])
+        elif kind == _MOVING:
+            yield events.DeviceMoving(fields[0], fields[1])

@@ -1,0 +1,148 @@
+"""Teams in virtual time whose hosts are recorded in memory, and the comparison of their replays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from lfield.host.recording.host_records import FrameHeader, HostRecord, encode_frame
+from lfield.host.recording.recording_session import replayed_form
+from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM, RecordingMemory
+from lfield.mission import bundle
+from lfield.mission.loader import load_mission
+from lfield.mission.mission import Mission
+from lfield.recording.folders import SUFFIX, create_folder
+from lfield.recording.segments import MAGIC, SegmentReader, frame
+from lfield.replay.host_recording import HostRecording
+from lfield.replay.host_replay import HostReplay
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.vm.engine_interface import Engines
+from lfield.vm.reference import ReferenceEngine
+
+#: A coordinator that moves between two hosts, calls resources, and prints.
+WALK_PROGRAM = """
+resource Post {
+    int seen;
+    init(string[] arg) { seen = 0; }
+    portal stamp(string who) emit int {
+        seen = seen + 1;
+        sleep(0.02);
+        return seen;
+    }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post[] all = findPost();
+        int number = 0;
+        while (number < 1000000) {
+            number = number + all[number % all.length()].stamp("walker");
+            print(i2s(number));
+            sleep(0.1);
+        }
+    }
+}
+"""
+WALK_DEPLOYMENT = "//Post:north@north\n//Post:south@south\n//Walker:walker@north\n"
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedTeam:
+    """A mission as it ran, and the frames of each incarnation, in the order of their starts."""
+
+    mission: Mission
+    hosts: tuple[tuple[str, tuple[bytes, ...]], ...]
+
+    def recordings(self) -> list[HostRecording]:
+        """The recordings of the incarnations that had a turn."""
+        return [HostRecording(frames) for _, frames in self.hosts if frames]
+
+
+@dataclass(slots=True)
+class Comparison:
+    """The sum of some replays: turns, digests, and sentences about differences."""
+
+    turns: int = 0
+    digests: int = 0
+    checkpoints: int = 0
+    differences: list[str] | None = None
+
+    def add(self, recording: HostRecording, mission: Mission, engines: Engines, turn: int = 0) -> None:
+        """Replay from a turn on, up to the first difference."""
+        replay = HostReplay(recording, mission, engines, turn=turn)
+        self.differences = self.differences or []
+        for each in replay:
+            self.turns += 1
+            self.digests += each.digests
+            if each.divergence is not None:
+                self.differences.append(f"{recording.host}, turn {each.number}: {each.divergence}")
+                return
+
+
+def walk_mission(folder: Path) -> Mission:
+    """The mission of WALK_PROGRAM, as a host runs it: decoded from its bundle."""
+    (folder / "mission.L").write_text(WALK_PROGRAM)
+    (folder / "mission.dL").write_text(WALK_DEPLOYMENT)
+    return replayed_form(load_mission(folder / "mission.dL"))
+
+
+def run_recorded(mission: Mission, seconds: float, seed: int = 1) -> RecordedTeam:
+    """Run a team for some seconds of virtual time; its hosts then end as by a loss of power."""
+    memory = RecordingMemory()
+    fleet = Fleet(mission, seed, options=FleetOptions(record=memory))
+    try:
+        fleet.run(seconds)
+        return recorded(fleet.mission, memory)
+    finally:
+        fleet.close()
+
+
+def recorded(mission: Mission, memory: RecordingMemory) -> RecordedTeam:
+    """What was recorded in memory."""
+    return RecordedTeam(
+        mission, tuple((host, tuple(contents_of(sink.frames))) for host, _, sink in memory.sinks)
+    )
+
+
+def contents_of(frames: Iterable[bytes]) -> Iterator[bytes]:
+    """The contents of frames as they are in a file."""
+    for each in frames:
+        yield from SegmentReader(MAGIC + each)
+
+
+def compare(team: RecordedTeam, engines: Engines = ReferenceEngine, *, at_checkpoints: bool) -> Comparison:
+    """Replay all incarnations from their start, or from each of their checkpoints."""
+    found = Comparison(differences=[])
+    for recording in team.recordings():
+        found.add(recording, team.mission, engines)
+        for each in recording.frames if at_checkpoints else ():
+            if each.header.kind == b"C":
+                found.checkpoints += 1
+                found.add(recording, team.mission, engines, each.turn)
+    return found
+
+
+def write_folder(
+    parent: Path, team: RecordedTeam, number: int = 0, wall: float = 1.8e9, cuts: Iterable[int] = ()
+) -> Path:
+    """Write an incarnation as `lfield up` does; a new file begins at the frames with the numbers `cuts`."""
+    host, frames = team.hosts[number]
+    folder = create_folder(parent, host, HostRecording(frames).start.incarnation, wall)
+    (folder / BUNDLE_NAME).write_bytes(bundle.encode(team.mission))
+    edges = [0, *cuts, len(frames)]
+    for place, (first, last) in enumerate(pairwise(edges), 1):
+        data = MAGIC + b"".join(map(frame, frames[first:last]))
+        (folder / f"{CORE_STEM}-{place:06d}{SUFFIX}").write_bytes(data)
+    return folder
+
+
+def checkpoints_of(team: RecordedTeam, number: int = 0) -> list[int]:
+    """The numbers of the frames that are checkpoints."""
+    recording = HostRecording(team.hosts[number][1])
+    return [place for place, each in enumerate(recording.frames) if each.header.kind == b"C"]
+
+
+def content(records: list[HostRecord], kind: bytes, turns: int = 0) -> bytes:
+    """Records as the content of a frame."""
+    return encode_frame(records, FrameHeader(kind, 0.0, turns))

@@ -1,0 +1,215 @@
+"""Recordings in directories: which belong together, what is missing, and what cannot be used."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import shutil
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+from recorded_teams import checkpoints_of, run_recorded, walk_mission, write_folder
+
+from lfield import exit_status
+from lfield.cli.main import main
+from lfield.errors import InputFileError, RecordingError
+from lfield.host.process import host_process
+from lfield.host.recording import flight_recorder
+from lfield.host.recording.object_graph import walk
+from lfield.host.recording.recording_target import RecordingMemory
+from lfield.mission import bundle
+from lfield.mission.loader import load_mission
+from lfield.recording.segments import MAGIC
+from lfield.replay.recording_files import load_team
+from lfield.replay.team_check import check_team
+
+
+@pytest.fixture(scope="module")
+def teams(tmp_path_factory):
+    """Two runs of a mission."""
+    mission = walk_mission(tmp_path_factory.mktemp("walk"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 0.6)
+        return [run_recorded(mission, 2.5, seed) for seed in (1, 2)]
+
+
+@pytest.fixture
+def team(teams):
+    return teams[0]
+
+
+def both(parent, team, wall=1.8e9, **options):
+    return [write_folder(parent, team, number, wall, **options) for number in range(2)]
+
+
+def result_of(capsys, *words) -> dict:
+    """What `lfield replay --json` prints."""
+    status = main(["replay", "--json", *map(str, words)])
+    found = json.loads(capsys.readouterr().out)
+    assert "differences" in found, found
+    assert status == (exit_status.FAILED if found["differences"] else exit_status.DONE)
+    return found
+
+
+def refused(capsys, *words) -> str:
+    """The message of `lfield replay` for a recording that cannot be used."""
+    status = main(["replay", *map(str, words)])
+    assert status == exit_status.DATA
+    return capsys.readouterr().err
+
+
+def test_both_hosts_of_a_directory_are_replayed(team, tmp_path, capsys):
+    both(tmp_path, team)
+    found = result_of(capsys, tmp_path)
+    assert found["differences"] == 0
+    assert found["digests"] > 50
+    assert found["missing"] == []
+    assert {row["host"] for row in found["hosts"]} == {"north", "south"}
+
+
+def test_the_missing_hosts_are_named(team, tmp_path, capsys):
+    folder = write_folder(tmp_path, team, 0)
+    found = result_of(capsys, folder)
+    assert found["missing"] == ["south"]
+    assert found["differences"] == 0
+
+
+def test_without_its_first_file_a_replay_begins_at_the_checkpoint(team, tmp_path, capsys):
+    places = checkpoints_of(team)
+    folder = write_folder(tmp_path, team, 0, cuts=places[:2])
+    whole = result_of(capsys, folder)
+    (folder / "core-000001.lfrec").unlink()
+    found = result_of(capsys, folder)
+    assert found["differences"] == 0
+    assert 0 < found["digests"] < whole["digests"]
+    assert any("core-000002.lfrec" in problem for problem in found["problems"])
+
+
+def test_a_missing_file_in_the_middle_leaves_two_parts(team, tmp_path, capsys):
+    places = checkpoints_of(team)
+    folder = write_folder(tmp_path, team, 0, cuts=places[:2])
+    (folder / "core-000002.lfrec").unlink()
+    found = result_of(capsys, folder)
+    assert found["differences"] == 0
+    assert len(found["hosts"]) == 2
+    assert any("missing" in problem for problem in found["problems"])
+
+
+def test_a_damaged_file_in_the_middle_leaves_the_turns_before_and_after_it(team, tmp_path, capsys):
+    places = checkpoints_of(team)
+    folder = write_folder(tmp_path, team, 0, cuts=places[:2])
+    path = folder / "core-000002.lfrec"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    found = result_of(capsys, folder)
+    assert found["differences"] == 0
+    assert len(found["hosts"]) == 2
+    assert any("core-000002.lfrec" in problem for problem in found["problems"])
+
+
+def test_of_several_runs_the_newest_is_used(teams, tmp_path, capsys):
+    old, new = teams
+    both(tmp_path, old)
+    newer = both(tmp_path, new, 1.9e9)
+    loaded = load_team([tmp_path])
+    # The clocks of simulated computers are arbitrary: the newest run is that with the latest start.
+    starts = [max(part.start.wall for part in each.recordings()) for each in teams]
+    used = {each.folder for each in loaded.incarnations}
+    assert len(used) == len(loaded.others) == 2
+    assert (used == set(newer)) == (starts[1] > starts[0])
+    assert result_of(capsys, tmp_path)["differences"] == 0
+
+
+def test_a_recording_of_another_bundle_is_refused(team, tmp_path, capsys):
+    folder = write_folder(tmp_path, team)
+    other = replace(team.mission, name="other")
+    (folder / "mission.lfm").write_bytes(bundle.encode(other))
+    assert "--bundle" in refused(capsys, folder)
+
+
+def test_another_bundle_that_is_named_differs_or_is_refused(team, tmp_path, capsys):
+    folder = write_folder(tmp_path, team)
+    (folder / "mission.lfm").unlink()
+    assert "--bundle" in refused(capsys, folder)
+    path = tmp_path / "named.lfm"
+    path.write_bytes(bundle.encode(team.mission))
+    assert result_of(capsys, folder, "--bundle", path)["differences"] == 0
+    path.write_bytes(b"LF")
+    refused(capsys, folder, "--bundle", path)
+
+
+def test_a_file_of_a_newer_version_is_refused(team, tmp_path, capsys):
+    folder = write_folder(tmp_path, team)
+    path = folder / "core-000001.lfrec"
+    data = path.read_bytes()
+    path.write_bytes(MAGIC[:-1] + bytes([MAGIC[-1] + 1]) + data[len(MAGIC) :])
+    assert "newer" in refused(capsys, folder)
+
+
+@pytest.mark.parametrize("name", ["nothing", "empty", "an empty file", "text"])
+def test_what_is_no_recording_is_refused(name, tmp_path, capsys):
+    path = tmp_path / "place"
+    if name != "nothing":
+        path.mkdir()
+    if name in ("an empty file", "text"):
+        (path / "core-000001.lfrec").write_bytes(b"" if name == "an empty file" else b"hello " * 100)
+    with pytest.raises((RecordingError, InputFileError)):
+        load_team([path])
+    assert main(["replay", str(path)]) in (exit_status.DATA, exit_status.NO_INPUT)
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_one_unusable_folder_does_not_hide_the_others(team, tmp_path, capsys):
+    first, second = both(tmp_path, team)
+    (second / "core-000001.lfrec").write_bytes(b"")
+    found = result_of(capsys, tmp_path)
+    assert found["missing"] == ["south"]
+    assert any(second.name in problem for problem in found["problems"])
+    shutil.rmtree(first)
+    refused(capsys, tmp_path)
+
+
+def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
+    from recorded_teams import recorded
+
+    from lfield.simulate.host_fleet import Fleet, FleetOptions
+
+    memory = RecordingMemory()
+    fleet = Fleet(walk_mission(tmp_path), 3, options=FleetOptions(record=memory))
+    fleet.run(1.0)
+    for number, machine in enumerate(fleet.machines.values()):
+        machine.clock.ahead += 3e8 if number else -3e8
+    fleet.run(1.0)
+    team = recorded(fleet.mission, memory)
+    fleet.close()
+    both(tmp_path / "recordings", team)
+    loaded = load_team([tmp_path / "recordings"])
+    assert len(loaded.incarnations) == 2
+    assert check_team(loaded).differences == 0
+
+
+def test_the_process_of_a_host_runs_a_mission_from_files_in_the_form_of_a_replay(tmp_path, monkeypatch):
+    """Otherwise no checkpoint of `lfield up --deploy` can be restored: its objects have other numbers."""
+    found = []
+
+    class Started(Exception):
+        pass
+
+    def host(mission, *rest):
+        found.append(mission)
+        raise Started
+
+    walk_mission(tmp_path)
+    mission = load_mission(tmp_path / "mission.dL")
+    identity = SimpleNamespace(address="", tls=None, admission=None, orders=None)
+    monkeypatch.setattr(host_process, "Host", host)
+    monkeypatch.setattr(host_process, "_identity", lambda mission, *rest: (identity, mission))
+    for record in (None, RecordingMemory()):
+        with pytest.raises(Started):
+            asyncio.run(host_process.run_host(mission, "north", record=record))
+    decoded = bundle.decode(bundle.encode(mission))
+    sizes = [len(walk(each, {}, ())) for each in (*found, decoded)]
+    assert sizes[0] != sizes[1] == sizes[2]
+    assert found[1].release == found[0].release

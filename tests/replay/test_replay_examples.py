@@ -1,0 +1,43 @@
+"""Every example, recorded in virtual time, is replayed without a difference, on both engines."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import pytest
+from recorded_teams import compare, run_recorded
+
+from lfield.host.engine_provider import select_engine
+from lfield.host.recording import flight_recorder
+from lfield.host.recording.recording_session import replayed_form
+from lfield.mission.loader import load_mission
+from lfield.vm.reference import ReferenceEngine
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+MISSIONS = sorted(str(path.relative_to(EXAMPLES)) for path in EXAMPLES.glob("*/*.dL"))
+#: Examples without a file of devices.
+SIMULATED = ("20-gps-driver/mission.dL",)
+
+
+@pytest.fixture(autouse=True)
+def drivers(monkeypatch, tmp_path):
+    """The drivers and types of the examples, as in their own tests."""
+    spec = importlib.util.spec_from_file_location("examples_conftest", EXAMPLES / "conftest.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for folder in module.project_folders(tmp_path):
+        monkeypatch.syspath_prepend(folder)
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize("engine", ["reference", "wasm"])
+@pytest.mark.parametrize("name", MISSIONS)
+def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, engine, monkeypatch):
+    monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 2.0)
+    team = run_recorded(replayed_form(load_mission(EXAMPLES / name, simulate=name in SIMULATED)), 6.0)
+    engines = ReferenceEngine if engine == "reference" else select_engine("wasm", lambda line: None, float)
+    found = compare(team, engines, at_checkpoints=True)
+    assert found.differences == []
+    assert found.digests > 100
+    assert found.checkpoints >= len(team.hosts)
