@@ -117,7 +117,7 @@ class Host:
         self._loop, self.address, self._due = asyncio.get_running_loop(), "", 0.0
         self._timer: asyncio.TimerHandle | asyncio.Handle | None = None
         self._pending: deque[tuple[inputs.HostInput | None, ResultCallback | None]] = deque()
-        self._is_dispatching = self._stopped = False
+        self._is_dispatching = self._stopped = self._has_resources = False
         options.admission.serve(self.is_mission_active, mission.access.denied_rights, self.note)
 
     def _context(self, overlay: Overlay) -> HostContext:
@@ -176,6 +176,7 @@ class Host:
         self.journal_writer.delete(self.core.coordinators.recovery.outdated)
         self.journal_writer.poll_disk_space()
         self.dispatch(inputs.ResourcesStart(self.options.first_start))
+        self._has_resources = True
         if not self.core.has_coordinators:
             return
         await self.peers.wait_for_initial_contact(INITIAL_CONTACT_TIMEOUT)
@@ -395,4 +396,5 @@ class Host:
         self.apply(inputs.DirectorySampled())
         up, journal = self.clock.monotonic() - self.started, self.journal_writer.journal
         error = self.options.admission.persist_error
-        return status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)
+        found = status_of(self.core, self.peers, self.guards, journal, self.address, up, self.clock, error)
+        return found if self._has_resources else replace(found, starting=True)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -44,6 +45,7 @@ from lfield.provision.team_keys import keys_folder
 from lfield.provision.wheel_cache import WheelCache
 from lfield.provision.wheel_target import PYTHONS, WheelTarget
 from lfield.text.input_files import error_reason
+from lfield.text.suggestions import listed
 
 #: What is reported of a step: `running` precedes `changed` or `failed`; a dry run ends with `todo`.
 Progress = Literal["done", "running", "changed", "todo", "note", "refused", "failed"]
@@ -110,6 +112,37 @@ class StepReport:
         return {**data, "findings": list(self.findings)} if self.findings else data
 
 
+class UpdateGate:
+    """An update of lfield on several robots: none is changed before all `hosts` have been checked.
+
+    Hosts of different versions do not link, so a coordinator that has not ended could not continue on a team
+    of which a part has another version.
+    """
+
+    def __init__(self, hosts: Iterable[str]) -> None:
+        self._unchecked = set(hosts)
+        self._refusing: dict[str, None] = {}
+        self._all_checked = asyncio.Event()
+
+    def on_checked(self, host: str, *, refuses: bool = False) -> None:
+        """A host was checked, or cannot be. `refuses`: a mission there runs or has not ended.
+
+        Only the first call for a host counts.
+        """
+        if host not in self._unchecked:
+            return
+        self._unchecked.discard(host)
+        if refuses:
+            self._refusing[host] = None
+        if not self._unchecked:
+            self._all_checked.set()
+
+    async def refusing(self, host: str) -> list[str]:
+        """The other hosts that refuse, in the order of their checks, when all have been checked."""
+        await self._all_checked.wait()
+        return [other for other in self._refusing if other != host]
+
+
 @dataclass(frozen=True, slots=True)
 class ProvisionRun:
     """What all hosts of a run share. Keys of a host are empty where the authority is not on this desk."""
@@ -123,6 +156,9 @@ class ProvisionRun:
     replaces_keys: Callable[[str], tuple[RobotFile, ...]] | None = None
     is_dry: bool = False
     only_prepares: bool = False
+    #: Whether keys of another authority are replaced.
+    replaces_authority: bool = False
+    gate: UpdateGate = field(default_factory=lambda: UpdateGate(()))
     desk_time: Callable[[], float] = time.time
 
 
@@ -144,6 +180,7 @@ class HostProvisioning:
             self._report_error(error)
             return False
         finally:
+            self._run.gate.on_checked(self._robot.name)
             await self._connection.close()
 
     def _report_error(self, error: LfieldError | OSError) -> None:
@@ -178,7 +215,12 @@ class HostProvisioning:
         if self._run.only_prepares:
             return True
         steps = plan(facts, self._connection.access.user, installation)
-        if not all([await self._step(step) for step in await self._permitted(steps)]):
+        permitted = await self._permitted(steps)
+        refuses = any(step.name == "mission" and step.state == "refused" for step in permitted)
+        self._run.gate.on_checked(self._robot.name, refuses=refuses)
+        if facts.current and not refuses:
+            permitted = await self._without_partial_update(permitted)
+        if not all([await self._step(step) for step in permitted]):
             return False
         return self._run.is_dry or await self._doctor()
 
@@ -228,6 +270,7 @@ class HostProvisioning:
             unit_file(deployment_file("lfield.service")),
             self._run.keys.get(name, ()),
             keys_folder(name),
+            self._run.replaces_authority,
         )
 
     async def _installation(self, facts: RobotFacts) -> Installation:
@@ -251,6 +294,14 @@ class HostProvisioning:
         return _refused_from(
             steps, disturbing[0], "a mission runs on the robot", "stop it, and run provision again"
         )
+
+    async def _without_partial_update(self, steps: list[Step]) -> list[Step]:
+        """The steps; those before an update of lfield if another robot cannot be updated now."""
+        update = next((step for step in steps if step.name == "version" and step.state == "todo"), None)
+        if update is None or not (others := await self._run.gate.refusing(self._robot.name)):
+            return steps
+        why = f"lfield is updated on all robots or none, and {listed(others)} cannot be updated"
+        return _refused_from(steps, update, why, "end the mission there, and run provision again")
 
     def _report_step(self, step: Step) -> bool:
         """Report a step as it was planned; whether it does not refuse."""

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from lfield.authority.key_material import AUTHORITY
 from lfield.provision import robot_scripts as scripts
 from lfield.provision.installation import PRIVATE, Installation, RobotFile
 from lfield.provision.lock_file import Wheel
@@ -259,12 +260,22 @@ def _keys_step(facts: RobotFacts, installation: Installation) -> Step:
             advice = "lfield keys init --person NAME; or name its directory with --authority"
             return Step("keys", "refused", text, advice)
         return Step("keys", "note", f"{text}; the keys of the robot stay")
+    if _has_other_authority(facts, installation) and not installation.replaces_authority:
+        text = f"the keys of {installation.host} on the robot are of another authority, of another team"
+        advice = "use the authority of that team, or take the robot over: --replace-keys"
+        return Step("keys", "refused", text, advice)
     outdated = _outdated(facts, installation.keys)
     if not outdated and facts.has_private_keys_folder:
         return Step("keys", "done", f"keys of {installation.host}")
     script = scripts.keys_script(installation.keys_folder, outdated)
     command = RootCommand(script, _numbered(outdated))
     return Step("keys", "todo", f"install the keys of {installation.host}", "", (command,))
+
+
+def _has_other_authority(facts: RobotFacts, installation: Installation) -> bool:
+    """Whether the robot has keys of an authority that is not on this desk."""
+    own = [file for file in installation.keys if file.path.endswith(f"/{AUTHORITY}")]
+    return any(facts.files.get(file.path, file.sha256) != file.sha256 for file in own)
 
 
 def _files_step(facts: RobotFacts, name: str, files: Sequence[RobotFile]) -> Step:
@@ -284,7 +295,14 @@ def _version_step(facts: RobotFacts, installation: Installation) -> Step:
     command = RootCommand(scripts.version_script(installation, wheels, facts.current))
     instead = f" instead of {facts.current}" if facts.current else ""
     text = f"activate {environment}{instead}"
+    if _release(facts.current) > _release(environment):
+        text += ", which is newer: a downgrade"
     return Step("version", "todo", text, "", (command,), disturbs_mission=True)
+
+
+def _release(environment: str) -> tuple[int, ...]:
+    """The version of lfield in the name of an environment, as numbers."""
+    return tuple(int(part) for part in environment.partition("-")[0].split(".") if part.isdecimal())
 
 
 def start_command(host: str) -> str:

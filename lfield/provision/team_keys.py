@@ -28,7 +28,7 @@ def planned_keys(folder: Path, names: Iterable[str]) -> dict[str, tuple[RobotFil
         if name in issued_hosts(folder) and (place / certificate_name("host")).exists():
             found[name] = _files_in(place, name)
         else:
-            found[name] = _files(name, Keys("host", b"", b"", b""))
+            found[name] = _files(name, Keys("host", read_file(folder / AUTHORITY, MAX_PEM), b"", b""))
     return found
 
 

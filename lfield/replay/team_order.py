@@ -2,8 +2,8 @@
 
 The monotonic clock of each recording gets an offset to a common time. The wall clock of its start gives a
 first guess. A hop bounds it: a coordinator arrives after it was sent. Hops in both directions enclose the
-offset of two hosts; a guess outside of these bounds is replaced by their middle. Hosts that exchanged no
-coordinator are aligned by the opening of their link, if their clocks differ by more than LINK_TOLERANCE.
+offset of two hosts, and so does the opening of their link, which both notice within LINK_TOLERANCE. A guess
+outside of these bounds is replaced by their middle.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from lfield.host.recording.effect_summary import decode_effects
 from lfield.host.recording.host_records import TurnRecord
 from lfield.replay.host_recording import HostRecording, Turn
 
-#: The largest difference of two clocks that the opening of a link does not contradict, in seconds.
+#: The longest time between the opening of a link on its two hosts, in seconds.
 LINK_TOLERANCE = 5.0
 _SENT = b"SendTransfer"
 
@@ -154,10 +154,13 @@ class TeamOrder:
         found: dict[tuple[int, int], tuple[float, float]] = {}
         for one, other in {*low, *((b, a) for a, b in low)}:
             found[one, other] = low.get((one, other), -math.inf), -low.get((other, one), -math.inf)
-        for one, other in self._linked_pairs() - found.keys():
+        for one, other in self._linked_pairs():
             met = self._meetings[one, self.parts[other].start.incarnation]
             met_other = self._meetings[other, self.parts[one].start.incarnation]
-            found[one, other] = met - met_other - LINK_TOLERANCE, met - met_other + LINK_TOLERANCE
+            near = met - met_other - LINK_TOLERANCE, met - met_other + LINK_TOLERANCE
+            known = found.get((one, other), (-math.inf, math.inf))
+            both = max(near[0], known[0]), min(near[1], known[1])
+            found[one, other] = both if both[0] <= both[1] else known
         return found
 
     def _linked_pairs(self) -> set[tuple[int, int]]:

@@ -40,6 +40,8 @@ class RunRecord(Struct, frozen=True):
 
     `bundle` is b"" when nothing should run. `pid` and `started` (clock ticks after the boot) identify the
     process, 0 before it was started. `unsafe` is why the vehicles of the last host may not be at rest.
+    `open_run` is the bundle that was started last, until its run has ended or was discarded: its coordinators
+    may exist on any host of its mission.
     """
 
     bundle: Hash = b""
@@ -47,6 +49,7 @@ class RunRecord(Struct, frozen=True):
     pid: Annotated[int, Meta(ge=0)] = 0
     started: Annotated[int, Meta(ge=0)] = 0
     unsafe: Text = ""
+    open_run: Hash = b""
 
 
 class ServiceRecord(Struct, frozen=True):

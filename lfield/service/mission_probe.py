@@ -34,6 +34,8 @@ MAX_AGE, REST_SPEED = 5.0, 0.5
 START_ATTEMPTS, START_DELAY = 10, 1.0
 #: The reason of coordinators that an operator has discarded.
 DISCARDED = "discarded by 'lfield stop --discard'"
+#: Why a host does not run its mission yet.
+STARTING = "it starts: its devices are not open yet"
 _STATES: Mapping[str, str] = {
     "RUN": "suspended",
     "PREPARED": "in doubt",
@@ -115,6 +117,8 @@ class LocalProbe:
             status = await self._snapshot()
         except LfieldError as error:
             return f"the mission's host does not answer: {error}"
+        if status.report.starting:
+            return STARTING
         if status.stopped:
             return f"emergency stop ({status.stopped}): 'lfield estop --lift' ends it"
         pauses = ["held until the result of a vote about an activation is known"] if status.held else []

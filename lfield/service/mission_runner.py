@@ -87,6 +87,8 @@ class MissionRunner:
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
+        #: Why the host before the one that runs has failed, '' for none.
+        self.last_failure = ""
 
     def attach(self, store: Callable[[], None], refusal: Callable[[bytes], str]) -> None:
         """Set what stores the record, and what says why the host of a bundle may not start."""
@@ -119,6 +121,7 @@ class MissionRunner:
         # A restart that waits would refuse, or start the host a second time.
         await self._cancel_restart()
         self._restarts.clear()
+        self.last_failure = ""
         self._launch(bundle)
         self._supervision = spawn(self._supervise())
 
@@ -148,7 +151,7 @@ class MissionRunner:
 
     def _supervise_running(self, host: HostProcess) -> None:
         bundle, self._process = host
-        self._keep(RunRecord(bundle, self._processes.boot, *self._process))
+        self._keep(RunRecord(bundle, self._processes.boot, *self._process, open_run=bundle))
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_ADOPTED.line(bundle=short_digest(bundle), pid=self._process.pid))
         self._supervision = spawn(self._supervise())
@@ -170,9 +173,14 @@ class MissionRunner:
         finally:
             self._is_stopping = False
         if self._record.unsafe == checked:
-            self._keep(RunRecord())
+            self._keep(RunRecord(open_run=self._record.open_run))
         self._forget()
         self._set_phase("stopped", reason)
+
+    def end_run(self) -> None:
+        """No coordinator of the last run exists any more. Raises OutputFileError."""
+        if self._record.open_run:
+            self._set_record(replace(self._record, open_run=b""))
 
     async def _cancel_restart(self) -> None:
         if self._supervision is not None:
@@ -215,10 +223,14 @@ class MissionRunner:
             self._keep(replace(self._record, unsafe=truncate(verdict.reason)))
         if self._is_stopping:
             return False
+        if end.status in (exit_status.DONE, exit_status.FAILED):
+            # It ends so only when the whole mission has ended.
+            self._keep(replace(self._record, open_run=b""))
         if not verdict.restarts or (refusal := self._refusal(bundle)):
             self._forget()
             self._set_phase("ended", verdict.reason if not verdict.restarts else refusal, bundle, end.status)
             return False
+        self.last_failure = verdict.reason
         self._set_phase("waiting", verdict.reason, bundle, end.status)
         self.note(messages.HOST_RESTART.line(bundle=short, seconds=RESTART_DELAY, reason=verdict.reason))
         await asyncio.sleep(RESTART_DELAY)
@@ -235,15 +247,15 @@ class MissionRunner:
 
     def _launch(self, bundle: bytes) -> None:
         """Store that the host should run, then start it. Raises LfieldError."""
-        before = RunRecord(unsafe=self._record.unsafe)
-        self._set_record(RunRecord(bundle, self._processes.boot, unsafe=before.unsafe))
+        before = RunRecord(unsafe=self._record.unsafe, open_run=self._record.open_run)
+        self._set_record(RunRecord(bundle, self._processes.boot, unsafe=before.unsafe, open_run=bundle))
         try:
             self._process = self._processes.start(bundle)
         except BaseException:
             self._keep(before)
             raise
         # Without its number the next service finds the process by its command line.
-        self._keep(RunRecord(bundle, self._record.boot, *self._process))
+        self._keep(RunRecord(bundle, self._record.boot, *self._process, open_run=bundle))
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_STARTED.line(bundle=short_digest(bundle), pid=self._process.pid))
 
@@ -255,7 +267,7 @@ class MissionRunner:
 
     def _forget(self) -> None:
         """Nothing should run."""
-        self._keep(RunRecord(unsafe=self._record.unsafe))
+        self._keep(RunRecord(unsafe=self._record.unsafe, open_run=self._record.open_run))
 
     def _keep(self, record: RunRecord) -> None:
         """Store a record that is true in any case. On a full disk an older one stays, and the next service

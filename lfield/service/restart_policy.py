@@ -30,6 +30,9 @@ def judge(status: int, reason: str, earlier: Sequence[float], now: float) -> Ver
         if status < 0
         else exit_status.MEANINGS.get(status, f"status {status}").partition(";")[0]
     )
+    if status == exit_status.NO_OUTPUT and not reason:
+        # On a full disk it cannot store its reason either.
+        why += "; its disk may be full: make room"
     if status >= 0 and status not in RESTARTED:
         return Verdict(False, why)
     recent = [time for time in earlier if now - time < PERIOD]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 
 from msgspec.structs import replace
@@ -69,6 +69,8 @@ class Service:
         self._lock = asyncio.Lock()
         #: When the open ballot was voted for (monotonic), None without one.
         self._bound_since: float | None = clock.monotonic() if self._activation.open_ballot else None
+        #: Why the state could not be stored at the last attempt, '' if it was.
+        self._store_trouble = ""
         #: When a log line has named the open ballot last.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
@@ -120,7 +122,10 @@ class Service:
         unfinished = await self._probe.unfinished()
         run = self._runner.info
         if self._runner.is_running and run.phase == "running":
-            run = replace(run, reason=truncate(await self._probe.condition()))
+            reason, failure = await self._probe.condition(), self._runner.last_failure
+            # Until it is up, the reason of the attempt before says more.
+            because = f"; restarted after: {failure}" if reason and failure else ""
+            run = replace(run, reason=truncate(reason + because))
         return ServiceStatus(
             self._host,
             __version__,
@@ -130,7 +135,7 @@ class Service:
             run,
             state.ballot,
             unfinished[:MAX_UNFINISHED],
-            truncate(await self._refusal(None)),
+            truncate(self._disk_trouble() or await self._refusal(None)),
             self._clock.time(),
         )
 
@@ -144,7 +149,7 @@ class Service:
             raise WireError(f"{self._host} does not take part in this ballot")
         refusal = ""
         if self._activation.open_ballot is None:
-            refusal = await self._refusal(ballot.digest)
+            refusal = await self._refusal(ballot.digest, ballot.without)
             if not refusal and ballot.digest != self._activation.active:
                 process = self._runner.process
                 # Again when nothing can arm any more: a vehicle may have started in between.
@@ -194,7 +199,11 @@ class Service:
         await self._release()
 
     async def _end_other_bundle(self) -> None:
-        active = self._activation.active
+        active, record = self._activation.active, self._runner.record
+        if active and record.open_run not in (b"", active) and record.bundle in (b"", record.open_run):
+            # All hosts have voted that no coordinator of it exists.
+            with suppress(OutputFileError):
+                self._runner.end_run()
         # Without an active bundle the state was deleted while the host ran: no activation ends it.
         if active and self._runner.record.bundle not in (b"", active):
             # Held to its end: between its release and its end a vehicle could arm.
@@ -215,8 +224,11 @@ class Service:
         if self._held and (not self._runner.is_running or not await self._probe.release()):
             self._set_held(False)
 
-    async def _refusal(self, digest: bytes | None) -> str:
-        """Why this host would vote no, '' if it would not. `digest` is None for any other bundle."""
+    async def _refusal(self, digest: bytes | None, without: Sequence[str] = ()) -> str:
+        """Why this host would vote no, '' if it would not. `digest` is None for any other bundle.
+
+        The hosts `without` do not take part.
+        """
         if digest is not None and digest == self._activation.active:
             return ""
         if digest and not self._bundles.is_valid(digest):
@@ -226,7 +238,26 @@ class Service:
         if unfinished := await self._probe.unfinished():
             names = [f"{each.agent} ({each.state})" for each in unfinished[:MAX_UNFINISHED]]
             return f"coordinators have not ended: {listed(names)}; let them end, or 'lfield stop --discard'"
-        return ""
+        return self._unaccounted(without)
+
+    def _unaccounted(self, without: Sequence[str]) -> str:
+        """Which coordinators of a run that has not ended may exist on hosts that are left out; '' if none.
+
+        There is a record of a coordinator only on hosts that it has visited.
+        """
+        run = self._runner.record.open_run or self._runner.record.bundle
+        if not run or not without:
+            return ""
+        options = "".join(f" --without {host}" for host in without)
+        remedy = f"reach these hosts, let the mission end, or 'lfield stop --discard{options}'"
+        if (info := self._bundles.info(run)) is None:
+            return (
+                f"the mission has not ended, and its coordinators on {listed(without)} are unknown; {remedy}"
+            )
+        found = [f"{agent} of {home}" for agent, home in info.coordinators.items() if home in without]
+        if not found:
+            return ""
+        return f"the mission has not ended, and its coordinators may run elsewhere: {listed(found)}; {remedy}"
 
     async def _motion(self) -> str:
         """Why the vehicles of the mission's host may not be at rest on the ground; '' if they are."""
@@ -282,6 +313,8 @@ class Service:
         if command.action == "stop":
             await self._runner.stop(f"stopped by {operator}", unsafe)
             gone = await self._probe.discard() if command.discards else []
+            if command.discards:
+                self._runner.end_run()
             if gone:
                 self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
             return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED])
@@ -353,5 +386,15 @@ class Service:
         try:
             self._store.save(record)
         except OutputFileError as error:
-            self.note(messages.STATE_ERROR.line(reason=error))
+            if str(error) != self._store_trouble:
+                self.note(messages.STATE_ERROR.line(reason=error))
+            self._store_trouble = str(error)
             raise
+        self._store_trouble = ""
+
+    def _disk_trouble(self) -> str:
+        """Why no vote can be stored now; '' if the last one was, or the disk has room again."""
+        if self._store_trouble:
+            with suppress(OutputFileError):
+                self._store_run()
+        return f"no vote can be stored: {self._store_trouble}; make room" if self._store_trouble else ""

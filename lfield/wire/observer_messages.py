@@ -186,7 +186,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     describes security state that it could not store and will lose at its end. `refused` are the hosts to
     which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
     numbers that orders must name (see `orders`). `ballot` is the ballot about an activation that holds the
-    mission like a pause, b"" for none.
+    mission like a pause, b"" for none. `starting`: its devices are not open yet, and no resource has started.
     """
 
     host: Name
@@ -213,6 +213,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     start: StartStatus | None = None
     epochs: Epochs = Epochs()
     ballot: Annotated[bytes, Meta(max_length=16)] = b""
+    starting: bool = False
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

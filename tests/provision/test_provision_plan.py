@@ -175,6 +175,26 @@ def test_without_an_authority_the_keys_of_the_robot_stay():
     assert states(plan(ROBOT, "pi", without)) == {"keys": "refused"}
 
 
+def test_keys_of_another_authority_are_replaced_only_by_command():
+    made = installation()
+    own = replace(made, keys=(*made.keys, *key_files("alpha", [("authority.pem", b"of this team", False)])))
+    facts = provisioned(ROBOT, own)
+    other = replace(facts, files={**facts.files, own.keys[-1].path: "of another team"})
+    assert states(plan(other, "pi", own)) == {"keys": "refused"}
+    steps = states(plan(other, "pi", replace(own, replaces_authority=True)))
+    assert {name for name, state in steps.items() if state == "todo"} == {"keys", "service"}
+    assert set(states(plan(facts, "pi", own)).values()) == {"done"}
+
+
+@pytest.mark.parametrize(
+    ("current", "is_downgrade"), [("0.10.0-0123456789ab", True), ("0.3.9-0123456789ab", False), ("", False)]
+)
+def test_a_downgrade_of_lfield_is_named(current, is_downgrade):
+    facts = replace(provisioned(ROBOT, installation()), current=current)
+    step = plan(facts, "pi", installation())[NAMES.index("version")]
+    assert (step.state, "downgrade" in step.text) == ("todo", is_downgrade)
+
+
 def test_without_systemd_the_command_that_starts_the_service_is_named():
     step = plan(replace(ROBOT, has_systemd=False), "pi", installation())[-1]
     assert (step.name, step.state) == ("service", "note")

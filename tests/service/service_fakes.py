@@ -22,6 +22,8 @@ from lfield.wire.service_messages import (
     CommandResult,
     MissionCommand,
     Proposal,
+    ServiceQuery,
+    ServiceStatus,
     UnfinishedCoordinator,
     VoteQuery,
 )
@@ -241,6 +243,11 @@ class Robot:
         assert isinstance(answer, CommandResult)
         return answer
 
+    async def status(self) -> ServiceStatus:
+        answer = await self.service.answer(ServiceQuery(), "anna")
+        assert isinstance(answer, ServiceStatus)
+        return answer
+
     async def start(self) -> CommandResult:
         return await self.command(MissionCommand("start"))
 
@@ -255,4 +262,4 @@ async def unreachable(host: str, query: VoteQuery) -> BallotState:
 
 
 def run_of(bundle: bytes, pid: int = 0, boot: str = "first boot") -> RunRecord:
-    return RunRecord(bundle, boot, pid, 7 * pid)
+    return RunRecord(bundle, boot, pid, 7 * pid, open_run=bundle)

@@ -191,7 +191,7 @@ def test_a_host_whose_number_was_not_stored_is_found() -> None:
         computer.boot()
         computer.runner.adopt()
         assert computer.runner.info.phase == "interrupted"
-        assert computer.disk == RunRecord()
+        assert computer.disk == RunRecord(open_run=OLD)
 
     run_jumping(story())
 
@@ -215,7 +215,7 @@ def test_a_host_that_is_not_recorded_is_adopted_and_no_other_one_starts(record: 
         await computer.runner.stop("stopped by anna")
         assert computer.processes.started == [OLD]
         assert not computer.processes.alive
-        assert computer.disk == RunRecord()
+        assert computer.disk == RunRecord(open_run=OLD)
 
     run_jumping(story())
 
@@ -235,7 +235,7 @@ def test_another_boot_interrupts_the_mission() -> None:
         assert not computer.runner.is_running
         assert computer.processes.started == [OLD]
         # A vehicle may have been in the air: a person has to look.
-        assert computer.disk == RunRecord(unsafe=REBOOTED)
+        assert computer.disk == RunRecord(unsafe=REBOOTED, open_run=OLD)
 
     run_jumping(story())
 
@@ -250,7 +250,7 @@ def test_a_stop_ends_the_host_and_is_stored() -> None:
         assert computer.processes.terminated == [101]
         info = computer.runner.info
         assert (info.phase, info.reason) == ("stopped", "stopped by anna")
-        assert computer.disk == RunRecord()
+        assert computer.disk == RunRecord(open_run=OLD)
         await asyncio.sleep(SOON)
         assert computer.processes.started == [OLD]
         await computer.runner.start(NEW)
@@ -287,7 +287,7 @@ def test_a_stop_forgets_that_vehicles_may_move() -> None:
         computer.runner.adopt()
         assert computer.runner.info.phase == "ended"
         await computer.runner.stop("stopped by anna", checked=computer.disk.unsafe)
-        assert computer.disk == RunRecord()
+        assert computer.disk == RunRecord(open_run=OLD)
 
     run_jumping(story())
 

@@ -6,6 +6,7 @@ import asyncio
 from hashlib import sha256
 
 import pytest
+from msgspec.structs import replace
 from service_fakes import (
     HOSTS,
     NEW,
@@ -24,6 +25,7 @@ from lfield.service.restart_policy import RESTART_DELAY
 from lfield.service.service import RESOLVE_EVERY
 from lfield.simulate.jumping_loop import run_jumping
 from lfield.wire.service_messages import (
+    Ballot,
     MissionCommand,
     ServiceQuery,
     ServiceStatus,
@@ -199,6 +201,58 @@ def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
         other = await robot.service.answer(StageRequest(NEW, bytes(32)), "anna")
         assert isinstance(other, StageResult)
         assert other.trouble
+
+    run_jumping(story())
+
+
+def _without_bravo(number: int = 1) -> Ballot:
+    return replace(ballot(number, hosts=["alpha"]), without=["bravo"])
+
+
+@pytest.mark.parametrize("state", ["runs", "stopped", "killed service"])
+def test_a_coordinator_whose_home_is_left_out_is_unaccounted_for(state: str) -> None:
+    """It has never been on this host, so only the deployment shows that it may exist."""
+
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        if state != "runs":
+            await robot.command(MissionCommand("stop"))
+        if state == "killed service":
+            robot.kill_service()
+            robot.boot_service()
+        answer = await robot.propose(_without_bravo())
+        assert answer.votes == {"alpha": "no"}
+        assert "pilot of bravo" in answer.reasons["alpha"]
+        assert "walker" not in answer.reasons["alpha"]
+        assert robot.service.activation.active == OLD
+        await robot.command(MissionCommand("stop", discards=True))
+        assert (await robot.propose(_without_bravo(2))).outcome == "activated"
+
+    run_jumping(story())
+
+
+@pytest.mark.parametrize("status", [0, 1])
+def test_a_run_that_has_ended_needs_no_host(status: int) -> None:
+    async def story() -> None:
+        robot = Robot()
+        await running(robot)
+        robot.processes.end(status)
+        await asyncio.sleep(SOON)
+        assert (await robot.propose(_without_bravo())).outcome == "activated"
+
+    run_jumping(story())
+
+
+def test_a_run_that_no_host_has_started_or_that_all_have_accounted_for_needs_no_host() -> None:
+    async def story() -> None:
+        robot = Robot()
+        robot.boot_service()
+        assert (await robot.propose(_without_bravo())).outcome == "activated"
+        await robot.start()
+        assert (await robot.propose(ballot(2, OLD))).votes == {"alpha": "yes"}
+        await robot.service.on_votes(ballot(2).id, {"bravo": "yes"})
+        assert (await robot.propose(_without_bravo(3))).outcome == "activated"
 
     run_jumping(story())
 

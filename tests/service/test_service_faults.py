@@ -147,7 +147,12 @@ def test_a_full_disk_before_the_vote_changes_nothing() -> None:
         with pytest.raises(OutputFileError):
             await robot.query(ballot().id, closes=True)
         assert (await robot.query(ballot().id)).votes == {}
+        # It is shown until there is room again.
+        for _ in range(2):
+            assert "No space left on device" in (await robot.status()).refusal
+        assert robot.codes.count("service-state-error") == 1
         robot.files.is_full = False
+        assert (await robot.status()).refusal == ""
         assert (await robot.propose()).votes == {"alpha": "yes"}
 
     run_jumping(story())

@@ -68,6 +68,14 @@ class PushReport:
             else:
                 self._print(f"{host}: stored, already there")
 
+    def on_refusals(self, reasons: Mapping[str, str], silent: Mapping[str, LfieldError]) -> int:
+        """Hosts would vote no, or do not answer, so that there was no vote; returns the exit status."""
+        self._data |= {"votes": {}, "reasons": dict(reasons)}
+        for host, reason in reasons.items():
+            self._print(f"{host}: refuses: {reason}", error=True)
+        self.finish("aborted", silent, "nothing was activated: all hosts have to agree")
+        return exit_status.FAILED if reasons else exit_status.UNAVAILABLE
+
     def on_result(self, result: BallotResult) -> int:
         """Print the result of the vote; returns the exit status."""
         hosts = result.ballot.hosts

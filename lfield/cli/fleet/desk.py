@@ -103,9 +103,14 @@ class FleetDesk:
 
 
 async def ask_all_services(
-    links: ServiceLinks, message: ServiceMessage, kind: type[A], timeout: float
+    links: ServiceLinks,
+    message: ServiceMessage,
+    kind: type[A],
+    timeout: float,
+    hosts: Sequence[str] | None = None,
 ) -> dict[str, A | LfieldError]:
-    """The answers of all services, or why there is none."""
+    """The answers of the services of some hosts, by default of all, or why there is none."""
+    asked = list(links.addresses if hosts is None else hosts)
 
     async def one(host: str) -> A | LfieldError:
         try:
@@ -113,8 +118,7 @@ async def ask_all_services(
         except LfieldError as error:
             return error
 
-    answers = await asyncio.gather(*map(one, links.addresses))
-    return dict(zip(links.addresses, answers, strict=True))
+    return dict(zip(asked, await asyncio.gather(*map(one, asked)), strict=True))
 
 
 def require_hosts(inventory: Inventory, hosts: Sequence[str]) -> None:

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 #: Seconds in which the hosts should be up and their coordinators started, and between two queries.
 SETTLE_TIMEOUT, POLL_INTERVAL = 20.0, 0.5
+#: Seconds for which all hosts must be up, and failures of a host after which it is not waited for.
+STEADY, MAX_FAILURES = 2.0, 2
 #: Phases in which a host runs, or will run by itself.
 ACTIVE_PHASES = ("starting", "running", "waiting", "stopping")
 #: Seconds for a host to be started; with --without its coordinators too.
@@ -112,8 +114,11 @@ def _start(
     args: argparse.Namespace,
 ) -> int:
     """Start the hosts, whose states `before` are known, and wait until they are up; the exit status."""
+    from lfield.cli.fleet.status_view import differing_versions
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
+    if versions := differing_versions(before):
+        print(versions, file=sys.stderr)
     hosts, continues, digest = list(before), _suspended(before), mission.digest
     order = MissionCommand("start", digest, without=without)
     results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
@@ -125,20 +130,41 @@ def _start(
     if not args.json:
         for agent in continues:
             print(escape_line(f"{agent} continues: it has not ended ('lfield stop --discard' would end it)"))
-    end = time.monotonic() + SETTLE_TIMEOUT
-    while True:
-        statuses, failed = split_answers(desk.statuses(hosts))
-        waits = {host: _waiting(status) for host, status in statuses.items() if _waiting(status)}
-        ended = [host for host, status in statuses.items() if status.run.phase not in ("running", "starting")]
-        if not (waits or failed) or ended or time.monotonic() > end:
-            break
-        time.sleep(POLL_INTERVAL)
+    waits, failed = _wait_until_up(desk, hosts)
     if not waits and not failed:
         return _report(
             args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", continues, done=True
         )
     text = "the mission does not run on all hosts yet: 'lfield status' shows it"
     return _report(args, waits, failed, text, continues)
+
+
+def _wait_until_up(desk: FleetDesk, hosts: Sequence[str]) -> tuple[dict[str, str], dict[str, LfieldError]]:
+    """Wait until all hosts are up and stay so, or it is clear that they will not.
+
+    Returns why hosts do not run the mission, and those that were not reached.
+    """
+    end = time.monotonic() + SETTLE_TIMEOUT
+    up_since: float | None = None
+    #: When hosts have failed.
+    failures: set[tuple[str, float]] = set()
+    while True:
+        statuses, failed = split_answers(desk.statuses(hosts))
+        now, waits = time.monotonic(), {}
+        for host, status in statuses.items():
+            if reason := _waiting(status):
+                waits[host] = reason
+            if status.run.phase == "waiting":
+                failures.add((host, status.run.since))
+        phases = {status.run.phase for status in statuses.values()}
+        up_since = None if waits or failed else up_since or now
+        if up_since is not None and (now - up_since >= STEADY or "ended" in phases):
+            return waits, failed
+        most = max((sum(host == one for one, _ in failures) for host in hosts), default=0)
+        is_over = not phases <= {"running", "starting", "waiting"} or most >= MAX_FAILURES
+        if now > end or (waits and is_over):
+            return waits, failed
+        time.sleep(POLL_INTERVAL)
 
 
 def _suspended(statuses: Mapping[str, ServiceStatus]) -> list[str]:
@@ -167,6 +193,8 @@ def _waiting(status: ServiceStatus) -> str:
     run = status.run
     if run.phase == "ended" and run.status == exit_status.DONE:
         return ""
+    if run.phase == "waiting":
+        return f"its host restarts: {run.reason}"
     return run.reason or ("" if run.phase == "running" else run.phase)
 
 

@@ -55,6 +55,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=Path,
         help="directory of the authority (default: $LFIELD_AUTHORITY, or ~/.config/lfield/authority)",
     )
+    parser.add_argument(
+        "--replace-keys",
+        action="store_true",
+        help="take robots over that have keys of another authority: only this team can use them then",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object per step")
 
 
@@ -92,7 +97,7 @@ async def _provision_all(
     inventory: str,
 ) -> list[bool]:
     """All hosts in parallel; whether each is provisioned."""
-    from lfield.provision.host_provisioning import HostProvisioning, ProvisionRun
+    from lfield.provision.host_provisioning import HostProvisioning, ProvisionRun, UpdateGate
 
     with tempfile.TemporaryDirectory(dir=_socket_parent()) as sockets:
         shared = ProvisionRun(
@@ -104,6 +109,8 @@ async def _provision_all(
             replaces_keys=None if args.dry_run else _replacement(args),
             is_dry=args.dry_run,
             only_prepares=args.prepare,
+            replaces_authority=args.replace_keys,
+            gate=UpdateGate(robot.name for robot in robots),
         )
         async with asyncio.TaskGroup() as group:
             tasks = [

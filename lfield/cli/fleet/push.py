@@ -128,11 +128,19 @@ async def vote(
     `statuses` are those of a moment ago.
     """
     from lfield.operator.fleet.activation import activate, new_ballot
+    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
     hosts = list(statuses)
     if all(status.active == digest for status in statuses.values()):
         report.finish("activated", {}, f"already active on {listed(hosts)}")
         return exit_status.DONE
+    # A vote holds the missions of all hosts: not for one that a host would refuse.
+    answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, FIRST_CONTACT, hosts)
+    now, silent = split_answers(answers)
+    reasons = {host: one.refusal for host, one in now.items() if one.refusal and one.active != digest}
+    if silent or reasons:
+        report_unreached(silent, "")
+        return report.on_refusals(reasons, silent)
     return report.on_result(await activate(links, new_ballot(digest, hosts, without, desk.user)))
 
 

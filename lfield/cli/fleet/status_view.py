@@ -38,6 +38,14 @@ def status_table(statuses: Mapping[str, ServiceStatus]) -> Table:
     return table
 
 
+def differing_versions(statuses: Mapping[str, ServiceStatus]) -> str:
+    """The sentence about hosts with different versions of lfield; '' if all have the same."""
+    if len({status.version for status in statuses.values()}) < 2:
+        return ""
+    each = listed([f"{host}: {status.version}" for host, status in statuses.items()])
+    return escape_line(f"the versions of lfield differ ({each}): 'lfield provision' updates all robots")
+
+
 def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
     """Sentences about what is not as usual: why a host waits, an open ballot, unfinished coordinators."""
     if divided := divided_hosts(statuses):
@@ -45,6 +53,8 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
             f"the active bundles of {listed(divided)} differ, and hosts with different bundles do not link: "
             "'lfield push' activates one on all hosts of a mission"
         )
+    if versions := differing_versions(statuses):
+        yield versions
     for host, status in statuses.items():
         run = status.run
         if run.reason:

@@ -42,14 +42,16 @@ class BallotResult:
         self.votes: dict[str, Vote] = {}
         self.reasons: dict[str, str] = {}
         self.informed: set[str] = set()
-        #: Why hosts did not answer.
+        #: Why hosts did not answer, or could not vote.
         self.unreached: dict[str, LfieldError] = {}
 
     def add(self, host: str, state: BallotState) -> None:
         """Add the answer of a host."""
         self.votes |= state.votes
         self.reasons |= state.reasons
-        self.unreached.pop(host, None)
+        if host in state.votes:
+            # A host that answers without a vote could not store it: its error stays.
+            self.unreached.pop(host, None)
         if state.outcome != "open" and state.outcome == self.outcome:
             self.informed.add(host)
 

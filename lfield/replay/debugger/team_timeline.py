@@ -135,13 +135,22 @@ class TeamTimeline:
         low = high = at
         while low >= 0.0 if backward else high <= self.duration:
             if backward:
-                high, low = low, low - length
+                high, low = low, self._busy_until(low) - length
             else:
-                low, high = high, high + length
+                low, high = high, self._busy_from(high) + length
             if found := self._find_within(target, place, low, high, backward=backward):
                 return found
             length = min(2.0 * length, LONGEST_INTERVAL)
         return None
+
+    def _busy_from(self, at: float) -> float:
+        """The time of the first turn that is not earlier than a time: clocks that are off leave long gaps."""
+        following = (times[n] for times in self.times if (n := bisect_left(times, at)) < len(times))
+        return min(following, default=at)
+
+    def _busy_until(self, at: float) -> float:
+        """The time of the last turn that is earlier than a time."""
+        return max((times[n - 1] for times in self.times if (n := bisect_left(times, at))), default=at)
 
     def _find_within(
         self, target: Target, place: Place, low: float, high: float, *, backward: bool

@@ -8,6 +8,7 @@ import pytest
 
 from lfield import exit_status
 from lfield.cli.fleet.ballot_report import PushReport
+from lfield.errors import HandshakeError
 from lfield.operator.fleet.activation import BallotResult, new_ballot
 from lfield.wire.service_messages import BallotState, Vote
 
@@ -47,3 +48,14 @@ def test_each_vote_against_it_is_printed_with_its_reason(capsys) -> None:
 def test_hosts_that_do_not_know_the_result_are_named(capsys) -> None:
     PushReport(DIGEST, as_json=False).on_result(result(alpha="yes", bravo="yes"))
     assert "will learn it from the others" in capsys.readouterr().out
+
+
+def test_a_host_that_cannot_store_its_vote_is_named_with_the_reason(capsys) -> None:
+    found = result(bravo="yes")
+    found.unreached["alpha"] = HandshakeError(
+        "alpha refused: cannot write state.json: No space left on device"
+    )
+    # It answers the report of the votes, and has none of its own.
+    found.add("alpha", BallotState(found.ballot.id, None, {}, {}, "open"))
+    assert PushReport(DIGEST, as_json=False).on_result(found) == exit_status.UNKNOWN_OUTCOME
+    assert "alpha: no vote: alpha refused: cannot write state.json" in capsys.readouterr().err

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -111,10 +111,10 @@ def a_host_is_not_held_for_its_vote(patch: Patch) -> None:
 def a_host_votes_without_a_check_after_its_hold(patch: Patch) -> None:
     refusal = Service._refusal
 
-    async def once(self: Service, digest: bytes | None) -> str:
+    async def once(self: Service, digest: bytes | None, without: Sequence[str] = ()) -> str:
         if self._held:
             return ""
-        return await refusal(self, digest)
+        return await refusal(self, digest, without)
 
     patch.setattr(Service, "_refusal", once)
 
@@ -193,6 +193,10 @@ def the_end_of_a_vote_ends_the_pause_of_a_person(patch: Patch) -> None:
     patch.setattr(ModelProbe, "release", release_all)
 
 
+def coordinators_of_left_out_robots_are_forgotten(patch: Patch) -> None:
+    patch.setattr(Service, "_unaccounted", lambda self, without: "")
+
+
 PUSH_BUGS = (
     PushBug(
         a_vote_is_sent_before_it_is_stored,
@@ -210,13 +214,13 @@ PUSH_BUGS = (
         a_query_that_closes_a_ballot_changes_the_vote,
         "a query with `closes` replaces a vote that was stored",
         frozenset({"vote changed", "outcome changed", "two outcomes", "activated without a yes"}),
-        4,
+        8,
     ),
     PushBug(
         a_majority_activates,
         "a majority of votes activates a bundle",
         frozenset({"activated without a yes", "two outcomes"}),
-        7,
+        2,
     ),
     PushBug(
         unknown_votes_count_as_yes,
@@ -289,7 +293,7 @@ PUSH_BUGS = (
         a_resume_of_a_person_ends_the_hold_of_a_vote,
         "a person resumes a mission, and its host can arm although it has voted",
         frozenset({"acts while bound", "yes without hold"}),
-        26,
+        40,
         within=600,
     ),
     PushBug(
@@ -297,5 +301,11 @@ PUSH_BUGS = (
         "a pause of a person ends with the vote of the robot",
         frozenset({"acts while paused", "pause changed"}),
         21,
+    ),
+    PushBug(
+        coordinators_of_left_out_robots_are_forgotten,
+        "robots activate a bundle while a coordinator of the mission runs on a robot that is left out",
+        frozenset({"yes with a coordinator elsewhere"}),
+        64,
     ),
 )

@@ -67,10 +67,15 @@ class PushJudge:
             if not mission.is_at_rest:
                 state = "flies" if mission.is_airborne else f"has coordinators {[*mission.unfinished]}"
                 self.breaches.add("yes without rest", (robot,), f"it {state} at its vote")
+            if mission.open_run and (agents := mission.starts_elsewhere(ballot.without)):
+                self.breaches.add("yes with a coordinator elsewhere", (robot,), f"{agents} may still run")
             if mission.host is not None and not mission.held:
                 self.breaches.add("yes without hold", (robot,), "its host can start anything")
         if all(self._votes.get((host, ballot.id)) == "yes" for host in ballot.hosts):
             self._activated |= dict.fromkeys(ballot.hosts, ballot)
+            for host in ballot.hosts:
+                if self.missions[host].open_run != ballot.digest:
+                    self.missions[host].open_run = b""
 
     def _on_outcome(self, robot: str, found: BallotState) -> None:
         assert found.ballot is not None

@@ -9,7 +9,7 @@ from __future__ import annotations
 import asyncio
 import itertools
 import random
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
 from lfield import exit_status
@@ -56,6 +56,9 @@ class RobotMission:
         self.is_paused = False
         #: The ballot that holds the host, b"" for none. It is in the memory of its process.
         self.held = b""
+        #: The bundle that was started last, until its mission has ended or was discarded, or every robot has
+        #: voted that no coordinator of it exists.
+        self.open_run = b""
         #: Hosts that run, by process number; how others have ended.
         self.hosts: dict[int, ModelHost] = {}
         self.ends: dict[int, int] = {}
@@ -80,6 +83,7 @@ class RobotMission:
     def start_host(self, bundle: bytes) -> int:
         """Start the host of a bundle; returns its process number."""
         self.on_start(self.robot, bundle)
+        self.open_run = bundle
         process = self.computer.start()
         # Not its own number, which depends on the stories before.
         number = next(self._numbers)
@@ -127,9 +131,19 @@ class RobotMission:
             else:
                 self.unfinished[agent] = known
 
+    def starts_elsewhere(self, robots: Sequence[str]) -> list[str]:
+        """The coordinators that have started on some other robots and have not ended there."""
+        return [
+            agent
+            for robot in robots
+            for agent in self._team[robot].unfinished
+            if agent.startswith(f"walker {robot} ")
+        ]
+
     def _on_end(self, pid: int, status: int) -> None:
         del self.hosts[pid]
         self.held = b""
+        self.open_run = b"" if status == exit_status.DONE else self.open_run
         self.ends[pid] = status
         if self.is_airborne:
             # Its guard lands it, unless a next host flies it.
@@ -158,7 +172,7 @@ class ModelHost:
             if self.is_stopping or (not mission.unfinished and rng.random() < LEAVES):
                 await asyncio.sleep(rng.uniform(*LANDING) if mission.is_airborne else 0.0)
                 mission.is_airborne = False
-                self.process.exit(exit_status.DONE)
+                self.process.exit(exit_status.INTERRUPTED if self.is_stopping else exit_status.DONE)
                 return
             mission.receive_ends(self.process.computer.network)
             here = [agent for agent, place in mission.unfinished.items() if place == mission.robot]
@@ -284,4 +298,5 @@ class ModelProbe:
         await self._request()
         ended = list(self._mission.unfinished)
         self._mission.unfinished.clear()
+        self._mission.open_run = b""
         return ended

@@ -58,7 +58,10 @@ def bundle_version(robots: int, version: int) -> bytes:
 @cache
 def verified(data: bytes) -> BundleInfo:
     """The bundle in some bytes, which has no signature here. Raises BundleError."""
-    return BundleInfo(bundle.contents(data).digest, bundle.decode(data).name)
+    mission = bundle.decode(data)
+    # The model of a mission starts coordinators on every robot.
+    homes = {f"walker {host}": host for host in mission.team.hosts}
+    return BundleInfo(bundle.contents(data).digest, mission.name, coordinators=homes)
 
 
 class ServiceFleet:

@@ -1,0 +1,39 @@
+"""`lfield start` and `lfield status` where the mission's host does not come up."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from robots import told
+
+pytestmark = pytest.mark.process
+
+PROGRAM = """
+resource Copter { Mavlink fc; init(string[] arg) { } portal fly() { } }
+coordinator Pilot { init(string[] arg) { findCopter(arg[1]).fly(); } }
+"""
+TEAM = "//Copter:lead@alpha\n//Pilot:pilot@alpha?lead\n"
+#: A computer without an autopilot.
+DEVICES = """
+agents:
+  lead:
+    devices:
+      fc: {driver: mavlink, endpoint: "serial:/dev/ttyNONE:57600", kind: copter, waivers: [device_watchdog]}
+"""
+
+
+def test_a_start_reports_why_the_host_of_a_robot_ends_again_and_again(lfield, here, robots) -> None:
+    team = robots("alpha")
+    team.up()
+    lfield.mission(PROGRAM, TEAM, DEVICES)
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
+    began = here("start", "--json")
+    assert (began.status, told(began)["started"]) == (1, False)
+    assert "/dev/ttyNONE" in told(began)["waits"]["alpha"]
+    # At any moment the reason is shown: also while the next attempt starts.
+    end = time.monotonic() + 3.0
+    while time.monotonic() < end:
+        assert "/dev/ttyNONE" in told(here("status", "--json"))["alpha"]["run"]["reason"]
+    assert here("stop").status == 0
+    assert "/dev/ttyNONE" not in told(here("status", "--json"))["alpha"]["run"]["reason"]
