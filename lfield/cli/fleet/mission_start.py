@@ -11,7 +11,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import FleetDesk, failure_status, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import (
+    FleetDesk,
+    explained_interrupt,
+    failure_status,
+    open_desk,
+    report_unreached,
+    split_answers,
+)
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -62,7 +69,8 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
         return _report(args, {}, {}, text)
     hosts = [host for host in mission.hosts if host in statuses]
     before = {host: statuses[host] for host in hosts}
-    return _start(desk, before, mission, without, args)
+    with explained_interrupt("hosts that have received the order start"):
+        return _start(desk, before, mission, without, args)
 
 
 def _report_no_mission(
