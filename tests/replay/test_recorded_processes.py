@@ -83,7 +83,7 @@ def test_a_killed_host_loses_at_most_a_second(tmp_path: Path) -> None:
     )  # fmt: skip
     found = json.loads(ran.stdout)
     assert (ran.returncode, found["differences"]) == (0, 0)
-    assert found["digests"] > 50
+    assert found["digests"] > 20
     assert any("did not end in order" in problem for problem in found["problems"])
 
 
