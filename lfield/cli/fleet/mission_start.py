@@ -169,8 +169,9 @@ def _wait_until_up(desk: FleetDesk, hosts: Sequence[str]) -> tuple[dict[str, str
         if up_since is not None and (now - up_since >= STEADY or "ended" in phases):
             return waits, failed
         most = max((sum(host == one for one, _ in failures) for host in hosts), default=0)
-        is_over = not phases <= {"running", "starting", "waiting"} or most >= MAX_FAILURES
-        if now > end or (waits and is_over):
+        # A host whose mission has ended in order does not mean that others will not come up.
+        gone = [host for host in waits if statuses[host].run.phase not in ("running", "starting", "waiting")]
+        if now > end or gone or most >= MAX_FAILURES:
             return waits, failed
         time.sleep(POLL_INTERVAL)
 
