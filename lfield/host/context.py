@@ -34,6 +34,7 @@ class HostContext:
     for the shell to `effects`.
 
     `clock` stands still during a turn of the core, so that a replay needs one time for each turn.
+    `fresh_time` is the real time, for coordinators that depart: their own clocks include the turn.
     """
 
     mission: Mission
@@ -52,6 +53,7 @@ class HostContext:
     random_bytes: Callable[[int], bytes] | None = None
     stopwatch: Callable[[], float] | None = None
     run_limit: RunLimit | None = None
+    fresh_time: Callable[[], float] | None = None
     effects: list[Effect] = field(default_factory=list)
 
     @property

@@ -79,7 +79,8 @@ class HostCore:
         #: Answers the queries of the machine; it looks the parts up at each query.
         self.services = HostServices(context, self)
         view = MachineTeam(self.team.members, self.here, self.incarnation, mission.fenced)
-        hooks = VmHooks(rules=mission.calls, liveness=self.services, run_limit=context.run_limit)
+        rules, limit, fresh = mission.calls, context.run_limit, context.fresh_time
+        hooks = VmHooks(rules=rules, liveness=self.services, run_limit=limit, fresh_time=fresh)
         self.machine = machine = Machine(
             mission.program, view, self.services, context.clock, context.rng, context.engines, hooks
         )

@@ -131,7 +131,7 @@ class Host:
             options.unreachable_after, overlay, self.recorder,
             writer.journal_id, writer.records, writer.times,
             select_engine(options.engine, self.note, monotonic), recording.random_bytes(options.random_bytes),
-            options.stopwatch or monotonic, RunLimit(monotonic),
+            options.stopwatch or monotonic, RunLimit(monotonic), self._turns.read_fresh,
         )  # fmt: skip
 
     def _order_datagrams(self, transport: Transport) -> DatagramShell | None:

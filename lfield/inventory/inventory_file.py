@@ -87,7 +87,7 @@ class _Reader:
             name,
             addresses,
             user,
-            fields.integer("ssh_port", 0, minimum=1, maximum=65535) if "ssh_port" in fields else 0,
+            fields.integer("ssh_port", 0, minimum=1, maximum=65535),
             self._matching("ssh_host", _SSH_HOST, "a host for ssh", fields),
             fields.text("arch", choices=ARCHITECTURES),
             python,

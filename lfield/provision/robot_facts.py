@@ -31,6 +31,7 @@ printf 'user\t%s\t%s\n' "$(id -un)" "$(id -u)"
 if [ "$(id -u)" = 0 ]; then printf 'sudo\tyes\n'
 elif ! command -v sudo >/dev/null; then printf 'sudo\tmissing\n'
 elif sudo -n true 2>/dev/null; then printf 'sudo\tyes\n'
+elif sudo -n true 2>&1 | grep -q 'have a tty'; then printf 'sudo\ttty\n'
 else printf 'sudo\tpassword\n'; fi
 """
 
@@ -84,7 +85,7 @@ _ARCHITECTURES = {"arm64": "aarch64", "amd64": "x86_64", "armv8l": "armv7l"}
 
 @dataclass(frozen=True, slots=True)
 class LoginAccess:
-    """The user of ssh on a robot; `sudo` is yes, missing, or password."""
+    """The user of ssh on a robot; `sudo` is yes, missing, password, or tty (it requires a terminal)."""
 
     user: str
     uid: int

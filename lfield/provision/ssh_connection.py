@@ -35,6 +35,8 @@ CONNECT_TIMEOUT, ALIVE_INTERVAL, ALIVE_COUNT = 10, 5, 4
 #: Seconds for the whole connection, key exchange and login included.
 LOGIN_TIMEOUT = 30.0
 _READY = b"lfield-provision-ready"
+#: Printed before the output of a command: startup files of a login shell may print something too.
+_OUTPUT = "lfield-provision-output"
 _FAILED = 255
 #: None of these may ask a person; the rest is what the user has configured.
 _OPTIONS = (
@@ -69,7 +71,8 @@ class SshConnection:
 
     async def _start_master(self) -> str:
         """Start the master; returns the message of ssh if it fails."""
-        command = f"echo {_READY.decode()}; exec cat"
+        # On a line of its own, whatever the login shell has printed.
+        command = f"echo; echo {_READY.decode()}; exec cat"
         self._master = master = await self._ssh("ControlMaster=yes", command, PIPE)
         assert master.stdout is not None
         try:
@@ -123,6 +126,7 @@ class SshConnection:
 
     async def run(self, command: str, step: str, data: bytes | None = None) -> str:
         """Run a command line of the login shell; returns its output. Raises ProvisionError if it fails."""
+        command = f"echo {_OUTPUT}; {command}"
         process = await self._ssh("ControlMaster=no", command, DEVNULL if data is None else PIPE)
         try:
             output, errors = await process.communicate(data)
@@ -135,7 +139,7 @@ class SshConnection:
             raise connection_error(self.host, self.destination, message or "Connection closed")
         if process.returncode:
             raise command_error(self.host, step, process.returncode, message)
-        return output.decode(errors="replace")
+        return command_output(output.decode(errors="replace"))
 
     async def run_as_root(self, command: str, step: str, data: bytes | None = None) -> str:
         """Run a command line as root. Raises ProvisionError."""
@@ -154,6 +158,12 @@ class SshConnection:
                 self._master.terminate()
             await self._master.wait()
         self._master = None
+
+
+def command_output(output: str) -> str:
+    """The output of a command, without what the login shell has printed before."""
+    before, mark, after = output.partition(f"{_OUTPUT}\n")
+    return after if mark else before
 
 
 def archive(uploads: Iterable[RobotUpload]) -> bytes:

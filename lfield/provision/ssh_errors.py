@@ -41,6 +41,10 @@ _UNREACHABLE = re.compile(
 )
 
 
+#: Messages of tcsh and csh, which do not accept the scripts.
+_OTHER_SHELL = re.compile(r"^\S+: Command not found\.|^Unmatched '", re.MULTILINE)
+
+
 def is_unreachable(message: str) -> bool:
     """Whether a message of ssh says that the robot was not reached at that address."""
     return _UNREACHABLE.search(message) is not None
@@ -78,10 +82,13 @@ def access_error(host: str, destination: SshDestination, access: LoginAccess) ->
             host, f"there is no sudo, and {access.user} is not root", "set `user: root`, or install sudo"
         )
     line = f"{access.user} ALL=(root) NOPASSWD: ALL"
+    reason = f"sudo of {access.user} requires a password"
+    if access.sudo == "tty":
+        line, reason = f"Defaults:{access.user} !requiretty", f"sudo of {access.user} requires a terminal"
     command = destination.command("ssh -t")
     file = "/etc/sudoers.d/lfield-provision"
     remedy = f"{command} \"echo '{line}' | sudo tee {file}\"; remove that file when the robots are installed"
-    return _error(host, f"sudo of {access.user} requires a password", remedy)
+    return _error(host, reason, remedy)
 
 
 def command_error(host: str, step: str, status: int, message: str) -> ProvisionError:
@@ -95,6 +102,9 @@ def command_error(host: str, step: str, status: int, message: str) -> ProvisionE
     if status == BUSY and not message.strip():
         reason = f"{step}: another provision has been running on the robot for {LOCK_TIMEOUT} s"
         return _error(host, reason, "wait for it, or end it there, and run provision again")
+    if _OTHER_SHELL.search(message):
+        reason = f"{step}: the login shell of the user is no POSIX shell: {_last_line(message)}"
+        return _error(host, reason, "set another one on the robot: sudo chsh -s /bin/bash USER")
     reason = _last_line(message) or f"exit status {status}"
     return _error(host, f"{step}: {reason}", "correct it, and run provision again: it continues")
 

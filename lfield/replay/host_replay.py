@@ -21,7 +21,7 @@ from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, Id
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
 from lfield.replay.host_recording import HostRecording, Turn
-from lfield.replay.replay_environment import ReplayedBytes, ReplayEnvironment, TurnReplayClock
+from lfield.replay.replay_environment import ReplayedBytes, ReplayedTimes, ReplayEnvironment, TurnReplayClock
 from lfield.replication.membership.overlay import Overlay
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
@@ -73,6 +73,7 @@ class HostReplay:
         self.mission, team, program = mission, mission.team, mission.program
         self.clock = TurnReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
+        self._times = ReplayedTimes(self.clock)
         self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()
         self._bytes.extend(start.drawn)
         recorder = EventRecorder(self.clock)
@@ -81,7 +82,7 @@ class HostReplay:
         context = HostContext(
             mission, start.host, start.incarnation, self.clock, self.environment, random.Random(start.seed),
             start.unreachable_after, overlay, recorder, start.journal_id, start.records, dict(start.times),
-            with_pace(engines, start.pace), self._bytes, float, self._limit,
+            with_pace(engines, start.pace), self._bytes, float, self._limit, self._times,
         )  # fmt: skip
         self.core = HostCore(context)
         if start.metered:
@@ -155,6 +156,7 @@ class HostReplay:
         self.clock.set(record.at, record.wall)
         self.environment.apply(record.answers, record.readings)
         self._bytes.extend(record.drawn)
+        self._times.set(record.times)
         self._limit.repeat(record.cuts)
         if record.clock is not None:
             core.recorder.hybrid_clock.restore(record.clock)

@@ -39,6 +39,22 @@ class TurnReplayClock:
         return self.wall
 
 
+class ReplayedTimes:
+    """Real times as they were read within turns; without one, the time of the turn."""
+
+    def __init__(self, clock: TurnReplayClock) -> None:
+        self._clock = clock
+        self._times: deque[float] = deque()
+
+    def set(self, times: Iterable[float]) -> None:
+        """Set the times of the next turn."""
+        self._times = deque(times)
+
+    def __call__(self) -> float:
+        # Another program may read more of them.
+        return self._times.popleft() if self._times else self._clock.monotonic()
+
+
 class ReplayedBytes:
     """Random bytes as they were drawn."""
 

@@ -88,7 +88,9 @@ class VmHooks:
     """Hooks of one machine. `rules` is called before each portal call. `stubs` are by the ids of resources,
     which must not have started yet: their `init` does not run, and they are open at once. `meter` gets the
     number of instructions of each turn. `liveness` is for linked hosts that may be silent. `on_arrival` is
-    called with each coordinator that has arrived from another host. `run_limit` limits a run's duration."""
+    called with each coordinator that has arrived from another host. `run_limit` limits a run's duration.
+    `fresh_time` is the real time at a departure, where the machine's clock stands still during a turn.
+    """
 
     rules: CallRules | None = None
     observer: PortalObserver | None = None
@@ -96,6 +98,7 @@ class VmHooks:
     liveness: HostLiveness | None = None
     on_arrival: Callable[[Agent], None] | None = None
     run_limit: RunLimit | None = None
+    fresh_time: Callable[[], float] | None = None
     stubs: dict[str, Callable[[StubCall], None]] = field(default_factory=dict)
 
     def replace_observer(self, observer: PortalObserver | None) -> PortalObserver | None:

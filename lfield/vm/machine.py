@@ -217,7 +217,7 @@ class Machine:
 
         A block that was packed earlier and is sent now has waited meanwhile: its time limits include that.
         """
-        now = round(self._now() * 1e9) + agent.offset
+        now = round((self.hooks.fresh_time or self._now)() * 1e9) + agent.offset
         agent.block.w[layout.W_CLOCK] = now if now < layout.COUNT_LIMIT else layout.COUNT_LIMIT - 1
 
     def drop(self, agent: Agent) -> None:

@@ -45,7 +45,7 @@ HOLES = (
     Hole(
         "the VM gets no portal rules",
         "host/core.py",
-        "hooks = VmHooks(rules=mission.calls, liveness=self.services, run_limit=context.run_limit)",
+        "hooks = VmHooks(rules=rules, liveness=self.services, run_limit=limit, fresh_time=fresh)",
         "hooks = VmHooks(liveness=self.services)",
         "from_a_coordinator",
     ),

@@ -27,13 +27,15 @@ ROOT = Path(__file__).parents[2]
 SIMULATED = ("geographiclib", "lxml", "pymavlink", "pyserial", "wasmtime")
 #: All steps that change a robot.
 STEPS = ["user", "wheels", "environment", "keys", "settings", "unit", "version", "service"]
+#: The login shell of the user prints something before each command.
+TALKATIVE = "printf 'echo WELCOME; printf hi\\n' >/home/pi/.bashrc"
 SERVICE_ENV = "/etc/lfield/service.env"
 
 
 @pytest.fixture(scope="module")
 def alpha(trial):
     """A robot that was bare before its first provisioning, which was interrupted twice (SIGKILL)."""
-    robot = trial.bench.add("alpha")
+    robot = trial.bench.add("alpha", RobotKind(setup=TALKATIVE))
     trial.write_inventory(robot)
     dry = trial.provision("--dry-run")
     assert dry.status == exit_status.DONE, dry

@@ -6,6 +6,7 @@ import pytest
 
 from lfield.provision.robot_facts import LoginAccess
 from lfield.provision.robot_scripts import BUSY
+from lfield.provision.ssh_connection import command_output
 from lfield.provision.ssh_errors import (
     SshDestination,
     access_error,
@@ -56,7 +57,16 @@ def test_sudo_with_a_password_names_the_line_that_is_missing():
     error = access_error("alpha", ALPHA, LoginAccess("pi", 1000, "password"))
     assert "pi ALL=(root) NOPASSWD: ALL" in error.advice
     assert "ssh -t -p 2222 pi@10.0.0.11" in error.advice
+    terminal = access_error("alpha", ALPHA, LoginAccess("pi", 1000, "tty")).advice
+    assert "Defaults:pi !requiretty" in terminal
+    assert "NOPASSWD" not in terminal
     assert "user: root" in access_error("alpha", ALPHA, LoginAccess("pi", 1000, "missing")).advice
+
+
+@pytest.mark.parametrize("noise", ["", "WELCOME\n", "hi", "WELCOME\nhi"])
+def test_what_a_login_shell_prints_is_not_output_of_a_command(noise):
+    assert command_output(f"{noise}lfield-provision-output\nuser\tpi\n") == "user\tpi\n"
+    assert command_output(f"{noise}lfield-provision-output\n") == ""
 
 
 def test_a_robot_that_another_desk_provisions_is_named():
@@ -70,6 +80,8 @@ def test_a_robot_that_another_desk_provisions_is_named():
         ("ERROR: Could not install packages: [Errno 28] No space left on device", "free disk space"),
         ("mv: cannot move: Read-only file system", "card"),
         ("it failed", "continues"),
+        ("fi: Command not found.", "chsh"),
+        ("Unmatched ''.", "chsh"),
     ],
 )
 def test_a_failed_command_names_the_remedy(message, remedy):

@@ -6,7 +6,8 @@ import argparse
 import asyncio
 import os
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
@@ -29,6 +30,8 @@ S = TypeVar("S")
 
 #: Seconds for an answer of a service.
 TIMEOUT = 8.0
+#: What robots go on with after Ctrl-C during a push or a rollback.
+VOTE_GOES_ON = "the robots keep what was sent, and complete a vote that has begun within 40 s"
 
 
 def add_desk(parser: argparse.ArgumentParser) -> None:
@@ -163,6 +166,16 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
             "their directory"
         )
     return FleetDesk(inventory, keys, presented_crl(keys))
+
+
+@contextmanager
+def explained_interrupt(text: str) -> Iterator[None]:
+    """After Ctrl-C print what the robots go on with."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        print(f"interrupted: {text}; 'lfield status' shows it", file=sys.stderr)
+        raise
 
 
 def failure_status(errors: Mapping[str, LfieldError]) -> int:

@@ -178,6 +178,12 @@ def _finding(endpoint: Endpoint, state: EndpointState) -> str:
     """The line about an address that is not as it should be; one for all ports that cannot be reached."""
     if state.outcome == "other-host":
         return f"{endpoint.host}: {endpoint.address} is an address of {state.name}: correct the inventory"
+    if state.outcome == "closed" and "%" in endpoint.address:
+        zone = split_address(endpoint.address)[0].partition("%")[2]
+        return (
+            f"{endpoint.host}: {endpoint.address}: the zone {zone} is an interface of this computer; the "
+            "robot listens there only if its own interface has the same name"
+        )
     if state.outcome == "unreachable" and isinstance(state.error, AddressError):
         return f"{endpoint.host}: {split_address(endpoint.address)[0]}: {state.error.reason}"
     return f"{endpoint.host}: {endpoint.address}: {state.error}" if state.outcome == "refused" else ""

@@ -11,7 +11,14 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.fleet.desk import FleetDesk, failure_status, open_desk, report_unreached, split_answers
+from lfield.cli.fleet.desk import (
+    FleetDesk,
+    explained_interrupt,
+    failure_status,
+    open_desk,
+    report_unreached,
+    split_answers,
+)
 from lfield.errors import UsageError
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -62,7 +69,8 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
         return _report(args, {}, {}, text)
     hosts = [host for host in mission.hosts if host in statuses]
     before = {host: statuses[host] for host in hosts}
-    return _start(desk, before, mission, without, args)
+    with explained_interrupt("hosts that have received the order start"):
+        return _start(desk, before, mission, without, args)
 
 
 def _report_no_mission(
@@ -161,8 +169,9 @@ def _wait_until_up(desk: FleetDesk, hosts: Sequence[str]) -> tuple[dict[str, str
         if up_since is not None and (now - up_since >= STEADY or "ended" in phases):
             return waits, failed
         most = max((sum(host == one for one, _ in failures) for host in hosts), default=0)
-        is_over = not phases <= {"running", "starting", "waiting"} or most >= MAX_FAILURES
-        if now > end or (waits and is_over):
+        # A host whose mission has ended in order does not mean that others will not come up.
+        gone = [host for host in waits if statuses[host].run.phase not in ("running", "starting", "waiting")]
+        if now > end or gone or most >= MAX_FAILURES:
             return waits, failed
         time.sleep(POLL_INTERVAL)
 

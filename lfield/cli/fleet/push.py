@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.fleet.desk import (
+    VOTE_GOES_ON,
     FleetDesk,
     add_desk,
     add_without,
     ask_all_services,
+    explained_interrupt,
     failure_status,
     open_desk,
     report_unreached,
@@ -80,7 +82,8 @@ def run(args: argparse.Namespace) -> int:
     report = PushReport(what.digest, as_json=args.json)
     report.start(f"{mission.name}: bundle {short_digest(what.digest)}, {byte_count_text(what.size)}")
     hosts = [host for host in team if host not in args.without]
-    return asyncio.run(_push(desk, what, hosts, args, report))
+    with explained_interrupt(VOTE_GOES_ON):
+        return asyncio.run(_push(desk, what, hosts, args, report))
 
 
 async def _push(

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING
 
 from lfield.cli.fleet.desk import (
     TIMEOUT,
+    VOTE_GOES_ON,
     FleetDesk,
     add_desk,
     add_without,
     ask_all_services,
+    explained_interrupt,
     failure_status,
     open_desk,
     report_unreached,
@@ -51,7 +53,8 @@ def run(args: argparse.Namespace) -> int:
     hosts = [host for host in desk.hosts if host not in args.without]
     if not hosts:
         raise UsageError("no host is left: --without names all of them")
-    return asyncio.run(_rollback(desk, hosts, args))
+    with explained_interrupt(VOTE_GOES_ON):
+        return asyncio.run(_rollback(desk, hosts, args))
 
 
 async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace) -> int:

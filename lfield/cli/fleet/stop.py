@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from lfield.cli.fleet.desk import (
     add_desk,
     add_without,
+    explained_interrupt,
     failure_status,
     open_desk,
     report_unreached,
@@ -47,11 +48,12 @@ def run(args: argparse.Namespace) -> int:
     hosts = [host for host in desk.hosts if host not in args.without]
     if not hosts:
         raise UsageError("no host is left: --without names all of them")
-    stopped, failed = split_answers(desk.ask(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT))
-    if args.discard and not failed:
-        # Only when every host has stopped: a coordinator on another one could continue.
-        order = MissionCommand("stop", discards=True)
-        stopped, failed = split_answers(desk.ask(hosts, order, CommandResult, STOP_TIMEOUT))
+    with explained_interrupt("hosts that have received the order stop; vehicles land first"):
+        stopped, failed = split_answers(desk.ask(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT))
+        if args.discard and not failed:
+            # Only when every host has stopped: a coordinator on another one could continue.
+            order = MissionCommand("stop", discards=True)
+            stopped, failed = split_answers(desk.ask(hosts, order, CommandResult, STOP_TIMEOUT))
     if args.json:
         print(json.dumps({**_as_data(stopped), **{host: error.as_data() for host, error in failed.items()}}))
     else:

@@ -150,11 +150,10 @@ def _check_replay_options(args: argparse.Namespace) -> None:
         if args.bundle is not None:
             raise UsageError("--bundle is for recordings: name them with --replay PATH")
         return
-    given = named_mission(args) or args.run or args.map or args.inventory or args.keys
-    if given:
-        raise UsageError(
-            f"--replay shows recordings, not a running team: leave out '{given}' and the options of a team"
-        )
+    options = {"--run": args.run, "--map": args.map, "--inventory": args.inventory, "--keys": args.keys}
+    given = ["MISSION"] if named_mission(args) else []
+    if given := [*given, *(name for name, value in options.items() if value)]:
+        raise UsageError(f"--replay shows recordings, not a running team: leave out {listed(given)}")
 
 
 def _print_line(line: str) -> None:

@@ -100,6 +100,7 @@ def _externals(core: HostCore) -> dict[str, object]:
         "layouts": engine.layouts,
         "groups": engine.groups,
         "limit": context.run_limit,
+        "fresh": context.fresh_time,
         "stopwatch": context.stopwatch,
         "random": context.random_bytes,
         "engines": context.engines,

@@ -56,6 +56,13 @@ class CoreTurns:
         """The turn has ended."""
         self.in_turn = False
 
+    def read_fresh(self) -> float:
+        """The real time within a turn; it is recorded."""
+        at = self._real()
+        if self.flight is not None:
+            self.flight.note_time(at)
+        return at
+
     def attach(self, core: HostCore, flight: FlightRecorder | None) -> None:
         """Set the core, and its recorder."""
         self._core, self.flight = core, flight

@@ -73,6 +73,7 @@ class FlightRecorder:
         self._bytes = self._turns = 0
         #: The time of the first turn of this batch.
         self._batch_at = start.at
+        self._times: list[float] = []
         self._is_started = self._is_closed = False
         self._batch_due = self._digest_due = 0.0
         self._checkpoint_due = start.at + CHECKPOINT_INTERVAL
@@ -102,9 +103,14 @@ class FlightRecorder:
         drawn = self._drawn.copy()
         self._drawn.clear()
         changes = (self._clock.wall_time, turn.clock, answers, turn.readings, drawn, cuts, summary, digests)
-        record = TurnRecord(at, turn.entry, *changes, turn.run)
+        times, self._times = self._times, []
+        record = TurnRecord(at, turn.entry, *changes, turn.run, times)
         self._turns += 1
         self._records.append(IdleTurn(at) if record == TurnRecord(at) else record)
+
+    def note_time(self, at: float) -> None:
+        """The core has read the real time within the turn."""
+        self._times.append(at)
 
     def _digests(self, at: float) -> list[BlockDigest]:
         agents = self._core.machine.agents

@@ -113,7 +113,8 @@ class TurnRecord(HostRecord, frozen=True, tag=3):
 
     `wall` is the wall-clock time if it was read. `clock` is the state of the hybrid clock if events between
     two turns have changed it. `effects` is the msgpack of the effects (`effect_summary`). `run` is false
-    where an input was passed between two turns, without running the core.
+    where an input was passed between two turns, without running the core. `times` are the real times that
+    were read within the turn.
     """
 
     at: float
@@ -127,6 +128,7 @@ class TurnRecord(HostRecord, frozen=True, tag=3):
     effects: bytes = b""
     digests: list[BlockDigest] = []
     run: bool = True
+    times: list[float] = []
 
 
 class CheckpointRecord(HostRecord, frozen=True, tag=4):

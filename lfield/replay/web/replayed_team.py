@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Iterator
+from copy import deepcopy
 from itertools import groupby
 
 from lfield.host.status import telemetry_of
@@ -24,6 +25,9 @@ from lfield.replay.web.recorded_events import EventIndex, IndexedEvent
 from lfield.wire.events import DeviceTelemetry, Event, TelemetryEvent
 from lfield.wire.fields import bounded_duration
 from lfield.wire.subscription_messages import MAX_EVENTS, EventBatch
+
+#: Events between two copies of the view.
+COPY_INTERVAL = 4000
 
 NOT_RECORDED = "it has no recording at this time"
 
@@ -47,6 +51,8 @@ class ReplayedTeam:
         self._view = TeamView(contents)
         #: The number of events that the view has, and the share of the recording that was indexed then.
         self._count, self._progress = 0, -1.0
+        #: Copies of the view by their numbers of events, in this order, so that a move back is quick.
+        self._copies: dict[int, TeamView] = {}
 
     def state(self) -> TeamState:
         """The state at the position of the debugger."""
@@ -64,10 +70,26 @@ class ReplayedTeam:
         return self._view.snapshot(now)
 
     def _feed_events(self, count: int) -> None:
-        # Events that are indexed later may be older than those of the view.
-        if count < self._count or self._progress != self._events.progress:
-            self.epoch += 1
-            self._view, self._count, self._progress = TeamView(self._contents), 0, self._events.progress
+        if self._progress != self._events.progress:
+            # Events that are indexed later may be older than those of the view.
+            self._copies = {0: TeamView(self._contents)}
+            self._restore(0)
+            self._progress = self._events.progress
+        elif count < self._count:
+            self._restore(max(each for each in self._copies if each <= count))
+        while self._count < count:
+            self._feed_range(min(count, self._count + COPY_INTERVAL - self._count % COPY_INTERVAL))
+            if self._count % COPY_INTERVAL == 0 and self._count not in self._copies:
+                self._copies[self._count] = self._copy_of(self._view)
+
+    def _restore(self, count: int) -> None:
+        self.epoch += 1
+        self._view, self._count = self._copy_of(self._copies[count]), count
+
+    def _copy_of(self, view: TeamView) -> TeamView:
+        return deepcopy(view, {id(self._contents): self._contents})
+
+    def _feed_range(self, count: int) -> None:
         for number, group in groupby(self._events.events(self._count, count), lambda each: each.recording):
             events = list(group)
             for first in range(0, len(events), MAX_EVENTS):

@@ -8,6 +8,8 @@ import socket
 import pytest
 from robots import told
 
+from lfield.cli.fleet.inventory import _finding
+from lfield.operator.fleet.address_check import Endpoint, EndpointState
 from lfield.testing.keyring import Keyring
 
 pytestmark = pytest.mark.process
@@ -114,3 +116,18 @@ def test_an_unknown_host_and_a_missing_inventory_are_usage_errors(lfield, here) 
     lfield.write("team.yaml", "hosts: {alpha: {addresses: [10.0.0.1]}}\n")
     assert here("inventory", "show", "alhpa", "--inventory", "team.yaml").status == 64
     assert here("inventory", "show").status == 64
+
+
+def test_a_link_local_address_at_which_the_robot_does_not_listen_is_explained() -> None:
+    """Its zone is an interface of the computer that uses the address."""
+    closed = EndpointState("closed")
+    assert "wlan0" in _finding(Endpoint("alpha", "mission", "[fe80::1%wlan0]:8181"), closed)
+    assert _finding(Endpoint("alpha", "mission", "[fd00::1]:8181"), closed) == ""
+    assert _finding(Endpoint("alpha", "mission", "[fe80::1%wlan0]:8181"), EndpointState("answers")) == ""
+
+
+def test_an_unknown_key_is_reported_with_all_known_ones(lfield, here) -> None:
+    file = lfield.write("team.yaml", "hosts: {alpha: {addresses: [127.0.0.1], port: 22}}\n")
+    refused = here("inventory", "show", "--inventory", file)
+    assert refused.status == 65
+    assert "ssh_port" in " ".join(refused.err)

@@ -1,0 +1,47 @@
+"""Ctrl-C during a command of the desk: robots that have received it go on, and that is said."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield import exit_status
+from lfield.cli.fleet import mission_start, push, rollback
+from lfield.cli.fleet.desk import FleetDesk
+
+pytestmark = pytest.mark.process
+
+
+def interrupt(*_: object, **__: object) -> None:
+    raise KeyboardInterrupt
+
+
+async def interrupt_soon(*_: object) -> None:
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(
+    ("words", "owner", "name"),
+    [
+        (("push", "mission.dL"), push, "_push"),
+        (("rollback",), rollback, "_rollback"),
+        (("stop",), FleetDesk, "ask"),
+    ],
+)
+def test_what_robots_go_on_with_is_printed(here, robots, monkeypatch, words, owner, name) -> None:
+    robots("alpha", "bravo").mission()
+    monkeypatch.setattr(owner, name, interrupt if owner is FleetDesk else interrupt_soon)
+    ended = here(*words)
+    assert ended.status == exit_status.INTERRUPTED
+    assert [("interrupted: " in line, "'lfield status'" in line) for line in ended.err] == [(True, True)]
+
+
+def test_a_start_that_is_interrupted_goes_on(here, robots, monkeypatch) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission()
+    assert here("push", "mission.dL").status == 0
+    monkeypatch.setattr(mission_start, "_wait_until_up", interrupt)
+    ended = here("start")
+    assert ended.status == exit_status.INTERRUPTED
+    assert ["'lfield status'" in line for line in ended.err] == [True]
+    team.services["alpha"].wait_for("status 0")
