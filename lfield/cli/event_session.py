@@ -66,9 +66,6 @@ def run_session(args: argparse.Namespace, lines: Lines, plan: SessionPlan) -> in
         parties = [single_target(parties)]
         mission = _mission_of(args, parties[0])
     names = _limit_foreign(display_names(parties))
-    if plan.follow and named_mission(args) is None and not any(party.runs for party in parties):
-        # No mission has to run there, so nothing else may be printed.
-        print("lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True)
     shown = _select_hosts(names, plan.only)
     session = _Session(args, lines, plan, parties, names if plan.until_done else shown, set(shown.values()))
     try:
@@ -133,6 +130,10 @@ class _Session:
         from lfield.operator.team_model.mission_end import MissionEnd
 
         plan, end = self._plan, None
+        has_runs = any(party.runs for party in self._parties)
+        if plan.follow and not has_runs and named_mission(self._args) is None:
+            # No mission has to run there, so nothing else may be printed.
+            print("lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True)
         if plan.until_done:
             end = MissionEnd(
                 [place.host for place in self._names], _homes(mission), plan.lost_after, SystemClock()

@@ -7,10 +7,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lfield.bytecode.program import Program
+from lfield.errors import RecordingError
+from lfield.guard.recording.guard_replay import GuardReplay, replay_guard
+from lfield.guard.recording.guard_segments import rings_in
 from lfield.host.core import HostCore
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.host_replay import HostReplay, ReplayedTurn
-from lfield.replay.recording_files import TeamRecording
+from lfield.replay.recording_files import Incarnation, TeamRecording
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Engines
 from lfield.vm.inspection.traceback import FrameLocation, innermost
@@ -56,7 +59,10 @@ class FirstDifference:
 
 @dataclass(slots=True)
 class PartResult:
-    """The result of one part of a recording; `seconds` is how much time it covers."""
+    """The result of one part of a recording; `seconds` is how much time it covers.
+
+    `guard` is the first device of a guard, '' for the core of the host.
+    """
 
     host: str
     incarnation: int
@@ -65,6 +71,7 @@ class PartResult:
     differences: int = 0
     seconds: float = 0.0
     first: FirstDifference | None = None
+    guard: str = ""
 
 
 @dataclass(slots=True)
@@ -118,6 +125,35 @@ def check_part(
             found.first = difference_at(replay, turn)
             break
     on_progress(found.turns % PROGRESS_TURNS)
+    return found
+
+
+def check_guards(recording: TeamRecording) -> tuple[list[PartResult], list[str]]:
+    """The result for the guard of each bus, and what cannot be read, a sentence each."""
+    results: list[PartResult] = []
+    problems: list[str] = []
+    for incarnation in recording.incarnations:
+        for device, paths in rings_in(incarnation.folder).items():
+            try:
+                replay = replay_guard(paths)
+            except RecordingError as error:
+                problems.append(f"{incarnation.folder}: guard of {device}: {error}")
+                continue
+            results.append(_guard_result(incarnation, device, replay))
+            problems += (f"{path}: {reason}" for path, reason in replay.cut.items())
+            problems += (f"{path}: it has no record" for path in replay.missing)
+    return results, problems
+
+
+def _guard_result(incarnation: Incarnation, device: str, replay: GuardReplay) -> PartResult:
+    start = incarnation.parts[0].start
+    found = PartResult(incarnation.host, start.incarnation, guard=device)
+    found.digests, found.differences = replay.digests, min(1, replay.differences)
+    if (first := replay.first) is not None:
+        what = f"decision of the guard of {device} about {first.given}"
+        found.first = FirstDifference(
+            incarnation.host, first.wall_time, 0, "", "", what, first.recorded, first.replayed
+        )
     return found
 
 

@@ -6,6 +6,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,7 +59,7 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Replay and report; returns 0 if everything is equal, 1 at a difference."""
     from lfield.replay.recording_files import load_team
-    from lfield.replay.team_check import check_team
+    from lfield.replay.team_check import ReplaySummary, check_guards, check_team
 
     recording = load_team(args.paths, args.bundle)
     if args.program is not None:
@@ -68,6 +69,9 @@ def run(args: argparse.Namespace) -> int:
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
     with replay_progress(turns, quiet=args.json) as on_progress:
         result = check_team(recording, named_engine(args.engine), on_progress)
+    guards, problems = check_guards(recording)
+    result = ReplaySummary([*result.parts, *guards])
+    recording = replace(recording, problems=(*recording.problems, *problems))
     if args.json:
         print(json.dumps(_as_data(recording, result)))
     else:
@@ -110,6 +114,17 @@ def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, objec
                 "differences": part.differences,
             }
             for part in result.parts
+            if not part.guard
+        ],
+        "guards": [
+            {
+                "host": part.host,
+                "device": part.guard,
+                "digests": part.digests,
+                "differences": part.differences,
+            }
+            for part in result.parts
+            if part.guard
         ],
         "missing": list(recording.missing),
         "problems": list(recording.problems),
@@ -120,6 +135,9 @@ def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, objec
 def _print(recording: TeamRecording, result: ReplaySummary) -> None:
     for part in result.parts:
         state = "differs" if part.differences else "equal"
+        if part.guard:
+            print(f"{part.host}: guard of {part.guard}: {part.digests} decisions: {state}")
+            continue
         print(f"{part.host}: {part.turns} turns, {part.seconds:.1f} s, {part.digests} digests: {state}")
     for line in gap_lines(recording):
         print(line)

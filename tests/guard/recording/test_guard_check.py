@@ -1,0 +1,47 @@
+"""`lfield replay` compares the decisions of guards too."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+from recorded_guards import DrawnStory, RecordedGuard
+
+from lfield.guard.core import GuardCore
+from lfield.guard.effects import Exit
+from lfield.replay.team_check import check_guards
+
+
+def team(folder: Path) -> SimpleNamespace:
+    """A recording of one host, whose core does not matter here."""
+    part = SimpleNamespace(start=SimpleNamespace(incarnation=7))
+    incarnation = SimpleNamespace(folder=folder, host="alpha", parts=(part,))
+    return SimpleNamespace(incarnations=(incarnation,))
+
+
+def recorded(folder: Path) -> list[Path]:
+    guard = DrawnStory(7, RecordedGuard(limit=5000)).run(200)
+    guard.recorder.close()
+    return guard.ring.stored(folder)
+
+
+def test_the_guards_of_a_host_are_replayed(tmp_path, monkeypatch):
+    recorded(tmp_path)
+    (result,), problems = check_guards(team(tmp_path))
+    assert (result.host, result.differences, result.first, problems) == ("alpha", 0, None, [])
+    assert result.guard
+    assert result.digests >= 200
+    monkeypatch.setattr(GuardCore, "tick", lambda core: [Exit(3)])
+    (result,), _ = check_guards(team(tmp_path))
+    assert result.differences == 1
+    assert result.first.host == "alpha"
+    assert result.first.recorded != result.first.replayed
+
+
+def test_a_damaged_file_of_a_guard_is_named(tmp_path):
+    path = recorded(tmp_path)[-1]
+    path.write_bytes(path.read_bytes()[:-3])
+    (result,), problems = check_guards(team(tmp_path))
+    assert result.differences == 0
+    assert len(problems) == 1
+    assert path.name in problems[0]
