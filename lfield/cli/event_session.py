@@ -133,7 +133,9 @@ class _Session:
         has_runs = any(party.runs for party in self._parties)
         if plan.follow and not has_runs and named_mission(self._args) is None:
             # No mission has to run there, so nothing else may be printed.
-            print("lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True)
+            print(
+                "lfield: following the hosts of the inventory; Ctrl-C ends this", file=sys.stderr, flush=True
+            )
         if plan.until_done:
             end = MissionEnd(
                 [place.host for place in self._names], _homes(mission), plan.lost_after, SystemClock()
