@@ -1,0 +1,57 @@
+"""A replay finds a core that is not determined by its inputs, and another hash seed changes nothing."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+from recorded_teams import RecordedTeam, compare, run_recorded, walk_mission
+
+from lfield.host.core import HostCore
+from lfield.host.recording.recording_target import RecordingDirectory
+from lfield.mission.bundle import encode
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.text import log_messages
+
+#: A replay in a process with other hashes of texts, so with another order of sets.
+OTHER_SEED = "4711"
+
+
+@pytest.fixture
+def walked(tmp_path) -> RecordedTeam:
+    return run_recorded(walk_mission(tmp_path), 6.0)
+
+
+def test_a_core_that_reads_the_real_time_is_found(walked, monkeypatch):
+    assert compare(walked, at_checkpoints=False).differences == []
+    run = HostCore.run
+
+    def late(self: HostCore) -> float | None:
+        self.context.log(log_messages.LINK_LOST.line(host=f"{time.perf_counter_ns()}"))
+        return run(self)
+
+    monkeypatch.setattr(HostCore, "run", late)
+    found = run_recorded(walked.mission, 1.0)
+    assert compare(found, at_checkpoints=False).differences
+
+
+@pytest.mark.process
+def test_another_hash_seed_changes_nothing(tmp_path):
+    mission = walk_mission(tmp_path)
+    target = RecordingDirectory(tmp_path / "records", 1 << 22, encode(mission))
+    fleet = Fleet(mission, 1, options=FleetOptions(record=target))
+    fleet.run(6.0)
+    for name in list(fleet.lives):
+        fleet.stop(name)
+    fleet.run(5.0)
+    fleet.close()
+    for seed in ("0", OTHER_SEED):
+        ran = subprocess.run(
+            [sys.executable, "-m", "lfield", "replay", "records"], cwd=tmp_path, capture_output=True,
+            text=True, timeout=60, env={**os.environ, "PYTHONHASHSEED": seed},
+        )  # fmt: skip
+        assert ran.returncode == 0, ran.stdout + ran.stderr
+        assert ran.stdout.count(": equal") == 2
