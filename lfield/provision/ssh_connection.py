@@ -71,7 +71,7 @@ class SshConnection:
 
     async def _start_master(self) -> str:
         """Start the master; returns the message of ssh if it fails."""
-        # On a line of its own, whatever the login shell has printed.
+        # On a line of its own, also if the login shell has printed something.
         command = f"echo; echo {_READY.decode()}; exec cat"
         self._master = master = await self._ssh("ControlMaster=yes", command, PIPE)
         assert master.stdout is not None

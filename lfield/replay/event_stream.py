@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby
+from pathlib import Path
+from typing import cast
 
 from msgspec.structs import replace
 
@@ -20,13 +22,12 @@ from lfield.operator.dashboard.timeline.event_timeline import Cause, DatedEvent
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.host_replay import HostReplay
 from lfield.replay.recording_files import Incarnation, TeamRecording
-from lfield.replay.team_check import OnProgress
+from lfield.replay.team_check import PROGRESS_TURNS, OnProgress
 from lfield.replay.team_order import TeamOrder
+from lfield.wire.fields import Telemetry
 
 #: Events of one turn.
 _MAX_EVENTS, _MAX_BYTES = 1 << 16, 1 << 28
-#: Turns between two reports of progress.
-_PROGRESS_TURNS = 500
 
 
 def event_stream(recording: TeamRecording, on_progress: OnProgress = lambda turns: None) -> list[StreamItem]:
@@ -56,8 +57,8 @@ def _events(
         for part, shift in zip(order.parts, shifts, strict=True)
     ]
     for done, turn in enumerate(order, 1):
-        if done % _PROGRESS_TURNS == 0:
-            on_progress(_PROGRESS_TURNS)
+        if done % PROGRESS_TURNS == 0:
+            on_progress(PROGRESS_TURNS)
         yield from sources[turn.part].replay(turn.record)
 
 
@@ -97,8 +98,8 @@ def _telemetry(incarnation: Incarnation, shift: float) -> Iterator[TelemetrySamp
         yield from _samples(incarnation.host, paths, shift)
 
 
-def _samples(host: str, paths: Iterable[object], shift: float) -> Iterator[TelemetrySample]:
-    values = telemetry_in(paths)  # type: ignore[arg-type]
+def _samples(host: str, paths: Iterable[Path], shift: float) -> Iterator[TelemetrySample]:
+    values = telemetry_in(paths)
     for (device, at), group in groupby(values, key=lambda value: (value.device, value.wall_time)):
-        found = {value.quantity: value.value for value in group}
-        yield TelemetrySample(at + shift, host, device, found)  # type: ignore[arg-type]
+        found = {value.quantity: cast(Telemetry, value.value) for value in group}
+        yield TelemetrySample(at + shift, host, device, found)

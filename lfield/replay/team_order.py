@@ -78,7 +78,7 @@ class TeamOrder:
         held: list[tuple[float, int]] = []
         while heads or held:
             if not heads:
-                # Clocks contradict each other: the earliest of the held ones goes on.
+                # The clocks contradict each other: the earliest waiting turn is next.
                 held.sort()
                 heapq.heappush(heads, held.pop(0))
                 forced = True
