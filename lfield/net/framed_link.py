@@ -7,19 +7,29 @@ from typing import TYPE_CHECKING
 from lfield.authority.identity import ANONYMOUS
 from lfield.errors import AddressError, HandshakeError, WireError
 from lfield.event_loop import report_exception
+from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.transfer_history import FAST_PATH, MissingReference, TransferHistory
 from lfield.net.scheduling.cpu_budgets import PROOF_WEIGHT
 from lfield.wire.codec import (
+    COMPRESSED,
+    CONTROL,
+    MAX_TRANSFER_HEADER,
     PART,
     TRANSFER,
+    TRANSFER_DELTA,
     decode,
+    decode_compressed,
     decode_transfer,
     encode,
+    encode_compressed,
     encode_transfer,
     frame_decoder,
     limits,
     part_limits,
+    transfer_header,
 )
-from lfield.wire.messages import HandshakeRefused, Ping, Pong
+from lfield.wire.framing import HEADER_SIZE, frame
+from lfield.wire.messages import HandshakeRefused, Hello, IncompatibleHello, Ping, Pong, WholeTransferRequest
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
 from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
@@ -45,6 +55,8 @@ _ORDERS = (EmergencyStop, EmergencyStopResult, Pause, OrderChallenge, RelayedOrd
 _URGENT = (*_ORDERS, Ping, Pong)
 #: Never withheld: these cause no coordinator to be sent, and some of them stop robots.
 _NEVER_WITHHELD = (*_URGENT, HandshakeRefused)
+#: Messages with frames of their own.
+_HANDSHAKE = (Hello, IncompatibleHello, HandshakeRefused)
 
 
 class FramedLink:
@@ -66,6 +78,11 @@ class FramedLink:
         self._weight, self._withheld_weight = 0, set[str]()
         self._error: LfieldError | None = None
         self._max_block = max_block
+        self._history, self._stream = TransferHistory(), MessageStream()
+        #: Whether the peer is known to understand compressed messages; how long they may be.
+        self._may_compress, self._longest = False, 0
+        #: The measured round trip in seconds.
+        self._round_trip: float | None = None
         self._decoder = frame_decoder(self._oversize)
         #: Decoder of a frame that arrives in parts.
         self._parts = frame_decoder(self._oversize)
@@ -92,11 +109,14 @@ class FramedLink:
 
     def accept_role(self, role: Role) -> None:
         """See `Link.accept_role`."""
-        self._decoder.set_limits(limits(role, self._max_block))
+        accepted = limits(role, self._max_block)
+        self._may_compress, self._longest = True, accepted[CONTROL]
+        self._decoder.set_limits(accepted)
         self._parts.set_limits(part_limits(role, self._max_block))
 
     def set_round_trip(self, round_trip: float) -> None:
-        """See `Link.set_round_trip`: no effect without a socket."""
+        """See `Link.set_round_trip`."""
+        self._round_trip = round_trip
 
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""
@@ -108,15 +128,24 @@ class FramedLink:
         if isinstance(message, _URGENT):
             self.write_urgent(encode(message))
         elif self._withheld is None or isinstance(message, _NEVER_WITHHELD):
-            self.write(encode(message))
+            self.write(self._encode(message))
         else:
-            self._withheld.append(encode(message))
+            self._withheld.append(self._encode(message))
+
+    def _encode(self, message: Message) -> bytes:
+        """The frame of a message that is sent in order."""
+        is_fast = self._round_trip is not None and self._round_trip <= FAST_PATH
+        if is_fast or not self._may_compress or isinstance(message, _HANDSHAKE):
+            return encode(message)
+        return encode_compressed(message, self._stream.encode)
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Send a coordinator immediately. Raises AddressError on a closed link."""
         if self.closed:
             self._require_open()
-        data = b"".join((encode_transfer(header, block), block))
+        whole = b"".join((encode_transfer(header, block), block))
+        kind, payload = self._history.encode(header.agent, memoryview(whole)[HEADER_SIZE:], self._round_trip)
+        data = whole if kind == TRANSFER else frame(kind, payload)
         if self._withheld is not None:
             self._withheld.append(data)
         else:
@@ -142,9 +171,7 @@ class FramedLink:
             return False
         kind, payload = frame
         try:
-            if kind == TRANSFER and self._withheld is None:
-                self.handler.on_transfer(self, *decode_transfer(payload))
-            elif kind == PART:
+            if kind == PART:
                 self._on_part(payload)
             else:
                 self._on_frame(kind, payload)
@@ -169,14 +196,56 @@ class FramedLink:
 
     def _on_frame(self, kind: int, payload: memoryview) -> None:
         if kind == TRANSFER:
-            header, block = decode_transfer(payload)
-            if self._withheld is not None:
-                self._weigh(header)
-            self.handler.on_transfer(self, header, block)
+            # Copied: the payload may be a small part of a large buffer.
+            self._on_transfer(bytes(payload))
+        elif kind == TRANSFER_DELTA:
+            self._on_delta(payload)
         else:
             if self._withheld is not None:
                 self._weight += 1 + len(payload) // _HEAVY
-            self.handler.on_message(self, decode(kind, payload))
+            if kind == COMPRESSED:
+                message: Message = decode_compressed(payload, self._expand)
+            else:
+                message = decode(kind, payload)
+            if isinstance(message, WholeTransferRequest):
+                self._resend(message.agent)
+            else:
+                self.handler.on_message(self, message)
+
+    def _expand(self, payload: Buffer) -> bytes:
+        return self._stream.decode(payload, self._longest)
+
+    def _on_transfer(self, payload: bytes) -> None:
+        header, block = decode_transfer(payload)
+        if self._withheld is not None:
+            self._weigh(header.agent)
+        # Before the handler, which may send the coordinator back.
+        self._history.keep(header.agent, payload, is_sent=False)
+        self.handler.on_transfer(self, header, block)
+
+    def _on_delta(self, payload: memoryview) -> None:
+        delta = self._history.decode(payload)
+        if isinstance(delta, MissingReference):
+            if self._withheld is not None:
+                self._weigh(delta.agent)
+            self.send(WholeTransferRequest(delta.agent))
+        elif delta.size > self._max_block + MAX_TRANSFER_HEADER:
+            header = transfer_header(delta.beginning(), delta.size)
+            self._oversize(header, header.size)
+        else:
+            self._on_transfer(delta.expand())
+
+    def _resend(self, agent: str) -> None:
+        """Send the last transfer of a coordinator whole; the peer has no reference for its delta."""
+        payload = self._history.whole(agent)
+        if payload is None:
+            # Another transfer has replaced it. The next link starts with queries about both.
+            raise WireError(f"a whole transfer of {agent} was requested, and none was sent last")
+        data = frame(TRANSFER, payload)
+        if self._withheld is not None:
+            self._withheld.append(data)
+        else:
+            self.write(data)
 
     def withhold(self, *, on: bool) -> None:
         """Withhold coordinators and answers from now on, or send those withheld.
@@ -202,9 +271,9 @@ class FramedLink:
         skipped = self._decoder.skipped + self._parts.skipped
         return self._weight + PROOF_WEIGHT * skipped // (_OVERSIZE_FACTOR * self._max_block)
 
-    def _weigh(self, header: Transfer) -> None:
-        self._weight += PROOF_WEIGHT if header.agent in self._withheld_weight else 1
-        self._withheld_weight.add(header.agent)
+    def _weigh(self, agent: str) -> None:
+        self._weight += PROOF_WEIGHT if agent in self._withheld_weight else 1
+        self._withheld_weight.add(agent)
 
     def deliver_pending(self, data: Buffer) -> Iterator[None]:
         """The same for a sender of possibly thousands: processes at most one message per call."""
@@ -232,7 +301,7 @@ class FramedLink:
 
     def _oversize(self, header: Transfer, size: int) -> None:
         if self._withheld is not None:
-            self._weigh(header)
+            self._weigh(header.agent)
         self.handler.on_oversize(self, header, size)
 
     def _require_open(self) -> None:

@@ -154,6 +154,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     def set_round_trip(self, round_trip: float) -> None:
         """See `Link.set_round_trip`: time-outs are set when the round trip changes by a quarter."""
+        super().set_round_trip(round_trip)
         is_near = 0.8 * self._expected <= round_trip <= 1.25 * self._expected
         if self._socket is not None and not self.closed and not is_near:
             self._expected = round_trip
@@ -185,6 +186,7 @@ class StreamLink(FramedLink, asyncio.Protocol):
         made = transport.get_extra_info("socket")
         if made.family == socket.AF_UNIX:
             self.who = identity_of_listener(made) if self._calls else identity_of_caller(made)
+            super().set_round_trip(0.0)
         else:
             set_options(made)
             self._socket = made

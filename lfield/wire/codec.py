@@ -6,7 +6,9 @@
 | REFUSE (2)   | a sentence in UTF-8                                                              |
 | CONTROL (4)  | checksum, msgpack of one of the `Control` messages                               |
 | TRANSFER (7) | checksum, that of the block, header length (2 bytes), msgpack of `Transfer`, block |
-| PART (8)     | the next bytes of one long CONTROL or TRANSFER frame, its own header included    |
+| PART (8)     | the next bytes of one long frame of another kind, its own header included        |
+| TRANSFER_DELTA (11) | a TRANSFER payload as the difference from an earlier one (`lfield.net.coding`) |
+| COMPRESSED (13) | checksum, a CONTROL message compressed in the context of earlier ones            |
 
 Numbers are big-endian. A checksum is the CRC-32 of the bytes after it, initialised with the length of the
 payload instead of zero. The one of a transfer covers the header only; the block has its own, so that a header
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 T = TypeVar("T")
 
 HELLO, REFUSE, CONTROL, TRANSFER, PART = 1, 2, 4, 7, 8
+TRANSFER_DELTA, COMPRESSED = 11, 13
 
 MAGIC = b"lfld"
 
@@ -56,8 +59,8 @@ _TRANSFER_START, _TRANSFER_CHECKED = struct.Struct(">IIH"), struct.Struct(">IH")
 
 #: The maximum size of a message before the handshake, in bytes: strangers may send it and occupy memory.
 HANDSHAKE_LIMITS = {HELLO: 1 << 18, REFUSE: 4 * MAX_TEXT}
-_OBSERVER_LIMITS = HANDSHAKE_LIMITS | {CONTROL: 8 * MAX_TEXT}
-_HOST_LIMITS = HANDSHAKE_LIMITS | {CONTROL: 1 << 20}
+_OBSERVER_LIMITS = HANDSHAKE_LIMITS | dict.fromkeys((CONTROL, COMPRESSED), 8 * MAX_TEXT)
+_HOST_LIMITS = HANDSHAKE_LIMITS | dict.fromkeys((CONTROL, COMPRESSED), 1 << 20)
 #: The longest payload of a part, in bytes.
 MAX_PART = 1 << 17
 _PARTS = {PART: MAX_PART}
@@ -94,12 +97,12 @@ def part_limits(role: Role, max_block: int) -> dict[int, int]:
     """The limits for frames in parts."""
     if role == "observer":
         return _OBSERVER_LIMITS
-    return _HOST_LIMITS | {TRANSFER: max_block + MAX_TRANSFER_HEADER}
+    return _HOST_LIMITS | dict.fromkeys((TRANSFER, TRANSFER_DELTA), max_block + MAX_TRANSFER_HEADER)
 
 
 def may_be_fragmented(frame: Buffer) -> bool:
     """Whether a frame may be sent in parts: handshake messages may not, as the peer's support is unknown."""
-    return frame[HEADER_SIZE - 1] in (CONTROL, TRANSFER)
+    return frame[HEADER_SIZE - 1] not in (HELLO, REFUSE, PART)
 
 
 def encode(message: Message) -> bytes:
@@ -109,6 +112,11 @@ def encode(message: Message) -> bytes:
     if isinstance(message, HandshakeRefused):
         return frame(REFUSE, message.reason[:MAX_TEXT].encode())
     return frame(CONTROL, _with_checksum(message, 0))
+
+
+def encode_compressed(message: Control, compress: Callable[[bytes], bytes]) -> bytes:
+    """The whole frame of a message that is compressed."""
+    return frame(COMPRESSED, _checked(compress(_encode(message)), 0))
 
 
 def encode_transfer(header: Transfer, block: Buffer) -> bytes:
@@ -130,6 +138,11 @@ def decode(kind: int, payload: Buffer) -> Message:
     raise WireError(f"a frame of kind {kind} is not a message")
 
 
+def decode_compressed(payload: Buffer, expand: Callable[[Buffer], bytes]) -> Control:
+    """The message of a COMPRESSED frame. Raises WireError."""
+    return _strict(_control, expand(_verify_checksum(payload, 0)))
+
+
 def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     """Header and block of a TRANSFER frame; the block is a view into the payload. Raises WireError."""
     header, start, check = _split_transfer(payload, len(payload))
@@ -139,6 +152,11 @@ def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     if zlib.adler32(block) != check:
         raise WireError(f"the block of {header.agent} was damaged on the way: its checksum does not fit")
     return header, block
+
+
+def transfer_header(beginning: Buffer, length: int) -> Transfer:
+    """The header of a TRANSFER payload of `length` bytes, from its beginning. Raises WireError."""
+    return _split_transfer(beginning, length)[0]
 
 
 def _encode_hello(hello: Hello) -> bytes:
@@ -182,7 +200,10 @@ def _split_transfer(payload: Buffer, length: int) -> tuple[Transfer, int, int]:
 
 def _with_checksum(message: Message, before: int) -> bytes:
     """A message after its checksum; `before` are the bytes of the payload that precede the two."""
-    body = _encode(message)
+    return _checked(_encode(message), before)
+
+
+def _checked(body: bytes, before: int) -> bytes:
     return _CHECKSUM.pack(zlib.crc32(body, before + _CHECKSUM.size + len(body))) + body
 
 

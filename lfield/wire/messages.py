@@ -60,7 +60,7 @@ from lfield.wire.service_messages import ServiceMessage
 from lfield.wire.subscription_messages import SubscriptionMessage
 
 #: The version of everything in this package. Hosts of different versions do not communicate.
-PROTOCOL = 15
+PROTOCOL = 16
 
 #: The role of a peer: a member of the team, or an observer (`lfield ps`).
 Role = Literal["host", "observer"]
@@ -157,6 +157,12 @@ class Pong(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag
     """The answer to a Ping."""
 
     token: Count
+
+
+class WholeTransferRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=66):
+    """Request to send the last transfer of a coordinator whole: its delta refers to an unknown transfer."""
+
+    agent: Name
 
 
 class AttributeUpdate(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -262,6 +268,7 @@ Control = (
     | Located
     | Ping
     | Pong
+    | WholeTransferRequest
     | EmergencyStop
     | EmergencyStopResult
     | ForgetRequest

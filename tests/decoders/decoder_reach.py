@@ -24,6 +24,9 @@ from lfield.driver.serial.serial_framing import Lines, Packets
 from lfield.guard.messages import MessageReader
 from lfield.journal.records import decode_record
 from lfield.mission import bundle
+from lfield.net.coding.delta import expand_delta
+from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.transfer_history import TransferHistory
 from lfield.net.framed_link import FramedLink
 from lfield.net.handshake import Handshake
 from lfield.wire import codec
@@ -40,7 +43,9 @@ READS: Mapping[str, Sequence[object]] = {
         FramedLink.received,
         FramedLink.on_eof,
         FramedLink._oversize,
+        FramedLink._on_delta,
     ),
+    "compact": (TransferHistory.decode, expand_delta, MessageStream.decode),
     "greeting": (*_MESSAGES, codec._decode_hello, Handshake.receive),
     "control": (*_MESSAGES, Handshake.admit),
     "transfer": (codec.decode_transfer, codec._split_transfer),
@@ -61,8 +66,14 @@ _LARGE = "no input is so large"
 #: By target: lines that no input reaches, each with the reason.
 UNREACHED: Mapping[str, Mapping[str, str]] = {
     "stream": {
-        "FramedLink._oversize: self._weigh(header)": "only a member over its budget gets no answers",
+        "FramedLink._on_delta: self._weigh(delta.agent)": "only a member over its budget gets no answers",
+        "FramedLink._oversize: self._weigh(header.agent)": "only a member over its budget gets no answers",
         "FrameDecoder.reset_skipped: self.skipped = 0": "called by `withhold`, not by a reader",
+    },
+    "compact": {
+        'TransferHistory.decode: raise WireError("a delta was damaged on the way: its checksum does not fit")': (
+            "every input gets the right checksum; those of `stream` do not"
+        ),
     },
     "control": {
         'Handshake.admit: raise WireError(f"received {type(message).__name__} before the handshake")': (

@@ -8,7 +8,7 @@ import zlib
 from collections import deque
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import msgspec
@@ -21,13 +21,15 @@ from lfield.errors import HandshakeError, LfieldError, WireError
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.events.event_recorder import EventRecorder
+from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.transfer_history import Delta, TransferHistory
 from lfield.net.framed_link import FramedLink
 from lfield.net.handshake import Handshake
 from lfield.replication.membership.overlay import Overlay
 from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.wire import codec
 from lfield.wire.coordinator_messages import Transfer
-from lfield.wire.framing import HEADER_SIZE, frame
+from lfield.wire.framing import HEADER_SIZE, Buffer, frame
 from lfield.wire.messages import Control, HandshakeRefused, Hello, IncompatibleHello, Message, Role
 
 pack = msgspec.msgpack.encode
@@ -154,6 +156,23 @@ def decode_transfer(data: bytes) -> None:
         codec.decode_transfer(data[1:] if wrong == AS_IT_IS else struct.pack(">I", check) + start + block)
 
 
+def decode_compact(data: bytes) -> None:
+    """A compressed message, or a delta of a known transfer, with the checksum that it should have."""
+    (header, block), *_ = transfers()
+    if data[:1] == b"\0":
+        with suppress(WireError):
+            codec.decode_compressed(sealed(data[1:]), partial(MessageStream().decode, longest=4096))
+        return
+    history = TransferHistory()
+    history.keep(header.agent, codec.encode_transfer(header, block)[HEADER_SIZE:] + block, is_sent=False)
+    checked = struct.pack(">I", zlib.crc32(data[1:])) + data[1:]
+    with suppress(WireError):
+        delta = history.decode(memoryview(checked))
+        if isinstance(delta, Delta) and delta.size <= 1 << 16:
+            assert len(delta.expand()) == delta.size
+            delta.beginning()
+
+
 class LinkRecorder:
     """Whoever has a link and hears what comes on it."""
 
@@ -183,6 +202,9 @@ class LinkRecorder:
 
 class Pipe(FramedLink):
     """A link whose other end is a fuzzer."""
+
+    def write(self, data: Buffer) -> None:
+        """Only a request for a whole transfer is sent."""
 
     def close(self) -> None:
         """No more."""
@@ -393,7 +415,10 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
     """What a peer may send, by the kinds of frames that the wire lets through: every kind has to be here."""
     header, block = transfers()[0]
     controls = [codec.encode(example(kind)) for kind in Control.__args__]  # type: ignore[attr-defined]
-    hellos = [codec.encode(greeting("bravo")), frame(codec.HELLO, b"lfld\0\6"), frame(codec.HELLO, b"lfl")]
+    hellos = [
+        codec.encode(greeting("bravo")),
+        *(frame(codec.HELLO, start) for start in (b"lfld\0\6", b"lfl")),
+    ]
     refusals = [
         codec.encode(HandshakeRefused("no")),
         frame(codec.REFUSE, b"\xff no"),
@@ -407,10 +432,32 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
         codec.PART: [
             frame(codec.PART, part) for part in (controls[0], controls[0][:7], controls[0][7:], b"")
         ],
+        codec.TRANSFER_DELTA: _deltas(),
+        codec.COMPRESSED: [
+            codec.encode_compressed(example(kind), MessageStream().encode)
+            for kind in Control.__args__  # type: ignore[attr-defined]
+        ],
     }
     allowed = codec.limits("host", 1).keys() | codec.HANDSHAKE_LIMITS.keys()
     assert found.keys() == allowed, "a kind of frame has no seeds here"
     return {kind: [data[HEADER_SIZE:] for data in sent] for kind, sent in found.items()}
+
+
+def _deltas() -> Sequence[bytes]:
+    """The same hop again, a changed and a long one, one with an unknown reference, and damaged ones."""
+    (header, block), *_ = transfers()
+    whole = codec.encode_transfer(header, block)[HEADER_SIZE:] + block
+    frames = []
+    for changed in (block, block[:-1] + b"?", bytes(6000)):
+        history = TransferHistory()
+        history.keep(header.agent, whole, is_sent=False)
+        named = msgspec.structs.replace(header, size=len(changed))
+        sent = codec.encode_transfer(named, changed)[HEADER_SIZE:] + changed
+        frames.append(frame(*history.encode(header.agent, sent, None)))
+    other = TransferHistory()
+    other.keep(header.agent, block, is_sent=False)
+    frames.append(frame(*other.encode(header.agent, whole, None)))
+    return [*frames, frame(codec.TRANSFER_DELTA, frames[0][HEADER_SIZE:-3]), frame(codec.TRANSFER_DELTA, b"")]
 
 
 def _stream_seeds() -> Sequence[bytes]:
@@ -422,6 +469,8 @@ def _stream_seeds() -> Sequence[bytes]:
     everything = b"".join(each for all_of in sent.values() for each in all_of)
     large = codec.encode_transfer(transfers()[0][0], bytes(6000)) + bytes(6000)
     nobody = frame(max(sent) + 1, b"")
+    hop = sent[codec.TRANSFER][0]
+    whole += [hello + hop + delta for delta in sent[codec.TRANSFER_DELTA]]
     whole += [hello, hello + everything, hello + nobody, nobody[:-1]]
     pieces = [bytes([size]) + data for data in whole for size in (HEADER_SIZE, 250)]
     return [*pieces, bytes([250]) + hello + large + hello, bytes([250]) + looks + large, b"\0" + hello]
@@ -437,7 +486,7 @@ def _message_seeds(trees: Mapping[int, Sequence[Any]]) -> Sequence[bytes]:
 
 def _greeting_seeds() -> Sequence[bytes]:
     hellos = [unpack(pack(greeting(name))) for name in ("bravo", "charlie")]
-    return _message_seeds({codec.HELLO: hellos})
+    return [*_message_seeds({codec.HELLO: hellos}), pack([codec.HELLO, b"lflf" + bytes(2)])]
 
 
 def _control_seeds() -> Sequence[bytes]:
@@ -457,11 +506,27 @@ def _transfer_seeds() -> Sequence[bytes]:
     ]
 
 
+def _compact_seeds() -> Sequence[bytes]:
+    deltas = [b"\1" + payload[4:] for payload in payloads()[codec.TRANSFER_DELTA]]
+    unnamed = bytearray(deltas[0])
+    unnamed[15] = 0xFF
+    long = struct.pack(">I", 1 << 15) + deltas[0][5:]
+    return [
+        *deltas,
+        bytes(unnamed),
+        b"\1" + long,
+        *(b"\0" + payload[4:] for payload in payloads()[codec.COMPRESSED]),
+        b"\0" + MessageStream().encode(bytes(1 << 16)),
+        b"\0\xff\xff",
+    ]
+
+
 TARGETS = (
     Target("stream", _stream_seeds, decode_stream, tokens=(b"lfld",)),
     Target("greeting", _greeting_seeds, decode_greeting, True, TOKENS),
     Target("control", _control_seeds, decode_control, True, TOKENS),
     Target("transfer", _transfer_seeds, decode_transfer),
+    Target("compact", _compact_seeds, decode_compact),
     Target("host", _event_seeds, decode_events, True, TOKENS),
     Target("block", lambda: [block for _, block in transfers()], decode_block),
 )

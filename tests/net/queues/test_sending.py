@@ -131,7 +131,8 @@ def test_answers_to_stops_and_heartbeats_precede_what_observers_are_told():
     def story():
         slow = Slow(1 << 10)
         link = slow.link()
-        told = [Backpressure(f"{n}" * 400) for n in range(10)]
+        rng = random.Random(1)
+        told = [Backpressure(rng.randbytes(400).hex()) for n in range(10)]
         for message in told:
             link.send(message)
             link._flush()
@@ -163,9 +164,9 @@ def test_nothing_passes_what_was_sent_in_the_same_turn_before_it():
 def test_whoever_does_not_read_is_closed_when_too_much_waits():
     def story():
         slow = Slow(1 << 10)
-        link = slow.link(max_pending=1 << 16)
+        link, rng = slow.link(max_pending=1 << 16), random.Random(1)
         for _ in range(200):
-            link.send(Backpressure("x" * 1000))
+            link.send(Backpressure(rng.randbytes(500).hex()))
             link._flush()
             if link.closed:
                 break

@@ -1,0 +1,121 @@
+"""Encodes transfers as deltas against the last transfer of the same coordinator on a link. Sans-IO.
+
+Both ends of a link keep the last transfer of each coordinator, in either direction. A delta names its
+reference by agent and digest. If the receiver does not have it (the two transfers crossed, or it was
+evicted), it requests the whole transfer.
+
+A delta frame contains: checksum (4 bytes), size of the whole transfer (4), digest of the reference (8),
+length of the agent's name (2), name, delta. Numbers are big-endian; the checksum is the CRC-32 of the rest.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+import zlib
+from typing import TYPE_CHECKING, NamedTuple
+
+from lfield.errors import WireError
+from lfield.net.coding.delta import encode_delta, expand_delta
+from lfield.wire.codec import MAX_TRANSFER_HEADER, TRANSFER, TRANSFER_DELTA
+
+if TYPE_CHECKING:
+    from lfield.wire.framing import Buffer
+
+#: Maximum bytes kept for a link; the coordinators that have not used it for the longest time are evicted.
+MAX_KEPT = 512 << 10
+#: Up to this round trip in seconds a transfer is sent whole: the network takes less time for the bytes than
+#: the processor for the delta.
+FAST_PATH = 0.001
+
+_CHECKSUM = struct.Struct(">I")
+_START = struct.Struct(">II8sH")
+
+
+class Delta(NamedTuple):
+    """A decoded delta frame whose reference is known: expand it only as far as permitted."""
+
+    agent: str
+    size: int
+    reference: Buffer
+    delta: memoryview
+
+    def expand(self) -> bytes:
+        """The whole transfer. Raises WireError."""
+        return expand_delta(self.delta, self.reference, self.size)
+
+    def beginning(self) -> bytes:
+        """As much of the transfer as has its header. Raises WireError."""
+        return expand_delta(self.delta, self.reference, min(self.size, MAX_TRANSFER_HEADER))
+
+
+class MissingReference(NamedTuple):
+    """The receiver has no copy that a delta refers to."""
+
+    agent: str
+
+
+class TransferHistory:
+    """The last transfers of a link, as payloads of TRANSFER frames, by coordinator."""
+
+    def __init__(self) -> None:
+        #: The payload, and whether this end sent it; the least recently used first.
+        self._kept: dict[str, tuple[Buffer, bool]] = {}
+        self._size = 0
+
+    def encode(self, agent: str, payload: Buffer, round_trip: float | None) -> tuple[int, Buffer]:
+        """Kind and payload of the frame for a transfer; keeps it as the next reference.
+
+        `round_trip` is that of the link in seconds, None if not measured.
+        """
+        kept = self._kept.get(agent)
+        self.keep(agent, payload, is_sent=True)
+        if kept is None or (round_trip is not None and round_trip <= FAST_PATH):
+            return TRANSFER, payload
+        reference = kept[0]
+        name, delta = agent.encode(), encode_delta(payload, reference)
+        if len(delta) >= len(payload):
+            return TRANSFER, payload
+        checked = b"".join((_START.pack(0, len(payload), _digest(reference), len(name))[4:], name, delta))
+        return TRANSFER_DELTA, _CHECKSUM.pack(zlib.crc32(checked)) + checked
+
+    def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> None:
+        """Keep a transfer that was sent or has arrived; `payload` must not change."""
+        self.drop(agent)
+        if len(payload) > MAX_KEPT:
+            return
+        self._kept[agent] = payload, is_sent
+        self._size += len(payload)
+        while self._size > MAX_KEPT:
+            self.drop(next(iter(self._kept)))
+
+    def drop(self, agent: str) -> None:
+        """Forget a coordinator; ignored if unknown."""
+        if (kept := self._kept.pop(agent, None)) is not None:
+            self._size -= len(kept[0])
+
+    def decode(self, payload: memoryview) -> Delta | MissingReference:
+        """The delta of a frame. Raises WireError."""
+        if len(payload) < _START.size:
+            raise WireError("a delta is too short to have a header")
+        checksum, size, digest, length = _START.unpack_from(payload)
+        if zlib.crc32(payload[_CHECKSUM.size :]) != checksum:
+            raise WireError("a delta was damaged on the way: its checksum does not fit")
+        end = _START.size + length
+        try:
+            agent = bytes(payload[_START.size : end]).decode()
+        except UnicodeDecodeError as error:
+            raise WireError(f"a delta names no agent: {error}") from None
+        kept = self._kept.get(agent)
+        if kept is None or _digest(kept[0]) != digest:
+            return MissingReference(agent)
+        return Delta(agent, size, kept[0], payload[end:])
+
+    def whole(self, agent: str) -> Buffer | None:
+        """The last transfer of a coordinator if this end sent it."""
+        kept = self._kept.get(agent)
+        return kept[0] if kept is not None and kept[1] else None
+
+
+def _digest(payload: Buffer) -> bytes:
+    return hashlib.blake2b(payload, digest_size=8).digest()

@@ -1,0 +1,220 @@
+"""Deltas of transfers and compressed messages: what arrives equals what was sent, expansion is bounded."""
+
+from __future__ import annotations
+
+import random
+import zlib
+
+import pytest
+
+from lfield.errors import WireError
+from lfield.net.coding.delta import CHUNK, encode_delta, expand_delta
+from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.transfer_history import FAST_PATH, MAX_KEPT, Delta, MissingReference, TransferHistory
+from lfield.net.framed_link import FramedLink
+from lfield.testing.transport_kit import Recorder, transfer
+from lfield.wire.codec import TRANSFER, TRANSFER_DELTA, encode_transfer
+from lfield.wire.framing import HEADER_SIZE, frame
+from lfield.wire.messages import Backpressure, WholeTransferRequest
+
+SIZES = (0, 1, 600, 8720, CHUNK - 1, CHUNK, CHUNK + 1, 3 * CHUNK, 100_000)
+
+
+def changed(data: bytes, rng: random.Random, count: int = 8) -> bytes:
+    made = bytearray(data)
+    for _ in range(count if data else 0):
+        made[rng.randrange(len(made))] = rng.randrange(256)
+    return bytes(made)
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_delta_restores_every_version(size):
+    rng = random.Random(size)
+    old = rng.randbytes(size)
+    new = changed(old, rng)
+    moved = rng.randbytes(100) + old
+    for version in (old, new, moved, old[: size // 2], rng.randbytes(size), b""):
+        delta = encode_delta(version, old)
+        assert expand_delta(delta, old, len(version)) == version
+        assert expand_delta(encode_delta(old, version), version, size) == old
+
+
+def test_a_small_change_costs_few_bytes():
+    rng = random.Random(1)
+    for size, most in ((600, 40), (8720, 100), (100_000, 1000)):
+        old = rng.randbytes(size)
+        assert len(encode_delta(changed(old, rng, 4), old)) <= most
+
+
+def test_a_moved_heap_costs_few_bytes():
+    old = random.Random(1).randbytes(40_000)
+    assert len(encode_delta(bytes(200) + old, old)) < 700
+
+
+@pytest.mark.parametrize("size", SIZES[2:])
+def test_a_delta_cut_anywhere_or_for_another_size_is_refused(size):
+    old = random.Random(1).randbytes(size)
+    delta = encode_delta(changed(old, random.Random(2)), old)
+    for end in range(0, len(delta) - 1, max(1, len(delta) // 100)):
+        with pytest.raises(WireError):
+            expand_delta(delta[:end], old, size)
+    with pytest.raises(WireError):
+        expand_delta(delta, old, size + 1)
+
+
+def test_what_is_expanded_is_bounded_by_the_stated_size():
+    coder = zlib.compressobj(9, zlib.DEFLATED, -15)
+    bomb = coder.compress(bytes(1 << 28)) + coder.flush()
+    with pytest.raises(WireError):
+        expand_delta(bomb, b"", 1 << 20)
+    with pytest.raises(WireError):
+        MessageStream().decode(bomb, 1 << 20)
+
+
+def test_messages_of_a_stream_get_shorter_and_arrive_in_order():
+    near, far, rng = MessageStream(), MessageStream(), random.Random(1)
+    report = rng.randbytes(300)
+    lengths = []
+    for _ in range(50):
+        report = changed(report, rng, 3)
+        data = near.encode(report)
+        lengths.append(len(data))
+        assert far.decode(data, 300) == report
+    assert lengths[0] >= 300
+    assert max(lengths[1:]) < 40
+
+
+def payload(block: bytes, sequence: int) -> bytes:
+    return encode_transfer(transfer(len(block), sequence), block)[HEADER_SIZE:] + block
+
+
+AGENT = transfer(0).agent
+BLOCK = random.Random(1).randbytes(600)
+
+
+def test_both_ends_keep_the_same_reference():
+    near, far = TransferHistory(), TransferHistory()
+    ends = [near, far]
+    for number in range(20):
+        sender, receiver = ends[number % 2], ends[1 - number % 2]
+        sent = payload(changed(BLOCK, random.Random(number), 4), number)
+        kind, data = sender.encode(AGENT, sent, None)
+        assert kind == (TRANSFER_DELTA if number else TRANSFER)
+        if kind == TRANSFER_DELTA:
+            delta = receiver.decode(memoryview(data))
+            assert isinstance(delta, Delta)
+            assert delta.expand() == sent
+            assert len(data) < 120
+        receiver.keep(AGENT, sent, is_sent=False)
+
+
+def test_a_transfer_is_sent_whole_on_a_fast_path():
+    near = TransferHistory()
+    assert [near.encode(AGENT, payload(BLOCK, n), FAST_PATH)[0] for n in range(3)] == [TRANSFER] * 3
+    assert near.encode(AGENT, payload(BLOCK, 3), 2 * FAST_PATH)[0] == TRANSFER_DELTA
+
+
+def test_a_reference_with_another_digest_is_missing():
+    near, far = TransferHistory(), TransferHistory()
+    near.keep(AGENT, payload(BLOCK, 1), is_sent=False)
+    far.keep(AGENT, payload(BLOCK, 2), is_sent=False)
+    _, data = near.encode(AGENT, payload(BLOCK, 3), None)
+    assert far.decode(memoryview(data)) == MissingReference(AGENT)
+    assert TransferHistory().decode(memoryview(data)) == MissingReference(AGENT)
+
+
+def test_what_is_kept_is_bounded():
+    near = TransferHistory()
+    for number in range(20):
+        near.keep(f"c{number}", bytes(100_000), is_sent=True)
+    assert near._size == sum(len(data) for data, _ in near._kept.values()) <= MAX_KEPT
+    assert "c19" in near._kept
+    near.keep("large", bytes(MAX_KEPT + 1), is_sent=True)
+    assert "large" not in near._kept
+
+
+class End(FramedLink):
+    """One end of a link in memory: what is written arrives at the other end at once."""
+
+    other: End
+
+    def __init__(self, max_block: int) -> None:
+        super().__init__("peer", max_block)
+        self.handler = Recorder()
+        self.accept_role("host")
+        self.written: list[bytes] = []
+        self.loses = False
+
+    def write(self, data) -> None:
+        self.written.append(bytes(data))
+        if not self.loses:
+            self.other.received(bytes(data))
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def ends(max_block: int = 1 << 20) -> tuple[End, End]:
+    near, far = End(max_block), End(max_block)
+    near.other, far.other = far, near
+    return near, far
+
+
+def test_a_hop_without_a_reference_is_sent_again_whole():
+    near, far = ends()
+    near.send_transfer(transfer(600, 1), BLOCK)
+    far._history = TransferHistory()
+    near.send_transfer(transfer(600, 2), BLOCK)
+    near.send(Backpressure("behind"))
+    assert far.handler.messages == [(transfer(600, n), BLOCK) for n in (1, 2)] + [Backpressure("behind")]
+    assert [data[HEADER_SIZE - 1] for data in near.written[:3]] == [TRANSFER, TRANSFER_DELTA, TRANSFER]
+    near.send_transfer(transfer(600, 3), BLOCK)
+    assert near.written[-1][HEADER_SIZE - 1] == TRANSFER_DELTA
+    assert far.handler.messages[-1] == (transfer(600, 3), BLOCK)
+
+
+def test_hops_that_cross_close_the_link_when_neither_can_be_repeated():
+    """Two starts of one coordinator: the next link begins with queries about both."""
+    near, far = ends()
+    near.send_transfer(transfer(600, 1), BLOCK)
+    near.loses = far.loses = True
+    near.send_transfer(transfer(600, 2), BLOCK)
+    far.send_transfer(transfer(600, 3), BLOCK)
+    near.loses = far.loses = False
+    crossing = near.written[-1], far.written[-1]
+    far.received(crossing[0])
+    assert far.handler.messages[-1] == (transfer(600, 2), BLOCK)
+    near.received(crossing[1])
+    assert far.closed
+    assert isinstance(far._error, WireError)
+
+
+def test_a_request_for_a_transfer_that_was_not_sent_closes_the_link():
+    near, far = ends()
+    far.send(WholeTransferRequest("eve"))
+    assert near.closed
+    assert isinstance(near._error, WireError)
+
+
+def test_an_oversized_delta_is_reported_with_its_header():
+    near, far = ends(max_block=1000)
+    far.other = near
+    near.send_transfer(transfer(600, 1), BLOCK)
+    near.send_transfer(transfer(5000, 2), bytes(5000))
+    assert near.written[-1][HEADER_SIZE - 1] == TRANSFER_DELTA
+    assert far.handler.oversize == [(transfer(5000, 2), 5000)]
+    assert not far.closed
+
+
+@pytest.mark.parametrize("place", range(0, 60))
+def test_a_damaged_delta_closes_the_link_or_is_requested_again(place):
+    near, far = ends()
+    near.send_transfer(transfer(600, 1), BLOCK)
+    near.loses = True
+    near.send_transfer(transfer(600, 2), BLOCK)
+    body = bytearray(near.written[-1][HEADER_SIZE:])
+    body[place % len(body)] ^= 1 << place % 8
+    near.loses = False
+    far.received(frame(TRANSFER_DELTA, body))
+    assert far.closed
+    assert len(far.handler.messages) == 1
