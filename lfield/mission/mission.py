@@ -64,6 +64,12 @@ class Mission:
         return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
 
     @property
+    def has_live_values(self) -> bool:
+        """Whether an agent reports attributes that change while the team works."""
+        providers = self.registry.providers if self.registry is not None else {}
+        return any(providers[name].live for name in sorted(set(self.team.types.values()) & providers.keys()))
+
+    @property
     def needed(self) -> NeededDevices:
         """By agent its device fields and their device types."""
         return needed_devices(self.program, self.team)

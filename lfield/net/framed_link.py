@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from lfield.authority.identity import ANONYMOUS
 from lfield.errors import AddressError, HandshakeError, WireError
 from lfield.event_loop import report_exception
-from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.link_compression import LinkCompression
 from lfield.net.coding.transfer_history import FAST_PATH, MissingReference, TransferHistory
 from lfield.net.scheduling.cpu_budgets import PROOF_WEIGHT
 from lfield.wire.codec import (
@@ -29,7 +29,18 @@ from lfield.wire.codec import (
     transfer_header,
 )
 from lfield.wire.framing import HEADER_SIZE, frame
-from lfield.wire.messages import HandshakeRefused, Hello, IncompatibleHello, Ping, Pong, WholeTransferRequest
+from lfield.wire.messages import (
+    Backpressure,
+    DirectoryUpdate,
+    GossipUpdate,
+    HandshakeRefused,
+    Hello,
+    IncompatibleHello,
+    Ping,
+    Pong,
+    RevocationUpdate,
+    WholeTransferRequest,
+)
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
 from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
@@ -55,6 +66,8 @@ _ORDERS = (EmergencyStop, EmergencyStopResult, Pause, OrderChallenge, RelayedOrd
 _URGENT = (*_ORDERS, Ping, Pong)
 #: Never withheld: these cause no coordinator to be sent, and some of them stop robots.
 _NEVER_WITHHELD = (*_URGENT, HandshakeRefused)
+#: Sent regularly by hosts that have nothing to do with each other.
+_BACKGROUND = (Ping, Pong, DirectoryUpdate, GossipUpdate, Backpressure, RevocationUpdate)
 #: Messages with frames of their own.
 _HANDSHAKE = (Hello, IncompatibleHello, HandshakeRefused)
 
@@ -76,9 +89,13 @@ class FramedLink:
         #: and which coordinators.
         self._withheld: list[Buffer] | None = None
         self._weight, self._withheld_weight = 0, set[str]()
+        #: See `Link.work`.
+        self.work = 0
         self._error: LfieldError | None = None
         self._max_block = max_block
-        self._history, self._stream = TransferHistory(), MessageStream()
+        self._history = TransferHistory()
+        #: Made for the first compressed message: it takes 50 kB.
+        self._compression: LinkCompression | None = None
         #: Whether the peer is known to understand compressed messages; how long they may be.
         self._may_compress, self._longest = False, 0
         #: The measured round trip in seconds.
@@ -118,6 +135,9 @@ class FramedLink:
         """See `Link.set_round_trip`."""
         self._round_trip = round_trip
 
+    def on_idle(self) -> None:
+        """See `Link.on_idle`: no effect without a socket."""
+
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""
         return None
@@ -125,6 +145,7 @@ class FramedLink:
     def send(self, message: Message) -> None:
         """Queue a message, before queued data if urgent. Raises AddressError on a closed link."""
         self._require_open()
+        self.work += not isinstance(message, _BACKGROUND)
         if isinstance(message, _URGENT):
             self.write_urgent(encode(message))
         elif self._withheld is None or isinstance(message, _NEVER_WITHHELD):
@@ -137,12 +158,14 @@ class FramedLink:
         is_fast = self._round_trip is not None and self._round_trip <= FAST_PATH
         if is_fast or not self._may_compress or isinstance(message, _HANDSHAKE):
             return encode(message)
-        return encode_compressed(message, self._stream.encode)
+        self._compression = self._compression or LinkCompression()
+        return encode_compressed(message, self._compression.encode)
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Send a coordinator immediately. Raises AddressError on a closed link."""
         if self.closed:
             self._require_open()
+        self.work += 1
         whole = b"".join((encode_transfer(header, block), block))
         kind, payload = self._history.encode(header.agent, memoryview(whole)[HEADER_SIZE:], self._round_trip)
         data = whole if kind == TRANSFER else frame(kind, payload)
@@ -207,16 +230,19 @@ class FramedLink:
                 message: Message = decode_compressed(payload, self._expand)
             else:
                 message = decode(kind, payload)
+            self.work += not isinstance(message, _BACKGROUND)
             if isinstance(message, WholeTransferRequest):
                 self._resend(message.agent)
             else:
                 self.handler.on_message(self, message)
 
     def _expand(self, payload: Buffer) -> bytes:
-        return self._stream.decode(payload, self._longest)
+        self._compression = self._compression or LinkCompression()
+        return self._compression.decode(payload, self._longest)
 
     def _on_transfer(self, payload: bytes) -> None:
         header, block = decode_transfer(payload)
+        self.work += 1
         if self._withheld is not None:
             self._weigh(header.agent)
         # Before the handler, which may send the coordinator back.
@@ -230,7 +256,7 @@ class FramedLink:
                 self._weigh(delta.agent)
             self.send(WholeTransferRequest(delta.agent))
         elif delta.size > self._max_block + MAX_TRANSFER_HEADER:
-            header = transfer_header(delta.beginning(), delta.size)
+            header = transfer_header(delta.leading_bytes(), delta.size)
             self._oversize(header, header.size)
         else:
             self._on_transfer(delta.expand())

@@ -20,7 +20,7 @@ from lfield.event_loop import has_spare_descriptors, spawn
 from lfield.net.connection_limiter import ConnectionLimiter
 from lfield.net.connections.dialler import Dialler
 from lfield.net.handshake import Handshake
-from lfield.net.health.link_heartbeats import LOST_AFTER, PING_EVERY
+from lfield.net.health.link_heartbeats import IDLE_PING_EVERY, LOST_AFTER, PING_EVERY
 from lfield.net.health.link_monitor import LinkMonitor
 from lfield.net.link_owner import LinkOwner, RateLimitedLog, RefusedHosts, TeamAddresses, apply_revocations
 from lfield.net.scheduling.handshake_scheduler import source_of
@@ -58,7 +58,7 @@ class LinkManager:
     ) -> None:
         self._owner, self._transport, self._clock = owner, transport, clock
         self._admission, self.now = admission or AdmissionPolicy(), clock.monotonic
-        self._hosts, self._addresses, self._here, self._neighbours = team
+        self._hosts, self._addresses, self._here, self._neighbours, _ = team
         hosts, here = team.hosts, team.here
         self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Hosts needed permanently, and hosts needed until a time.
@@ -69,7 +69,13 @@ class LinkManager:
         #: When each host last dialled, and the banned hosts.
         self._last_incoming, self._bans = dict[str, float](), TemporaryBans()
         self._links: dict[str, Session] = {}
-        self.monitor = LinkMonitor(hosts, here, self.now, owner.hybrid_clock)
+        self.monitor = LinkMonitor(
+            hosts,
+            here,
+            self.now,
+            owner.hybrid_clock,
+            PING_EVERY if team.has_live_values else IDLE_PING_EVERY,
+        )
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
         self.on_arrival = lambda *transfer: owner.on_transfer(*transfer)
         self.on_oversize = lambda *transfer: owner.on_oversize(*transfer)

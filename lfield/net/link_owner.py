@@ -104,13 +104,15 @@ class RateLimitedLog:
 class TeamAddresses(NamedTuple):
     """The hosts of the deployment and their addresses; `here` is the number of this host.
 
-    `neighbours` are the hosts that want a link with this one as it does with them.
+    `neighbours` are the hosts that want a link with this one as it does with them. With live values, which
+    age between two heartbeats, the heartbeats of idle links are as frequent as those of busy ones.
     """
 
     hosts: Sequence[str]
     addresses: Sequence[str]
     here: int
     neighbours: Collection[str]
+    has_live_values: bool = False
 
 
 class RefusedHosts:

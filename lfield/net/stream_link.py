@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, cast
 from lfield.authority.identity import ANONYMOUS, Identity
 from lfield.errors import AddressError, CpuBudgetExceeded, WireError
 from lfield.net.framed_link import FramedLink
-from lfield.net.health.tcp_options import read_counts, set_options, set_time_outs
+from lfield.net.health.tcp_options import delay_acknowledgements, read_counts, set_options, set_time_outs
 from lfield.net.peer_credentials import identity_of_caller, identity_of_listener, socket_address
 from lfield.net.scheduling.send_queue import HIGH_WATER, SendQueue
 
@@ -159,6 +159,11 @@ class StreamLink(FramedLink, asyncio.Protocol):
         if self._socket is not None and not self.closed and not is_near:
             self._expected = round_trip
             set_time_outs(self._socket, round_trip)
+
+    def on_idle(self) -> None:
+        """See `Link.on_idle`."""
+        if self._socket is not None and not self.closed:
+            delay_acknowledgements(self._socket)
 
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""

@@ -69,6 +69,11 @@ class Link(Protocol):
     def is_answered(self) -> bool:
         """Whether the peer has started a handshake."""
 
+    @property
+    def work(self) -> int:
+        """The number of transfers and messages sent and received, without heartbeats and background
+        reports."""
+
     def send(self, message: Message) -> None:
         """Queue a message. Raises AddressError on a closed link."""
 
@@ -84,6 +89,9 @@ class Link(Protocol):
 
     def set_round_trip(self, round_trip: float) -> None:
         """Set the measured round trip in seconds, which determines retransmission time-outs."""
+
+    def on_idle(self) -> None:
+        """The link has been idle since the last call: acknowledgements may be delayed."""
 
     def counts(self) -> TcpCounts | None:
         """The kernel's counters of the connection; None if unavailable."""

@@ -154,9 +154,9 @@ def decode_transfer(payload: Buffer) -> tuple[Transfer, memoryview]:
     return header, block
 
 
-def transfer_header(beginning: Buffer, length: int) -> Transfer:
-    """The header of a TRANSFER payload of `length` bytes, from its beginning. Raises WireError."""
-    return _split_transfer(beginning, length)[0]
+def transfer_header(start: Buffer, length: int) -> Transfer:
+    """The header of a TRANSFER payload of `length` bytes, from its first bytes. Raises WireError."""
+    return _split_transfer(start, length)[0]
 
 
 def _encode_hello(hello: Hello) -> bytes:

@@ -25,7 +25,7 @@ from lfield.guard.messages import MessageReader
 from lfield.journal.records import decode_record
 from lfield.mission import bundle
 from lfield.net.coding.delta import expand_delta
-from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.link_compression import LinkCompression
 from lfield.net.coding.transfer_history import TransferHistory
 from lfield.net.framed_link import FramedLink
 from lfield.net.handshake import Handshake
@@ -45,7 +45,7 @@ READS: Mapping[str, Sequence[object]] = {
         FramedLink._oversize,
         FramedLink._on_delta,
     ),
-    "compact": (TransferHistory.decode, expand_delta, MessageStream.decode),
+    "compact": (TransferHistory.decode, expand_delta, LinkCompression.decode),
     "greeting": (*_MESSAGES, codec._decode_hello, Handshake.receive),
     "control": (*_MESSAGES, Handshake.admit),
     "transfer": (codec.decode_transfer, codec._split_transfer),
@@ -71,7 +71,7 @@ UNREACHED: Mapping[str, Mapping[str, str]] = {
         "FrameDecoder.reset_skipped: self.skipped = 0": "called by `withhold`, not by a reader",
     },
     "compact": {
-        'TransferHistory.decode: raise WireError("a delta was damaged on the way: its checksum does not fit")': (
+        'TransferHistory.decode: raise WireError("the checksum of a delta does not fit")': (
             "every input gets the right checksum; those of `stream` do not"
         ),
     },

@@ -21,7 +21,7 @@ from lfield.errors import HandshakeError, LfieldError, WireError
 from lfield.host.context import HostContext
 from lfield.host.core import HostCore
 from lfield.host.events.event_recorder import EventRecorder
-from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.link_compression import LinkCompression
 from lfield.net.coding.transfer_history import Delta, TransferHistory
 from lfield.net.framed_link import FramedLink
 from lfield.net.handshake import Handshake
@@ -161,7 +161,7 @@ def decode_compact(data: bytes) -> None:
     (header, block), *_ = transfers()
     if data[:1] == b"\0":
         with suppress(WireError):
-            codec.decode_compressed(sealed(data[1:]), partial(MessageStream().decode, longest=4096))
+            codec.decode_compressed(sealed(data[1:]), partial(LinkCompression().decode, longest=4096))
         return
     history = TransferHistory()
     history.keep(header.agent, codec.encode_transfer(header, block)[HEADER_SIZE:] + block, is_sent=False)
@@ -170,7 +170,7 @@ def decode_compact(data: bytes) -> None:
         delta = history.decode(memoryview(checked))
         if isinstance(delta, Delta) and delta.size <= 1 << 16:
             assert len(delta.expand()) == delta.size
-            delta.beginning()
+            delta.leading_bytes()
 
 
 class LinkRecorder:
@@ -434,7 +434,7 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
         ],
         codec.TRANSFER_DELTA: _deltas(),
         codec.COMPRESSED: [
-            codec.encode_compressed(example(kind), MessageStream().encode)
+            codec.encode_compressed(example(kind), LinkCompression().encode)
             for kind in Control.__args__  # type: ignore[attr-defined]
         ],
     }
@@ -516,7 +516,7 @@ def _compact_seeds() -> Sequence[bytes]:
         bytes(unnamed),
         b"\1" + long,
         *(b"\0" + payload[4:] for payload in payloads()[codec.COMPRESSED]),
-        b"\0" + MessageStream().encode(bytes(1 << 16)),
+        b"\0" + LinkCompression().encode(bytes(1 << 16)),
         b"\0\xff\xff",
     ]
 

@@ -117,7 +117,7 @@ class HostServices:
         if host not in parts.membership.linked:
             parts.require_link(host)
             lost_reason, down_for = parts.reachability.lost_reason(host), parts.reachability.down_for(host)
-        elif agent.alarm < math.inf or agent.overdue:
+        elif agent.alarm < math.inf or agent.overdue or parts.reachability.is_stale(host):
             parts.reachability.request_heartbeat(host)
         parts.coordinators.depart(agent, resource, lost_reason, down_for)
         if agent.fetched:

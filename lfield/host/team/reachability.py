@@ -1,9 +1,10 @@
 """Reachability of hosts: how long a coordinator waits for a host without a link; not at all for a lost one.
 Sans-IO.
 
-A coordinator under a time limit is sent over a link only if something has just arrived from the other host:
-sent to a silent host it would be in doubt for as long as the silence lasts, even beyond the limit. The host
-is probed first, and until it answers the coordinator can still continue where it is.
+A coordinator under a time limit is sent over a link only if something has just arrived from the other host,
+any other coordinator if something arrived within 2 s: sent to a silent host it would be in doubt for as long
+as the silence lasts, even beyond the limit. The host is probed first, and until it answers the coordinator
+can still continue where it is.
 
 A host that was linked has `unreachable_after` from the end of its link, not from the call. A call after half
 of that does not wait: the host is regarded as lost until it is linked again. A host that was never linked may
@@ -15,6 +16,7 @@ from __future__ import annotations
 import math
 
 from lfield.host.context import HostContext, Part
+from lfield.net.health.link_heartbeats import IDLE_PING_EVERY
 from lfield.replication.membership.membership import Membership
 from lfield.replication.transfer.core import Mobility
 from lfield.replication.transfer.effects import Send
@@ -71,13 +73,14 @@ class Reachability(Part):
         return self._membership.is_linked(host)
 
     def is_silent(self, host: str) -> bool:
-        """Whether nothing has arrived for a while over a link with heartbeats every second."""
+        """Whether nothing has arrived for a while, or a probe remains unanswered."""
         last_contact = self._membership.last_contact(host)
         if last_contact is None or not self._membership.is_linked(host):
             return False
         now = self._clock.monotonic()
         answer = self._environment.answer_timeout(host) or 0.0
-        silent = host in self._membership.neighbours and now - last_contact > SILENCE_TIMEOUT + answer
+        bound = IDLE_PING_EVERY + SILENCE_TIMEOUT + answer
+        silent = host in self._membership.neighbours and now - last_contact > bound
         grace = min(MAX_ANSWER_GRACE, max(ANSWER_GRACE, answer))
         return silent or (self._is_overdue(host, last_contact) and now >= self._probed_at[host] + grace)
 
@@ -96,6 +99,12 @@ class Reachability(Part):
         if not self._is_overdue(host, last_contact) and self._mobility.needs_probe(host):
             self._probed_at[host] = now
             self._out(Send(host, Ping(QUESTION)))
+
+    def is_stale(self, host: str) -> bool:
+        """Whether nothing has arrived from a linked host for longer than between two heartbeats of a busy
+        link."""
+        last_contact = self._membership.last_contact(host)
+        return last_contact is not None and self._clock.monotonic() - last_contact > SILENCE_TIMEOUT
 
     def transit_time(self, host: str) -> float:
         """The one-way transit time of a message from or to a linked host, in seconds; 0 if unknown."""

@@ -38,7 +38,7 @@ def encode_delta(new: Buffer, old: Buffer) -> bytes:
 
 
 def expand_delta(delta: Buffer, old: Buffer, size: int) -> bytes:
-    """The `size` bytes that a delta describes; less if the caller needs only the first ones.
+    """The first `size` bytes of what a delta describes.
 
     Expands at most CHUNK bytes beyond what it returns, whatever the delta contains. Raises WireError if the
     delta is malformed or does not have that many bytes.
@@ -49,26 +49,16 @@ def expand_delta(delta: Buffer, old: Buffer, size: int) -> bytes:
         coder = zlib.decompressobj(-_MAX_WINDOW, _dictionary(base, length))
         try:
             chunk = coder.decompress(rest, CHUNK)
+            # The end of a full chunk may not have been read yet.
+            excess = b"" if coder.eof else coder.decompress(coder.unconsumed_tail, 1)
         except zlib.error as error:
             raise WireError(f"a delta is malformed: {error}") from None
-        if not chunk or (len(chunk) < CHUNK and not coder.eof):
-            raise WireError("a delta is shorter than it states")
+        if not chunk or excess or not coder.eof:
+            raise WireError("a delta is cut, or one of its chunks is too long")
         found.append(chunk)
         length += len(chunk)
-        rest = _after_chunk(coder)
+        rest = coder.unused_data
     return b"".join(found)[:size]
-
-
-def _after_chunk(coder: zlib._Decompress) -> bytes:
-    """The bytes after the end of a chunk, whose end marker may not have been read yet."""
-    if not coder.eof:
-        try:
-            extra = coder.decompress(coder.unconsumed_tail, 1)
-        except zlib.error as error:
-            raise WireError(f"a delta is malformed: {error}") from None
-        if extra or not coder.eof:
-            raise WireError("a chunk of a delta is too long")
-    return coder.unused_data
 
 
 def _dictionary(old: memoryview, start: int) -> memoryview:

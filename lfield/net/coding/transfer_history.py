@@ -44,7 +44,7 @@ class Delta(NamedTuple):
         """The whole transfer. Raises WireError."""
         return expand_delta(self.delta, self.reference, self.size)
 
-    def beginning(self) -> bytes:
+    def leading_bytes(self) -> bytes:
         """As much of the transfer as has its header. Raises WireError."""
         return expand_delta(self.delta, self.reference, min(self.size, MAX_TRANSFER_HEADER))
 
@@ -100,7 +100,7 @@ class TransferHistory:
             raise WireError("a delta is too short to have a header")
         checksum, size, digest, length = _START.unpack_from(payload)
         if zlib.crc32(payload[_CHECKSUM.size :]) != checksum:
-            raise WireError("a delta was damaged on the way: its checksum does not fit")
+            raise WireError("the checksum of a delta does not fit")
         end = _START.size + length
         try:
             agent = bytes(payload[_START.size : end]).decode()

@@ -3,6 +3,9 @@
 On a lossy path a message is late, not missing, since TCP repeats it. The time-out is four times the latest
 answer of the last minutes, within bounds. On a good path a dead link is thus detected as soon as with a fixed
 time-out, and silence that is usual on a bad path ends no link.
+
+A link that carries nothing but background reports is idle. Its heartbeats are rare, because many idle links
+would fill a slow radio, and its silence is detected within 10 s.
 """
 
 from __future__ import annotations
@@ -13,6 +16,9 @@ PING_EVERY = 1.0
 #: Seconds of silence after which another connection is tried in parallel, and after which the link is closed:
 #: the minimum; and the maximum, since a coordinator that waits for the host has to learn of it in time.
 SUSPECT_AFTER, LOST_AFTER, MAX_SILENCE = 2.0, 3.0, 8.0
+#: Seconds between two heartbeats of an idle link on a good path, and of silence after which it is closed. On
+#: a path whose answers may come late, heartbeats are more frequent.
+IDLE_PING_EVERY, IDLE_LOST_AFTER = 6.5, 9.0
 #: Time-outs allow this many consecutive answers as late as the latest.
 LATE_FACTOR = 4.0
 #: Maximum number of unanswered heartbeats that are remembered.
@@ -83,10 +89,13 @@ class RoundTrip(SmoothedRtt):
 class Heartbeats:
     """The heartbeats of one end for one host, over all links with it. Times are monotonic seconds.
 
-    The ends alternate, so that both measure at the cost of one; `first` says which end starts.
+    The ends alternate, so that both measure at the cost of one; `first` says which end starts. Heartbeats of
+    an idle link are at most `idle_interval` seconds apart, and that end sends all of them: TCP then delays
+    the acknowledgement at the other end and sends it with the answer.
     """
 
-    def __init__(self, *, first: bool) -> None:
+    def __init__(self, *, first: bool, idle_interval: float = IDLE_PING_EVERY) -> None:
+        self._idle_interval = idle_interval
         self.round_trip = RoundTrip()
         self._first = self._turn = first
         self._sent_at, self._token = 0.0, 0
@@ -97,11 +106,20 @@ class Heartbeats:
         self._turn, self._sent_at = self._first, now
         self._open.clear()
 
-    def is_due(self, now: float, silent: float) -> bool:
-        """Whether to send one: without traffic after half an interval on this end's turn, else after one and
-        a half; with other traffic after five intervals."""
-        waits = (0.5 if self._turn else 1.5) * PING_EVERY
-        return silent >= waits or now - self._sent_at >= 5 * PING_EVERY
+    def interval(self, now: float, *, is_idle: bool) -> float:
+        """Seconds between two heartbeats."""
+        if not is_idle:
+            return PING_EVERY
+        late = LATE_FACTOR * self.round_trip.longest(now)
+        return min(self._idle_interval, max(PING_EVERY, IDLE_LOST_AFTER - PING_EVERY - late))
+
+    def is_due(self, now: float, silent: float, *, is_idle: bool = False) -> bool:
+        """Whether to send one: without traffic half a second before the end of an interval on this end's
+        turn, else half a second after it; with other traffic after five intervals."""
+        every = self.interval(now, is_idle=is_idle)
+        turn = self._first if is_idle else self._turn
+        waits = every + (-0.5 if turn else 0.5) * PING_EVERY
+        return silent >= waits or now - self._sent_at >= 5 * every
 
     def send(self, now: float) -> int:
         """Record a sent heartbeat. Returns its token."""
@@ -122,12 +140,15 @@ class Heartbeats:
         if sent is not None:
             self.round_trip.add(now - sent, now)
 
-    def suspect_after(self, now: float) -> float:
+    def suspect_after(self, now: float, *, is_idle: bool = False) -> float:
         """The silence after which another connection is tried in parallel."""
-        return min(MAX_SILENCE, max(SUSPECT_AFTER, 1.5 * PING_EVERY + self.round_trip.longest(now)))
+        late = self.interval(now, is_idle=is_idle) + 0.5 * PING_EVERY + self.round_trip.longest(now)
+        return min(MAX_SILENCE, max(SUSPECT_AFTER, late))
 
-    def lost_after(self, now: float) -> float:
+    def lost_after(self, now: float, *, is_idle: bool = False) -> float:
         """The silence after which the link is closed."""
+        if is_idle and self._idle_interval > PING_EVERY:
+            return IDLE_LOST_AFTER
         return min(
             MAX_SILENCE, max(LOST_AFTER, 1.5 * PING_EVERY + LATE_FACTOR * self.round_trip.longest(now))
         )

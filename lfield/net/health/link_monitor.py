@@ -8,9 +8,12 @@ from typing import Literal, NamedTuple, Protocol
 
 from lfield.errors import AddressError
 from lfield.hybrid_clock import HybridClock
-from lfield.net.health.link_heartbeats import Heartbeats
+from lfield.net.health.link_heartbeats import IDLE_PING_EVERY, Heartbeats
 from lfield.net.health.traffic import LinkTraffic, TcpCounts
 from lfield.wire.messages import Ping, Pong
+
+#: Seconds without work after which a link is idle.
+IDLE_AFTER = 10.0
 
 #: Silence of a link: none, enough to try another connection in parallel, or enough to close it.
 Silence = Literal["", "suspected", "lost"]
@@ -19,11 +22,18 @@ Silence = Literal["", "suspected", "lost"]
 class MonitoredLink(Protocol):
     """The part of `lfield.net.transport.Link` that is used here."""
 
+    @property
+    def work(self) -> int:
+        """The number of transfers and messages sent and received, without background reports."""
+
     def send(self, message: Ping | Pong, /) -> None:
         """Queue a message. Raises AddressError on a closed link."""
 
     def set_round_trip(self, round_trip: float, /) -> None:
         """Set the measured round-trip time in seconds."""
+
+    def on_idle(self) -> None:
+        """The link has been idle since the last call."""
 
     def counts(self) -> TcpCounts | None:
         """The kernel's counters of the connection."""
@@ -41,25 +51,57 @@ class LinkFigures(NamedTuple):
     received: int | None
 
 
+class LinkActivity:
+    """When a link last carried work, and when it last began to after an idle period. Times are in seconds."""
+
+    def __init__(self, now: float) -> None:
+        self._work, self._worked_at, self._busy_since = -1, now, now
+
+    def is_idle(self, now: float) -> bool:
+        """Whether the link was idle at the last update."""
+        return now - self._worked_at > IDLE_AFTER
+
+    def update(self, work: int, now: float) -> None:
+        """Record the count of work at this time."""
+        if work == self._work:
+            return
+        if self.is_idle(now):
+            self._busy_since = now
+        self._work, self._worked_at = work, now
+
+    def expected_silence(self, silent: float, now: float) -> float:
+        """The silence since heartbeats have been frequent."""
+        return silent if self.is_idle(now) else min(silent, now - self._busy_since)
+
+
 class LinkMonitor:
     """The links of host number `here` of `hosts`; `now` is a monotonic clock, in seconds.
 
-    Heartbeats of hosts carry the timestamps of `hybrid_clock`.
+    Heartbeats of hosts carry the timestamps of `hybrid_clock`; those of idle links are `idle_interval`
+    seconds apart.
     """
 
     def __init__(
-        self, hosts: Sequence[str], here: int, now: Callable[[], float], hybrid_clock: HybridClock
+        self,
+        hosts: Sequence[str],
+        here: int,
+        now: Callable[[], float],
+        hybrid_clock: HybridClock,
+        idle_interval: float = IDLE_PING_EVERY,
     ) -> None:
         self._now, self._hybrid_clock = now, hybrid_clock
-        self._heartbeats = {host: Heartbeats(first=here < number) for number, host in enumerate(hosts)}
-        self._links: dict[str, tuple[MonitoredLink, LinkTraffic]] = {}
+        self._heartbeats = {
+            host: Heartbeats(first=here < number, idle_interval=idle_interval)
+            for number, host in enumerate(hosts)
+        }
+        self._links: dict[str, tuple[MonitoredLink, LinkTraffic, LinkActivity]] = {}
         #: The figures of each link at the last reading of its counters, every few seconds.
         self.latest: dict[str, LinkFigures] = {}
 
     def on_linked(self, host: str, link: MonitoredLink) -> None:
         """A link with a host was made, and replaces an earlier one."""
         self._heartbeats[host].on_link_made(self._now())
-        self._links[host] = link, LinkTraffic()
+        self._links[host] = link, LinkTraffic(), LinkActivity(self._now())
 
     def on_unlinked(self, host: str) -> None:
         """The link with a host is closed."""
@@ -69,15 +111,19 @@ class LinkMonitor:
     def check(self, host: str, silent: float) -> Silence:
         """Check a link that has been `silent` for that many seconds, and send a heartbeat if due."""
         beats, now = self._heartbeats[host], self._now()
-        link, traffic = self._links[host]
+        link, traffic, activity = self._links[host]
         if traffic.is_due(now):
             self.latest[host] = self.figures(host)
-        if silent > beats.lost_after(now):
+        activity.update(link.work, now)
+        silent, is_idle = activity.expected_silence(silent, now), activity.is_idle(now)
+        if is_idle:
+            link.on_idle()
+        if silent > beats.lost_after(now, is_idle=is_idle):
             return "lost"
-        if beats.is_due(now, silent):
+        if beats.is_due(now, silent, is_idle=is_idle):
             with suppress(AddressError):
                 link.send(Ping(beats.send(now), self._hybrid_clock.tick(now)))
-        return "suspected" if silent > beats.suspect_after(now) else ""
+        return "suspected" if silent > beats.suspect_after(now, is_idle=is_idle) else ""
 
     def on_ping(self, host: str, link: MonitoredLink, ping: Ping) -> None:
         """A heartbeat of a host, or of an observer (''), has arrived."""
@@ -105,7 +151,7 @@ class LinkMonitor:
 
     def figures(self, host: str) -> LinkFigures:
         """The current measurements of the link with a host."""
-        link, traffic = self._links[host]
+        link, traffic, _ = self._links[host]
         traffic.record(link.counts(), self._now())
         counts = traffic.counts
         sent, received = (counts.bytes_sent, counts.bytes_received) if counts is not None else (None, None)

@@ -85,6 +85,11 @@ def set_time_outs(made: TcpSocket, round_trip: float) -> None:
             made.setsockopt(socket.IPPROTO_TCP, option, value)
 
 
+def delay_acknowledgements(made: TcpSocket) -> None:
+    """Send the next acknowledgement with the answer; after a pause the kernel would send it alone."""
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 0)
+
+
 def read_counts(made: TcpSocket) -> TcpCounts | None:
     """The kernel's counters; None if incomplete (before Linux 4.19)."""
     try:

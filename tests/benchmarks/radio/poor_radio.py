@@ -39,7 +39,7 @@ PARTS: dict[str, tuple[Part, tuple[str, ...]]] = {
     "hops": (hops, tuple(CELLS)),
     "stops": (stops, STOP_CELLS),
     "outages": (outages, ("50 ms",)),
-    "idle": (idle, ("50 ms",)),
+    "idle": (idle, ("50 ms", "57.6 kbit/s + 100 ms + 5 %")),
     "virtual": (virtual, STOP_CELLS),
 }
 

@@ -43,8 +43,9 @@ WARM_UP = 10
 OUTAGES, LANES_WITH_OUTAGES, BETWEEN = (1.0, 5.0, 15.0, 30.0), 6, 4.0
 #: The address that a robot changes to, and the seconds that what is compared has to continue from there.
 OTHER_ADDRESS, WITHIN = "10.77.0.71", 30.0
-#: Seconds in which bytes at rest are counted.
-AT_REST = 20.0
+#: Seconds after which links are idle, and seconds in which bytes at rest are counted.
+SETTLES = 15.0
+AT_REST = 30.0
 #: What is compared with a hop, and with a stop; `fresh` ones connect for every request.
 PEERS = {"raw TCP": "TCP", "gRPC": "gRPC", "Zenoh over TCP": "Zenoh", "QUIC": "QUIC", "UDP, retry": "UDP"}
 STOP_PEERS = {
@@ -175,7 +176,7 @@ def idle(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
 
 def _bytes_per_second(radio: Radio, name: str = "") -> float:
     """Of all, or of one end."""
-    time.sleep(2.0)
+    time.sleep(SETTLES)
     radio.reset()
     begun = time.monotonic()
     time.sleep(AT_REST)

@@ -9,7 +9,7 @@ import pytest
 
 from lfield.errors import WireError
 from lfield.net.coding.delta import CHUNK, encode_delta, expand_delta
-from lfield.net.coding.message_stream import MessageStream
+from lfield.net.coding.link_compression import LinkCompression
 from lfield.net.coding.transfer_history import FAST_PATH, MAX_KEPT, Delta, MissingReference, TransferHistory
 from lfield.net.framed_link import FramedLink
 from lfield.testing.transport_kit import Recorder, transfer
@@ -68,11 +68,11 @@ def test_what_is_expanded_is_bounded_by_the_stated_size():
     with pytest.raises(WireError):
         expand_delta(bomb, b"", 1 << 20)
     with pytest.raises(WireError):
-        MessageStream().decode(bomb, 1 << 20)
+        LinkCompression().decode(bomb, 1 << 20)
 
 
 def test_messages_of_a_stream_get_shorter_and_arrive_in_order():
-    near, far, rng = MessageStream(), MessageStream(), random.Random(1)
+    near, far, rng = LinkCompression(), LinkCompression(), random.Random(1)
     report = rng.randbytes(300)
     lengths = []
     for _ in range(50):

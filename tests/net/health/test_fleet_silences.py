@@ -2,17 +2,33 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
 
 from lfield.mission.loader import load_mission
-from lfield.net.health.link_heartbeats import LOST_AFTER, PING_EVERY, SUSPECT_AFTER
+from lfield.net.health.link_heartbeats import (
+    IDLE_LOST_AFTER,
+    IDLE_PING_EVERY,
+    LOST_AFTER,
+    PING_EVERY,
+    SUSPECT_AFTER,
+)
 from lfield.simulate.host_fleet import Fleet
+from lfield.wire.coordinator_messages import TransferAccepted
+from lfield.wire.messages import Backpressure
 
 PROGRAM = "resource Post { init(string[] arg) { } }\n"
 HOSTS = ("alpha", "bravo")
 ENDS = (HOSTS, HOSTS[::-1])
+
+
+@pytest.fixture(autouse=True)
+def links_are_busy(request, monkeypatch) -> None:
+    """Nothing is under way between these hosts; their links are treated as if it were, except where named."""
+    if "idle" not in request.node.name:
+        monkeypatch.setattr("lfield.net.health.link_monitor.IDLE_AFTER", math.inf)
 
 
 def fleet_of(folder: Path, seed: int) -> Fleet:
@@ -81,3 +97,30 @@ def test_a_silent_link_is_given_up_on_a_calm_path_as_soon_as_ever(tmp_path):
     assert linked(fleet) == [True, True]
     fleet.run(2.5 * PING_EVERY + 0.1)
     assert linked(fleet) == [False, False]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_silence_of_an_idle_link_is_noticed_within_ten_seconds(tmp_path, seed):
+    fleet = fleet_of(tmp_path, seed)
+    fleet.run(60.0 + seed)
+    silence(fleet, IDLE_LOST_AFTER - IDLE_PING_EVERY - 2 * PING_EVERY)
+    assert linked(fleet) == [True, True]
+    fleet.run(10.0)
+    assert linked(fleet) == [False, False]
+
+
+def test_an_idle_link_sends_rare_heartbeats_and_a_hop_makes_it_busy(tmp_path):
+    fleet = fleet_of(tmp_path, 1)
+    fleet.run(20.0)
+    alpha = fleet.lives["alpha"].host.peers
+    seen = []
+    for _ in range(60):
+        fleet.run(1.0)
+        seen.append(max(silences(fleet)))
+    assert IDLE_PING_EVERY - 1.0 <= max(seen) <= IDLE_PING_EVERY + 1.5
+    assert linked(fleet) == [True, True]
+    silence(fleet, 1.0)
+    alpha.send("bravo", Backpressure("full"))
+    alpha.send("bravo", TransferAccepted("tom", 1, 1))
+    fleet.run(LOST_AFTER + 2.5 * PING_EVERY)
+    assert linked(fleet)[0] is False

@@ -2,7 +2,16 @@
 
 import pytest
 
-from lfield.net.health.link_heartbeats import LOST_AFTER, MAX_PENDING, MAX_SILENCE, SUSPECT_AFTER, Heartbeats
+from lfield.net.health.link_heartbeats import (
+    IDLE_LOST_AFTER,
+    IDLE_PING_EVERY,
+    LOST_AFTER,
+    MAX_PENDING,
+    MAX_SILENCE,
+    PING_EVERY,
+    SUSPECT_AFTER,
+    Heartbeats,
+)
 
 
 def begun(*, first: bool = True) -> Heartbeats:
@@ -94,3 +103,22 @@ def test_where_answers_come_late_a_silence_may_be_longer():
 def test_no_path_is_so_bad_that_a_dead_link_is_never_found():
     beats = measured(30.0)
     assert beats.suspect_after(80.0) == beats.lost_after(80.0) == MAX_SILENCE
+
+
+def test_heartbeats_of_an_idle_link_are_rare_where_answers_come_early():
+    calm, late = measured(0.05), measured(1.5)
+    assert calm.interval(50.0, is_idle=True) == IDLE_PING_EVERY
+    assert late.interval(50.0, is_idle=True) == pytest.approx(2.0, abs=0.01)
+    assert not calm.is_due(56.0, IDLE_PING_EVERY - 0.6, is_idle=True)
+    assert calm.is_due(59.0, IDLE_PING_EVERY + 0.5, is_idle=True)
+    for beats in (calm, late):
+        assert beats.lost_after(50.0, is_idle=True) == IDLE_LOST_AFTER
+        answered_by = beats.interval(50.0, is_idle=True) + 0.5 + beats.round_trip.longest(50.0)
+        assert beats.suspect_after(50.0, is_idle=True) == pytest.approx(answered_by)
+        assert answered_by < IDLE_LOST_AFTER
+
+
+def test_with_live_values_an_idle_link_has_the_heartbeats_of_a_busy_one():
+    beats = Heartbeats(first=True, idle_interval=PING_EVERY)
+    assert beats.interval(50.0, is_idle=True) == PING_EVERY
+    assert beats.lost_after(50.0, is_idle=True) == beats.lost_after(50.0)

@@ -1,4 +1,4 @@
-"""Compresses the messages of a link in the context of earlier ones, as deflate streams (RFC 1951). Sans-IO.
+"""Compresses the messages of a link in the context of earlier ones: deflate streams (RFC 1951). Sans-IO.
 
 Each message ends at a byte boundary (sync flush), whose constant end is not sent, as in RFC 7692. So a report
 that repeats the previous one costs a few bytes. Both ends process the messages of one direction in order.
@@ -20,24 +20,20 @@ _WINDOW, _MEMORY, _LEVEL = 13, 5, 4
 _FLUSHED = b"\x00\x00\xff\xff"
 
 
-class MessageStream:
-    """The two streams of one link. Their memory is allocated at the first message."""
+class LinkCompression:
+    """The two streams of one link."""
 
     def __init__(self) -> None:
-        self._out: zlib._Compress | None = None
-        self._in: zlib._Decompress | None = None
+        self._out = zlib.compressobj(_LEVEL, zlib.DEFLATED, -_WINDOW, _MEMORY)
+        self._in = zlib.decompressobj(-_WINDOW)
 
     def encode(self, body: Buffer) -> bytes:
         """Compress the next message to send."""
-        if self._out is None:
-            self._out = zlib.compressobj(_LEVEL, zlib.DEFLATED, -_WINDOW, _MEMORY)
         data = self._out.compress(body) + self._out.flush(zlib.Z_SYNC_FLUSH)
         return data[: -len(_FLUSHED)]
 
     def decode(self, payload: Buffer, longest: int) -> bytes:
         """Expand the next message that arrived, of at most `longest` bytes. Raises WireError."""
-        if self._in is None:
-            self._in = zlib.decompressobj(-_WINDOW)
         try:
             body = self._in.decompress(bytes(payload) + _FLUSHED, longest)
         except zlib.error as error:
