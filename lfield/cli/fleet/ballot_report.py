@@ -89,7 +89,8 @@ class PushReport:
                 return exit_status.DONE
             case "aborted":
                 for host, reason in result.reasons.items():
-                    self._print(f"{host}: votes no: {reason}", error=True)
+                    late = f" ({result.late[host]})" if host in result.late else ""
+                    self._print(f"{host}: votes no: {reason}{late}", error=True)
                 self.finish("aborted", result.unreached, "nothing was activated: all hosts have to agree")
                 return exit_status.FAILED
         for host, error in result.unreached.items():

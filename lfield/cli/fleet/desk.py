@@ -90,15 +90,29 @@ class FleetDesk:
 
         return self.ask(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
 
-    def ask(
+    def command(
         self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
+    ) -> dict[str, A | LfieldError]:
+        """As `ask`; a service that does not listen may be restarting, and is asked again."""
+        from lfield.operator.fleet.service_link import RESTART_TIME
+
+        return self.ask(hosts, message, kind, timeout, restart=RESTART_TIME)
+
+    def ask(
+        self,
+        hosts: Sequence[str],
+        message: ServiceMessage,
+        kind: type[A],
+        timeout: float,
+        *,
+        restart: float = 0.0,
     ) -> dict[str, A | LfieldError]:
         """The answers of the services of some hosts, or why there is none."""
 
         async def work() -> dict[str, A | LfieldError]:
             links = self.links(hosts)
             try:
-                return await ask_all_services(links, message, kind, timeout)
+                return await ask_all_services(links, message, kind, timeout, restart=restart)
             finally:
                 links.close()
 
@@ -111,13 +125,18 @@ async def ask_all_services(
     kind: type[A],
     timeout: float,
     hosts: Sequence[str] | None = None,
+    *,
+    restart: float = 0.0,
 ) -> dict[str, A | LfieldError]:
-    """The answers of the services of some hosts, by default of all, or why there is none."""
+    """The answers of the services of some hosts, by default of all, or why there is none.
+
+    A service that does not listen is asked again for `restart` seconds.
+    """
     asked = list(links.addresses if hosts is None else hosts)
 
     async def one(host: str) -> A | LfieldError:
         try:
-            return await links.ask(host, message, kind, timeout, timeout)
+            return await links.ask(host, message, kind, timeout, timeout, restart=restart)
         except LfieldError as error:
             return error
 

@@ -130,7 +130,7 @@ def _start(
         print(versions, file=sys.stderr)
     hosts, continues, digest = list(before), _suspended(before), mission.digest
     order = MissionCommand("start", digest, without=without)
-    results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
+    results, failed = split_answers(desk.command(hosts, order, CommandResult, START_TIMEOUT))
     report_unreached(failed, ", its start is not confirmed")
     refusals = {host: result.trouble for host, result in results.items() if result.trouble}
     if refusals or failed:
