@@ -165,6 +165,19 @@ def open_inventory(args: argparse.Namespace) -> Inventory:
     return inventory
 
 
+def report_missing_files(inventory: Inventory) -> None:
+    """A line on stderr for each file of the inventory that does not exist; on a robot only its own do."""
+    from lfield.inventory.location import SYSTEM
+
+    if inventory.path == SYSTEM:
+        return
+    for host in inventory.hosts.values():
+        for file in (*([host.devices] if host.devices else []), *host.files):
+            if not file.is_file():
+                text = f"{inventory.path} names {file} for {host.name}, which does not exist"
+                print(escape_line(f"lfield: {text}"), file=sys.stderr)
+
+
 def find_own_keys(args: argparse.Namespace) -> Keys | None:
     """The keys of the user, None without any. Raises KeysError."""
     from lfield.authority import keystore
@@ -178,6 +191,7 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
     from lfield.operator.client import presented_crl
 
     inventory = open_inventory(args)
+    report_missing_files(inventory)
     keys = find_own_keys(args)
     if keys is None:
         raise KeysError(
