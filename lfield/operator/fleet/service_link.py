@@ -54,7 +54,8 @@ class ServiceLink(ObserverLink):
             if not self._greeted.done():
                 self._greeted.set_result(None)
         elif isinstance(message, HandshakeRefused):
-            raise HandshakeError(f"{self.host} refused: {message.reason}")
+            # Reports begin with the name of the host.
+            raise HandshakeError(message.reason)
         elif isinstance(message, ServiceMessage):
             self._answers.put_nowait(message)
 

@@ -52,13 +52,11 @@ def test_hosts_that_do_not_know_the_result_are_named(capsys) -> None:
 
 def test_a_host_that_cannot_store_its_vote_is_named_with_the_reason(capsys) -> None:
     found = result(bravo="yes")
-    found.unreached["alpha"] = HandshakeError(
-        "alpha refused: cannot write state.json: No space left on device"
-    )
+    found.unreached["alpha"] = HandshakeError("cannot write state.json: No space left on device")
     # It answers the report of the votes, and has none of its own.
     found.add("alpha", BallotState(found.ballot.id, None, {}, {}, "open"))
     assert PushReport(DIGEST, as_json=False).on_result(found) == exit_status.UNKNOWN_OUTCOME
-    assert "alpha: no vote: alpha refused: cannot write state.json" in capsys.readouterr().err
+    assert "alpha: no vote: cannot write state.json" in capsys.readouterr().err
 
 
 def test_a_host_that_has_voted_too_late_is_named_with_the_reason(capsys) -> None:
