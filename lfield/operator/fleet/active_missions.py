@@ -23,6 +23,10 @@ class ActiveMission:
     coordinators: Mapping[str, str]
 
 
+#: Phases in which a host does not run, nor will by itself.
+DOWN = ("stopped", "ended", "interrupted")
+
+
 @dataclass(frozen=True, slots=True)
 class IdleCoordinator:
     """A coordinator that does not run although hosts of its mission do: why, and on which host."""
@@ -39,9 +43,7 @@ class IdleCoordinator:
                 f"coordinator {self.agent} is parked: it belongs to another bundle; 'lfield stop --discard' "
                 "ends it, and 'lfield start' then starts a new one"
             )
-        return (
-            f"coordinator {self.agent} starts here, and only when this host runs the mission: 'lfield start'"
-        )
+        return f"coordinator {self.agent} runs only when this host runs the mission: 'lfield start'"
 
 
 def active_missions(
@@ -94,7 +96,7 @@ def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStat
         ]
         if states and all(state == "parked" for _, state in states):
             found.append(IdleCoordinator(agent, states[0][0], is_parked=True))
-        elif not states and home not in up:
+        elif not states and (home not in known or known[home].run.phase in DOWN):
             found.append(IdleCoordinator(agent, home, is_parked=False))
     return found
 

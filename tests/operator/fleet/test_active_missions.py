@@ -137,4 +137,6 @@ def test_a_coordinator_of_a_host_that_does_not_run_does_not_run_unless_another_h
     # One that has ended is not reported any more.
     assert idle(BOTH, pilot="running") == ({}, False)
     assert idle({"alpha": "stopped", "bravo": "stopped"}) == ({}, False)
+    # A host that restarts goes on with its coordinators.
+    assert idle({"alpha": "running", "bravo": "waiting"}, pilot="running") == ({}, False)
     assert idle({"alpha": "ended", "bravo": "running"}) == ({}, False)
