@@ -23,7 +23,8 @@ class InventoryHost:
     `user`, `ssh_port` and `ssh_host` are for ssh: '' and 0 leave the choice to it, and to the addresses.
     `arch` and `python` ("3.11") are '' where they are not stated. `groups` are additional groups of the
     service's user, `devices` is the devices file of this robot alone, None without one,
-    `files` are those that its devices need (a DBC file, a key).
+    `files` are those that its devices need (a DBC file, a key), `options` further ones of `lfield up` for the
+    mission's host.
     """
 
     name: str
@@ -37,6 +38,7 @@ class InventoryHost:
     groups: tuple[str, ...] = ()
     devices: Path | None = None
     files: tuple[Path, ...] = ()
+    options: tuple[str, ...] = ()
 
     @property
     def address(self) -> str:

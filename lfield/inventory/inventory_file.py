@@ -13,6 +13,7 @@ hosts:
     groups: [gpio]               # more groups of the service, for ports
     files: [motor.dbc]           # that its devices need; relative to this file
     devices: alpha.devices.yaml  # of this robot alone; relative to this file
+    options: [--sim]             # of 'lfield up' for the mission's host: simulated devices
 ```
 
 All errors are reported at once, each at its position.
@@ -95,6 +96,7 @@ class _Reader:
             groups,
             (self._path.parent / devices).absolute() if devices else None,
             tuple((self._path.parent / file).absolute() for file in fields.texts("files")),
+            self._options(fields),
         )
         fields.report_unread()
         return host
@@ -106,6 +108,15 @@ class _Reader:
             return text
         fields.report("Y113", f"'{text}' is not {what}", fields.value_span(key))
         return ""
+
+    def _options(self, fields: YamlFields) -> tuple[str, ...]:
+        """The options of `lfield up`; each is one word, with its value after "="."""
+        options = fields.texts("options")
+        for option in options:
+            if not option.startswith("--"):
+                hint = "write [--sim], or [--lost-after=600]"
+                fields.report("Y113", f"'{option}' is not an option", fields.value_span("options"), hint)
+        return options
 
     def _addresses(self, name: str, service_port: int, fields: YamlFields) -> tuple[str, ...]:
         """The addresses of a host, each with its port."""
@@ -126,7 +137,9 @@ class _Reader:
             self._own(name, address, service_port, node.span, fields)
             found.append(address)
         if value is None or (isinstance(value, YamlList) and not nodes):
-            fields.report("Y110", f"'{name}' needs 'addresses', with at least one", fields.span)
+            fields.report(
+                "Y110", f"'{name}' needs at least one address under 'addresses'", fields.span, _HOST
+            )
         return tuple(found)
 
     def _own(self, name: str, address: str, service_port: int, span: Span, fields: YamlFields) -> None:
@@ -145,6 +158,7 @@ class _Reader:
 
 
 _EXAMPLE = "hosts: {alpha: {addresses: [10.42.0.11]}}"
+_HOST = "write addresses: [10.42.0.11]"
 _ADDRESSES = "write HOST, HOST:PORT, IPv6, [IPv6]:PORT or [IPv6%INTERFACE]:PORT"
 
 
@@ -157,7 +171,7 @@ def normal_address(text: str) -> str:
     if ":" in host or re.fullmatch(r"[0-9.]+", host):
         host = _normal_number(text, host)
     elif not _NAME.fullmatch(host):
-        raise AddressError(text, "it has characters that no name of a host has")
+        raise AddressError(text, "it contains characters that are not allowed in a host name")
     return join_address(host.lower() if "%" not in host else host, port)
 
 

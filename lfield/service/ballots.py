@@ -45,6 +45,11 @@ class ActivationState(Struct, frozen=True):
         return self.earlier[-1] if self.earlier else b""
 
     @property
+    def kept(self) -> list[bytes]:
+        """The bundles that are never removed."""
+        return [self.active, self.previous]
+
+    @property
     def open_ballot(self) -> BallotState | None:
         """The ballot that binds this host; None if none does."""
         return self.ballot if self.ballot is not None and self.ballot.outcome == "open" else None

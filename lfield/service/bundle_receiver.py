@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from hashlib import sha256
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from lfield.authority.admission_policy import CertificateAdmission
 from lfield.authority.key_material import Keys
@@ -31,6 +31,9 @@ from lfield.wire.service_messages import (
     StageResult,
 )
 
+#: The most uploads at once, and seconds without a piece after which one gives way to another.
+MAX_UPLOADS, UPLOAD_TIMEOUT = 2, 30.0
+
 
 class BundleFiles(Protocol):
     """The bundles on the disk of a service (`bundle_store.BundleStore`). Writing raises OutputFileError."""
@@ -38,7 +41,7 @@ class BundleFiles(Protocol):
     def stored(self) -> list[bytes]: ...
     def read(self, digest: bytes) -> bytes | None: ...
     def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None: ...
-    def start_upload(self, file: bytes) -> None: ...
+    def start_upload(self, file: bytes, under_way: Collection[bytes]) -> None: ...
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]: ...
     def put(self, file: bytes, number: int, data: bytes) -> None: ...
     def joined(self, file: bytes) -> bytes: ...
@@ -47,6 +50,13 @@ class BundleFiles(Protocol):
 
 #: The verified bundle in some bytes. Raises LfieldError.
 Verify = Callable[[bytes], BundleInfo]
+
+
+class ArrivingUpload(NamedTuple):
+    """An upload under way: who sends it, and when its last piece or offer arrived (monotonic)."""
+
+    operator: str
+    at: float
 
 
 class BundleReceiver:
@@ -58,16 +68,30 @@ class BundleReceiver:
         verify: Verify,
         kept: Callable[[], list[bytes]],
         note: Callable[[LogLine], None],
+        now: Callable[[], float],
     ) -> None:
-        self._files, self._verify, self._kept, self._note = files, verify, kept, note
+        self._files, self._verify, self._kept, self._note, self._now = files, verify, kept, note, now
         self._infos: dict[bytes, BundleInfo] = {}
+        #: By file. After a restart of the service the desks offer their pieces again.
+        self._uploads: dict[bytes, ArrivingUpload] = {}
 
-    def on_offer(self, offer: BundleOffer) -> PieceRequest:
+    def on_offer(self, offer: BundleOffer, operator: str) -> PieceRequest:
         """The pieces of an offer that are missing."""
         if self._has_file(offer.digest, offer.file):
             return PieceRequest(offer.file, offer.first, [])
+        now = self._now()
+        self._uploads = {
+            file: one
+            for file, one in self._uploads.items()
+            if file != offer.file and now - one.at < UPLOAD_TIMEOUT
+        }
+        if len(self._uploads) >= MAX_UPLOADS:
+            senders = listed(list(dict.fromkeys(one.operator for one in self._uploads.values())))
+            busy = f"other bundles are arriving, sent by {senders}: repeat it when they are stored"
+            return PieceRequest(offer.file, offer.first, [], busy, retry=True)
         try:
-            self._files.start_upload(offer.file)
+            self._files.start_upload(offer.file, list(self._uploads))
+            self._uploads[offer.file] = ArrivingUpload(operator, now)
             pieces = [Piece(*each) for each in offer.pieces]
             return PieceRequest(offer.file, offer.first, self._files.missing(offer.file, offer.first, pieces))
         except OutputFileError as error:
@@ -76,6 +100,11 @@ class BundleReceiver:
     def on_piece(self, piece: BundlePiece) -> PieceStored:
         """Store a piece. Raises WireError for a damaged one."""
         data = decompress(piece.data, is_compressed=piece.is_compressed)
+        upload = self._uploads.get(piece.file)
+        if upload is None:
+            gone = "it gave way to another upload, or another desk has sent the same file"
+            return PieceStored(piece.file, piece.number, gone, retry=True)
+        self._uploads[piece.file] = upload._replace(at=self._now())
         try:
             self._files.put(piece.file, piece.number, data)
         except OutputFileError as error:
@@ -86,28 +115,33 @@ class BundleReceiver:
         """Store the bundle that all pieces make, if it is valid."""
         if self._has_file(request.digest, request.file) and self.is_valid(request.digest):
             # Another desk has sent the same file at the same time.
-            self._files.drop(request.file)
+            self._drop(request.file)
             return StageResult(request.digest)
+        retry = False
         try:
             data = self._files.joined(request.file)
-            if sha256(data).digest() != request.file:
-                self._files.drop(request.file)
-                raise WireError("the pieces do not make the offered file: push it again")
+            if retry := sha256(data).digest() != request.file:
+                self._drop(request.file)
+                raise WireError("pieces of the file are missing: push it again")
             info = self._verify(data)
             if info.digest != request.digest:
                 raise SignatureError(
                     f"the file is bundle {short_digest(info.digest)}, another one was offered"
                 )
             self._files.add(info.digest, data, self._kept())
-            self._files.drop(request.file)
+            self._drop(request.file)
         except LfieldError as error:
             self._note(messages.BUNDLE_REFUSED.line(bundle=short_digest(request.digest), reason=error))
-            return StageResult(request.digest, truncate(str(error)), error.code)
+            return StageResult(request.digest, truncate(str(error)), error.code, retry)
         self._infos[info.digest] = info
         self._note(
             messages.BUNDLE_STORED.line(bundle=short_digest(info.digest), mission=info.name, by=info.by)
         )
         return StageResult(request.digest)
+
+    def _drop(self, file: bytes) -> None:
+        self._files.drop(file)
+        self._uploads.pop(file, None)
 
     def _has_file(self, digest: bytes, file: bytes) -> bool:
         """Whether exactly this file of a bundle, with its signature, is stored."""

@@ -168,12 +168,13 @@ class BundleStore:
         shutil.rmtree(self._upload(file), ignore_errors=True)
         self._arrived.pop(file, None)
 
-    def start_upload(self, file: bytes) -> None:
-        """Make room for the pieces of a file: the oldest other uploads are removed."""
+    def start_upload(self, file: bytes, under_way: Collection[bytes]) -> None:
+        """Make room for the pieces of a file: the oldest others that are not `under_way` are removed."""
         folder = private_folder(self._upload(file))
         os.utime(folder)
         found = sorted(self._staging.iterdir(), key=lambda each: each.stat().st_mtime, reverse=True)
-        for old in found[KEPT_UPLOADS:]:
+        others = [old for old in found if old != folder and bytes.fromhex(old.name) not in under_way]
+        for old in others[max(0, KEPT_UPLOADS - 1 - len(under_way)) :]:
             shutil.rmtree(old, ignore_errors=True)
             self._arrived.pop(bytes.fromhex(old.name), None)
 

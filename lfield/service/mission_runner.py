@@ -228,7 +228,8 @@ class MissionRunner:
             self._keep(replace(self._record, open_run=b""))
         if not verdict.restarts or (refusal := self._refusal(bundle)):
             self._forget()
-            self._set_phase("ended", verdict.reason if not verdict.restarts else refusal, bundle, end.status)
+            reason = _not_restarted(verdict.reason, refusal) if verdict.restarts else verdict.reason
+            self._set_phase("ended", reason, bundle, end.status)
             return False
         self.last_failure = verdict.reason
         self._set_phase("waiting", verdict.reason, bundle, end.status)
@@ -236,7 +237,7 @@ class MissionRunner:
         await asyncio.sleep(RESTART_DELAY)
         self._restarts.append(self._clock.monotonic())
         if refusal := self._refusal(bundle):
-            self._interrupt(refusal)
+            self._interrupt(_not_restarted(verdict.reason, refusal))
             return False
         try:
             self._launch(bundle)
@@ -291,3 +292,8 @@ class MissionRunner:
         last = self._info.status if status is None else status
         bundle = self._info.bundle if bundle is None else bundle
         self._info = RunInfo(bundle, phase, reason, self._clock.time(), last)
+
+
+def _not_restarted(end: str, refusal: str) -> str:
+    """Why a host has ended and was not restarted; true also when the refusal does not apply any more."""
+    return truncate(f"{end}; not restarted then: {refusal}; 'lfield start' continues it")

@@ -74,7 +74,7 @@ class Service:
         #: When a log line has named the open ballot last.
         self._reported_at = -math.inf
         self._bundles = BundleReceiver(
-            store, verify, lambda: [self._activation.active, self._activation.previous], self.note
+            store, verify, lambda: self._activation.kept, self.note, clock.monotonic
         )
         runner.attach(self._store_run, self._start_refusal)
 
@@ -93,7 +93,7 @@ class Service:
             case ServiceQuery():
                 return await self.status()
             case BundleOffer():
-                return self._bundles.on_offer(message)
+                return self._bundles.on_offer(message, operator)
             case BundlePiece():
                 return self._bundles.on_piece(message)
             case StageRequest():

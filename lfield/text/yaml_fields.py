@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from collections.abc import Iterable, Iterator
 from difflib import get_close_matches
 
@@ -151,7 +153,8 @@ class YamlFields:
             return ()
         if isinstance(node, YamlList):
             return node.items
-        self._report_type(key, "a list", node)
+        example = f"write {key}: [{_quoted(node.value)}]" if isinstance(node, YamlScalar) else ""
+        self.report("Y112", f"'{key}' must be a list, not {describe(node)}", node.span, example)
         return ()
 
     def section(self, key: str) -> YamlFields:
@@ -195,6 +198,12 @@ class YamlFields:
 
     def _report_type(self, key: str, expected: str, node: YamlNode) -> None:
         self.report("Y112", f"'{key}' must be {expected}, not {describe(node)}", node.span)
+
+
+def _quoted(value: object) -> str:
+    """A scalar as an entry of a list in brackets; in quotes where it has a character with a meaning."""
+    text = str(value)
+    return text if re.fullmatch(r"[A-Za-z0-9._/-]+", text) else json.dumps(text)
 
 
 def _did_you_mean(name: str, known: list[str] | tuple[str, ...]) -> str:

@@ -154,12 +154,16 @@ class BundleOffer(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
 
 
 class PieceRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=55):
-    """The pieces of an offer that the host does not have, by number. `trouble` is why it takes none."""
+    """The pieces of an offer that the host does not have, by number. `trouble` is why it takes none.
+
+    With `retry` it takes them later, here and in the next answers: offer them again.
+    """
 
     file: Hash
     first: Count
     missing: Annotated[list[Count], Meta(max_length=MAX_OFFER)]
     trouble: Text = ""
+    retry: bool = False
 
 
 class BundlePiece(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=56):
@@ -177,6 +181,7 @@ class PieceStored(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     file: Hash
     number: Count
     trouble: Text = ""
+    retry: bool = False
 
 
 class StageRequest(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=58):
@@ -192,6 +197,7 @@ class StageResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tr
     digest: Hash
     trouble: Text = ""
     code: Label = ""
+    retry: bool = False
 
 
 class Proposal(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=60):

@@ -23,6 +23,7 @@ hosts:
     service_port: 9182
     groups: [dialout, gpio]
     devices: alpha.devices.yaml
+    options: [--sim, --lost-after=600]
   bravo: {addresses: ["127.0.0.1:18181"]}
 """
 
@@ -47,7 +48,7 @@ def test_a_full_file(tmp_path: Path) -> None:
     addresses = ("10.42.0.11:8181", "[fd00::11]:8181", "[fe80::1%wlan0]:8181", "alpha.local:8181")
     assert alpha == InventoryHost(
         "alpha", addresses, "pi", 2222, "alpha.local", "aarch64", "3.11", 9182, ("dialout", "gpio"),
-        tmp_path / "alpha.devices.yaml",
+        tmp_path / "alpha.devices.yaml", (), ("--sim", "--lost-after=600"),
     )  # fmt: skip
     assert alpha.address == ",".join(addresses)
     assert alpha.service_addresses == (
@@ -137,6 +138,8 @@ A, B = "hosts:\n  alpha: {addresses: ['10.0.0.1:1']", "}\n"
         (f"{A}, service_port: 65536{B}", [("Y113", 2, 52)]),
         (f"{A}, service_port: true{B}", [("Y112", 2, 52)]),
         (f"{A}, groups: [1]{B}", [("Y112", 2, 47)]),
+        (f"{A}, options: --sim{B}", [("Y112", 2, 47)]),
+        (f"{A}, options: [sim]{B}", [("Y113", 2, 47)]),
         (f"{A}, groups: ['a b']{B}", [("Y113", 2, 46)]),
         (f"{A}, devices: [x]{B}", [("Y112", 2, 47)]),
         (f"{A}, adresses: [b]{B}", [("Y111", 2, 38)]),

@@ -208,10 +208,10 @@ def test_a_disk_that_fills_up_meanwhile_is_reported(trial):
 @pytest.mark.few(0)
 def test_four_commands_lead_from_bare_robots_to_a_flying_team(trial, wheels, tmp_path):
     """With simulated devices on the robots; the wheels of all drivers are those of this environment."""
-    simulated = "mkdir -p /etc/lfield; echo 'LFIELD_UP_OPTIONS=--sim' >/etc/lfield/local.env"
-    robots = [trial.bench.add(name, RobotKind(setup=simulated)) for name in ("alpha2", "bravo2")]
+    robots = [trial.bench.add(name) for name in ("alpha2", "bravo2")]
     desk = Desk(tmp_path)
-    desk.write_inventory({"alpha": robots[0].address, "bravo": robots[1].address})
+    simulated = "    options: [--sim]\n"
+    desk.write_inventory({"alpha": robots[0].address, "bravo": robots[1].address}, simulated)
     drivers = tmp_path / "wheels"
     drivers.mkdir()
     make_wheels(drivers, (*NAMES, *SIMULATED))

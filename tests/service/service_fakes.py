@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
 from hashlib import sha256
 
@@ -120,7 +120,7 @@ class FakeFiles:
     def add(self, digest: bytes, data: bytes, kept: list[bytes]) -> None:
         self.bundles[digest] = data
 
-    def start_upload(self, file: bytes) -> None:
+    def start_upload(self, file: bytes, under_way: Collection[bytes]) -> None:
         self.pieces = {}
 
     def missing(self, file: bytes, first: int, pieces: list[Piece]) -> list[int]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import random
+from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from service_fakes import run_of
 from lfield.errors import DamagedFileError, OutputFileError
 from lfield.service import bundle_store
 from lfield.service.ballots import ActivationState, propose
-from lfield.service.bundle_receiver import BundleReceiver
+from lfield.service.bundle_receiver import UPLOAD_TIMEOUT, BundleReceiver
 from lfield.service.bundle_store import KEPT_BUNDLES, KEPT_UPLOADS, BundleStore, ServiceRecord
 from lfield.wire.bundle_pieces import compress, piece_of, split
 from lfield.wire.service_messages import (
@@ -38,8 +39,11 @@ def offer(data: bytes) -> BundleOffer:
     return BundleOffer(digest_of(data), digest_of(data), len(data), len(pieces), 0, entries)
 
 
-def receiver(store: BundleStore) -> BundleReceiver:
-    return BundleReceiver(store, lambda data: BundleInfo(digest_of(data), "m"), lambda: [], lambda line: None)
+def receiver(store: BundleStore, now: Callable[[], float] = lambda: 0.0) -> BundleReceiver:
+    def verify(data: bytes) -> BundleInfo:
+        return BundleInfo(digest_of(data), "m")
+
+    return BundleReceiver(store, verify, lambda: [], lambda line: None, now)
 
 
 def send(to: BundleReceiver, data: bytes, numbers: list[int]) -> None:
@@ -70,11 +74,11 @@ def test_a_damaged_state_is_reported(tmp_path: Path) -> None:
 
 def test_an_interrupted_upload_continues(tmp_path: Path) -> None:
     first = receiver(BundleStore(tmp_path))
-    missing = first.on_offer(offer(DATA)).missing
+    missing = first.on_offer(offer(DATA), "anna").missing
     assert missing == [*range(len(offer(DATA).pieces))]
     send(first, DATA, missing[:9])
     second = receiver(BundleStore(tmp_path))
-    rest = second.on_offer(offer(DATA)).missing
+    rest = second.on_offer(offer(DATA), "anna").missing
     assert rest == missing[9:]
     send(second, DATA, rest)
     assert not second.on_stage(StageRequest(digest_of(DATA), digest_of(DATA))).trouble
@@ -88,7 +92,7 @@ def test_only_changed_pieces_of_another_bundle_are_requested(tmp_path: Path) -> 
     store = BundleStore(tmp_path)
     store.add(digest_of(DATA), DATA, [])
     to = receiver(BundleStore(tmp_path))
-    missing = to.on_offer(offer(CHANGED)).missing
+    missing = to.on_offer(offer(CHANGED), "anna").missing
     assert 1 <= len(missing) <= 4
     send(to, CHANGED, missing)
     assert not to.on_stage(StageRequest(digest_of(CHANGED), digest_of(CHANGED))).trouble
@@ -98,17 +102,17 @@ def test_pieces_of_a_damaged_bundle_are_not_copied(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
     store.add(digest_of(DATA), DATA, [])
     to = receiver(store)
-    assert not to.on_offer(offer(DATA)).missing
+    assert not to.on_offer(offer(DATA), "anna").missing
     store.drop(digest_of(DATA))
     store.path(digest_of(DATA)).write_bytes(bytes(len(DATA)))
-    assert len(to.on_offer(offer(DATA)).missing) == len(offer(DATA).pieces)
+    assert len(to.on_offer(offer(DATA), "anna").missing) == len(offer(DATA).pieces)
 
 
 @pytest.mark.parametrize("damage", ["missing", "wrong", "surplus", "no offer"])
 def test_pieces_that_do_not_make_the_file_are_refused(tmp_path: Path, damage: str) -> None:
     to = receiver(BundleStore(tmp_path))
     if damage != "no offer":
-        missing = to.on_offer(offer(DATA)).missing
+        missing = to.on_offer(offer(DATA), "anna").missing
         send(to, DATA, missing[:-1] if damage == "missing" else missing)
     if damage == "wrong":
         to.on_piece(BundlePiece(digest_of(DATA), 3, False, b"other"))
@@ -119,19 +123,19 @@ def test_pieces_that_do_not_make_the_file_are_refused(tmp_path: Path, damage: st
     assert result.code
     assert BundleStore(tmp_path).stored() == []
     # The upload starts again.
-    assert len(to.on_offer(offer(DATA)).missing) == len(offer(DATA).pieces)
+    assert len(to.on_offer(offer(DATA), "anna").missing) == len(offer(DATA).pieces)
 
 
 def test_another_bundle_than_the_offered_one_is_refused(tmp_path: Path) -> None:
     to = receiver(BundleStore(tmp_path))
-    send(to, DATA, to.on_offer(offer(DATA)).missing)
+    send(to, DATA, to.on_offer(offer(DATA), "anna").missing)
     assert to.on_stage(StageRequest(digest_of(CHANGED), digest_of(DATA))).trouble
 
 
 def test_a_full_disk_accepts_no_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     to = receiver(BundleStore(tmp_path))
     monkeypatch.setattr(bundle_store, "RESERVE", 1 << 60)
-    to.on_offer(offer(DATA))
+    to.on_offer(offer(DATA), "anna")
     assert to.on_piece(BundlePiece(digest_of(DATA), 0, False, b"data")).trouble
     with pytest.raises(OutputFileError):
         BundleStore(tmp_path).put(digest_of(DATA), 0, b"data")
@@ -147,8 +151,37 @@ def test_old_bundles_and_uploads_are_removed_but_not_those_in_use(tmp_path: Path
     assert set(store.stored()) == {digests[0], *digests[-KEPT_BUNDLES - 1 :]}
     files = [digest_of(b"upload %d" % n) for n in range(KEPT_UPLOADS + 2)]
     for n, file in enumerate(files):
-        store.start_upload(file)
+        store.start_upload(file, [])
         os.utime(tmp_path / "staging" / file.hex(), (n, n))
     assert {path.name for path in (tmp_path / "staging").iterdir()} == {
         file.hex() for file in files[-KEPT_UPLOADS:]
     }
+    # One that is under way stays, however old it is.
+    os.utime(tmp_path / "staging" / files[-1].hex(), (0, 0))
+    store.start_upload(files[0], [files[-1]])
+    assert {path.name for path in (tmp_path / "staging").iterdir()} == {files[0].hex(), files[-1].hex()}
+
+
+def test_an_upload_under_way_is_not_removed_for_another_one(tmp_path: Path) -> None:
+    time = 0.0
+    to = receiver(BundleStore(tmp_path), lambda: time)
+    first, second, third = (DATA + bytes([number]) for number in range(3))
+    missing = to.on_offer(offer(first), "anna").missing
+    assert to.on_offer(offer(second), "bob").missing
+    busy = to.on_offer(offer(third), "carl")
+    assert (busy.missing, busy.retry) == ([], True)
+    assert "anna" in busy.trouble
+    assert "bob" in busy.trouble
+    assert to.on_piece(BundlePiece(digest_of(third), 0, False, b"data")).retry
+    # An offer of the same file takes no other place.
+    assert to.on_offer(offer(first), "bob").missing == missing
+    time = UPLOAD_TIMEOUT - 1.0
+    send(to, first, missing[:1])
+    time = UPLOAD_TIMEOUT
+    # The second has ended without a word, the first is under way.
+    assert to.on_offer(offer(third), "carl").missing
+    send(to, first, missing[1:])
+    assert not to.on_stage(StageRequest(digest_of(first), digest_of(first))).trouble
+    assert to.on_offer(offer(second), "bob").missing
+    # What one that gave way has sent meanwhile is requested again.
+    assert to.on_stage(StageRequest(digest_of(second), digest_of(second))).retry

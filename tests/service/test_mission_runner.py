@@ -324,6 +324,10 @@ def test_a_refusal_ends_restarts() -> None:
         await asyncio.sleep(SOON)
         assert computer.processes.started == [OLD, OLD]
         assert computer.runner.info.phase == "interrupted"
+        # Its end, the refusal of that moment, and what to do.
+        reason = computer.runner.info.reason
+        assert "a ballot is open" in reason
+        assert "lfield start" in reason
 
     run_jumping(story())
 

@@ -39,7 +39,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--may",
         metavar="RIGHT,...",
         required=True,
-        help="rights: observe; stop (includes observe); operate (includes stop); command (sign bundles)",
+        help="rights: observe (status, ps, logs, events, inventory check); stop (estop, pause; includes "
+        "observe); operate (resume, estop --lift, forget, recover, start without services; includes stop); "
+        "command (push, rollback, start and stop with services, sign; includes no other: add observe)",
     )
     page = actions.add_parser(
         "page", **action_help("create the keys of a web page on a network, for 'lfield watch --listen'")

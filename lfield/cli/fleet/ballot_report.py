@@ -29,6 +29,7 @@ class PushReport:
         self._data: dict[str, object] = {"bundle": digest.hex()}
         self._bars: Progress | None = None
         self._tasks: dict[str, TaskID] = {}
+        self._deferred: set[str] = set()
 
     def start(self, text: str) -> None:
         """Print what is pushed, and start the progress bars in a terminal."""
@@ -45,7 +46,10 @@ class PushReport:
             self._bars.start()
 
     def on_progress(self, host: str, progress: UploadProgress) -> None:
-        """More pieces are stored on a host."""
+        """More pieces are stored on a host, or it stores other bundles first."""
+        if progress.is_deferred and host not in self._deferred:
+            self._deferred.add(host)
+            self._print(f"{host}: waits: {progress.refusal}", error=True)
         if self._bars is not None:
             if host not in self._tasks:
                 self._tasks[host] = self._bars.add_task(host, total=progress.total)
@@ -89,7 +93,8 @@ class PushReport:
                 return exit_status.DONE
             case "aborted":
                 for host, reason in result.reasons.items():
-                    self._print(f"{host}: votes no: {reason}", error=True)
+                    late = f" ({result.late[host]})" if host in result.late else ""
+                    self._print(f"{host}: votes no: {reason}{late}", error=True)
                 self.finish("aborted", result.unreached, "nothing was activated: all hosts have to agree")
                 return exit_status.FAILED
         for host, error in result.unreached.items():

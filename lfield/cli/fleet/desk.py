@@ -90,15 +90,29 @@ class FleetDesk:
 
         return self.ask(hosts, ServiceQuery(), ServiceStatus, TIMEOUT)
 
-    def ask(
+    def command(
         self, hosts: Sequence[str], message: ServiceMessage, kind: type[A], timeout: float
+    ) -> dict[str, A | LfieldError]:
+        """As `ask`; a service that does not listen may be restarting, and is asked again."""
+        from lfield.operator.fleet.service_link import RESTART_TIME
+
+        return self.ask(hosts, message, kind, timeout, restart=RESTART_TIME)
+
+    def ask(
+        self,
+        hosts: Sequence[str],
+        message: ServiceMessage,
+        kind: type[A],
+        timeout: float,
+        *,
+        restart: float = 0.0,
     ) -> dict[str, A | LfieldError]:
         """The answers of the services of some hosts, or why there is none."""
 
         async def work() -> dict[str, A | LfieldError]:
             links = self.links(hosts)
             try:
-                return await ask_all_services(links, message, kind, timeout)
+                return await ask_all_services(links, message, kind, timeout, restart=restart)
             finally:
                 links.close()
 
@@ -111,13 +125,18 @@ async def ask_all_services(
     kind: type[A],
     timeout: float,
     hosts: Sequence[str] | None = None,
+    *,
+    restart: float = 0.0,
 ) -> dict[str, A | LfieldError]:
-    """The answers of the services of some hosts, by default of all, or why there is none."""
+    """The answers of the services of some hosts, by default of all, or why there is none.
+
+    A service that does not listen is asked again for `restart` seconds.
+    """
     asked = list(links.addresses if hosts is None else hosts)
 
     async def one(host: str) -> A | LfieldError:
         try:
-            return await links.ask(host, message, kind, timeout, timeout)
+            return await links.ask(host, message, kind, timeout, timeout, restart=restart)
         except LfieldError as error:
             return error
 
@@ -146,6 +165,19 @@ def open_inventory(args: argparse.Namespace) -> Inventory:
     return inventory
 
 
+def report_missing_files(inventory: Inventory) -> None:
+    """A line on stderr for each file of the inventory that does not exist; on a robot only its own do."""
+    from lfield.inventory.location import SYSTEM
+
+    if inventory.path == SYSTEM:
+        return
+    for host in inventory.hosts.values():
+        for file in (*([host.devices] if host.devices else []), *host.files):
+            if not file.is_file():
+                text = f"{inventory.path} names {file} for {host.name}, which does not exist"
+                print(escape_line(f"lfield: {text}"), file=sys.stderr)
+
+
 def find_own_keys(args: argparse.Namespace) -> Keys | None:
     """The keys of the user, None without any. Raises KeysError."""
     from lfield.authority import keystore
@@ -159,6 +191,7 @@ def open_desk(args: argparse.Namespace) -> FleetDesk:
     from lfield.operator.client import presented_crl
 
     inventory = open_inventory(args)
+    report_missing_files(inventory)
     keys = find_own_keys(args)
     if keys is None:
         raise KeysError(

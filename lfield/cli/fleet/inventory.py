@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from lfield import exit_status
 from lfield.cli.action_help import action_help
-from lfield.cli.fleet.desk import add_desk, find_own_keys, open_inventory, require_hosts
+from lfield.cli.fleet.desk import add_desk, find_own_keys, open_inventory, report_missing_files, require_hosts
 from lfield.cli.mission_argument import add_inventory
 from lfield.errors import AddressError
 from lfield.net.transport import split_address
@@ -46,6 +46,7 @@ def run(args: argparse.Namespace) -> int:
     """0; `check` gives 69 if a host answers at none of its addresses, or another host at one."""
     inventory = open_inventory(args)
     require_hosts(inventory, args.hosts)
+    report_missing_files(inventory)
     hosts = [inventory.hosts[name] for name in dict.fromkeys(args.hosts or inventory.hosts)]
     if args.action == "show":
         return _show(inventory, hosts, as_json=args.json)
@@ -63,13 +64,13 @@ def _show(inventory: Inventory, hosts: Sequence[InventoryHost], *, as_json: bool
     from lfield.cli.views.team_state_view import add_row, new_table
     from lfield.cli.views.trees import plain_console
 
-    table = new_table("HOST", "ADDRESSES", "SERVICE", "SSH", "ARCH", "PYTHON", "GROUPS", "DEVICES")
+    table = new_table("HOST", "ADDRESSES", "SERVICE", "SSH", "ARCH", "PYTHON", "GROUPS", "DEVICES", "OPTIONS")
     for host in hosts:
         ssh = f"{host.user}@" * bool(host.user) + host.ssh_hosts[0]
         ssh += f" port {host.ssh_port}" if host.ssh_port else ""
         cells = (", ".join(host.addresses), str(host.service_port), ssh, host.arch, host.python)
         devices = "" if host.devices is None else str(host.devices)
-        add_row(table, host.name, *cells, ", ".join(host.groups), devices)
+        add_row(table, host.name, *cells, ", ".join(host.groups), devices, " ".join(host.options))
     console = plain_console()
     console.print(escape_line(str(inventory.path)))
     console.print(table)
@@ -88,6 +89,7 @@ def _host_data(host: InventoryHost) -> dict[str, object]:
         "python": host.python,
         "groups": host.groups,
         "devices": None if host.devices is None else str(host.devices),
+        "options": host.options,
     }
 
 

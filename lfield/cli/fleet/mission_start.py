@@ -42,8 +42,8 @@ START_TIMEOUT = 30.0
 def start_on_robots(args: argparse.Namespace) -> int | None:
     """Start the mission whose bundle is active on the robots of the inventory; None without an inventory.
 
-    0 when it runs on all hosts of its deployment; 1 when a host refuses or ends; 69 when one was not reached:
-    then nothing was started, unless it is left out.
+    0 when it runs on all hosts of its deployment; 1 when a host refuses or ends, or no coordinator runs; 69
+    when one was not reached: then nothing was started, unless it is left out.
     """
     from lfield.inventory.location import find_inventory
     from lfield.operator.fleet.active_missions import active_missions
@@ -123,34 +123,48 @@ def _start(
 ) -> int:
     """Start the hosts, whose states `before` are known, and wait until they are up; the exit status."""
     from lfield.cli.fleet.status_view import differing_versions
+    from lfield.operator.fleet.active_missions import idle_coordinators, idle_text, is_idle
     from lfield.wire.service_messages import CommandResult, MissionCommand
 
     if versions := differing_versions(before):
         print(versions, file=sys.stderr)
     hosts, continues, digest = list(before), _suspended(before), mission.digest
     order = MissionCommand("start", digest, without=without)
-    results, failed = split_answers(desk.ask(hosts, order, CommandResult, START_TIMEOUT))
+    results, failed = split_answers(desk.command(hosts, order, CommandResult, START_TIMEOUT))
     report_unreached(failed, ", its start is not confirmed")
     refusals = {host: result.trouble for host, result in results.items() if result.trouble}
     if refusals or failed:
         running = [host for host, result in results.items() if result.run.phase in ACTIVE_PHASES]
         return _report(args, refusals, failed, _partial_start_text(running, list(failed)))
+    statuses, failed = _wait_until_up(desk, hosts)
+    idle = idle_coordinators(mission, statuses)
+    gone = {one.agent for one in idle}
+    continues = [agent for agent in continues if agent not in gone]
     if not args.json:
         for agent in continues:
             print(escape_line(f"{agent} continues: it has not ended ('lfield stop --discard' would end it)"))
-    waits, failed = _wait_until_up(desk, hosts)
-    if not waits and not failed:
-        return _report(
-            args, {}, {}, f"bundle {short_digest(digest)} runs on {listed(hosts)}", continues, done=True
+    if failed or (waits := _waits(statuses)):
+        text = "the mission does not run on all hosts yet: 'lfield status' shows it"
+        return _report(args, _waits(statuses), failed, text, continues)
+    waits = {one.host: idle_text(idle, one.host) for one in idle}
+    bundle = short_digest(digest)
+    if is_idle(mission, idle) or any(one.is_parked for one in idle):
+        rest = (
+            "but no coordinator runs there"
+            if is_idle(mission, idle)
+            else "but not all coordinators run there"
         )
-    text = "the mission does not run on all hosts yet: 'lfield status' shows it"
-    return _report(args, waits, failed, text, continues)
+        return _report(args, waits, {}, f"bundle {bundle} is up on {listed(hosts)}, {rest}", continues)
+    text = f"bundle {bundle} runs on {listed(hosts)}"
+    return _report(args, waits, {}, text, continues, done=True)
 
 
-def _wait_until_up(desk: FleetDesk, hosts: Sequence[str]) -> tuple[dict[str, str], dict[str, LfieldError]]:
+def _wait_until_up(
+    desk: FleetDesk, hosts: Sequence[str]
+) -> tuple[dict[str, ServiceStatus], dict[str, LfieldError]]:
     """Wait until all hosts are up and stay so, or it is clear that they will not.
 
-    Returns why hosts do not run the mission, and those that were not reached.
+    Returns the last states of the hosts, and those that were not reached.
     """
     end = time.monotonic() + SETTLE_TIMEOUT
     up_since: float | None = None
@@ -158,22 +172,26 @@ def _wait_until_up(desk: FleetDesk, hosts: Sequence[str]) -> tuple[dict[str, str
     failures: set[tuple[str, float]] = set()
     while True:
         statuses, failed = split_answers(desk.statuses(hosts))
-        now, waits = time.monotonic(), {}
+        now, waits = time.monotonic(), _waits(statuses)
         for host, status in statuses.items():
-            if reason := _waiting(status):
-                waits[host] = reason
             if status.run.phase == "waiting":
                 failures.add((host, status.run.since))
         phases = {status.run.phase for status in statuses.values()}
         up_since = None if waits or failed else up_since or now
         if up_since is not None and (now - up_since >= STEADY or "ended" in phases):
-            return waits, failed
+            return statuses, failed
         most = max((sum(host == one for one, _ in failures) for host in hosts), default=0)
         # A host whose mission has ended in order does not mean that others will not come up.
         gone = [host for host in waits if statuses[host].run.phase not in ("running", "starting", "waiting")]
         if now > end or gone or most >= MAX_FAILURES:
-            return waits, failed
+            return statuses, failed
         time.sleep(POLL_INTERVAL)
+
+
+def _waits(statuses: Mapping[str, ServiceStatus]) -> dict[str, str]:
+    """Why hosts do not run the mission."""
+    reasons = {host: _waiting(status) for host, status in statuses.items()}
+    return {host: reason for host, reason in reasons.items() if reason}
 
 
 def _suspended(statuses: Mapping[str, ServiceStatus]) -> list[str]:

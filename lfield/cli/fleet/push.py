@@ -90,13 +90,10 @@ async def _push(
     desk: FleetDesk, what: Upload, hosts: list[str], args: argparse.Namespace, report: PushReport
 ) -> int:
     """Send the bundle, then have the hosts vote, over one link to each."""
-    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
-
     links = desk.links(hosts)
     try:
         # A host that is off is not waited for, but named.
-        answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, FIRST_CONTACT)
-        statuses, silent = split_answers(answers)
+        statuses, silent = split_answers(await current_statuses(links))
         sent, failed = split_answers(await _upload_all(links, what, list(statuses), args.patience, report))
         failed |= silent
         report.on_sent(sent, what.size)
@@ -118,6 +115,18 @@ async def _push(
         links.close()
 
 
+async def current_statuses(
+    links: ServiceLinks, hosts: list[str] | None = None
+) -> dict[str, ServiceStatus | LfieldError]:
+    """The states of services before a vote, which waits for those that are restarting."""
+    from lfield.operator.fleet.service_link import RESTART_TIME
+    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
+
+    return await ask_all_services(
+        links, ServiceQuery(), ServiceStatus, FIRST_CONTACT, hosts, restart=RESTART_TIME
+    )
+
+
 async def vote(
     desk: FleetDesk,
     links: ServiceLinks,
@@ -131,15 +140,13 @@ async def vote(
     `statuses` are those of a moment ago.
     """
     from lfield.operator.fleet.activation import activate, new_ballot
-    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
     hosts = list(statuses)
     if all(status.active == digest for status in statuses.values()):
         report.finish("activated", {}, f"already active on {listed(hosts)}")
         return exit_status.DONE
     # A vote holds the missions of all hosts: not for one that a host would refuse.
-    answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, FIRST_CONTACT, hosts)
-    now, silent = split_answers(answers)
+    now, silent = split_answers(await current_statuses(links, hosts))
     reasons = {host: one.refusal for host, one in now.items() if one.refusal and one.active != digest}
     if silent or reasons:
         report_unreached(silent, "")

@@ -13,7 +13,6 @@ from lfield.cli.fleet.desk import (
     FleetDesk,
     add_desk,
     add_without,
-    ask_all_services,
     explained_interrupt,
     failure_status,
     open_desk,
@@ -59,14 +58,12 @@ def run(args: argparse.Namespace) -> int:
 
 async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace) -> int:
     from lfield.cli.fleet.ballot_report import PushReport
-    from lfield.cli.fleet.push import vote
+    from lfield.cli.fleet.push import current_statuses, vote
     from lfield.operator.fleet.active_missions import bundle_info
-    from lfield.wire.service_messages import ServiceQuery, ServiceStatus
 
     links = desk.links(hosts)
     try:
-        answers = await ask_all_services(links, ServiceQuery(), ServiceStatus, TIMEOUT)
-        statuses, silent = split_answers(answers)
+        statuses, silent = split_answers(await current_statuses(links))
         # Only the mission that is active counts, not every robot of the inventory.
         now = _hosts_of_mission(statuses, silent, args.without)
         failed = {host: error for host, error in silent.items() if host in now}
@@ -133,7 +130,7 @@ def _abort(desk: FleetDesk, args: argparse.Namespace) -> int:
     ended = []
     for host, ballot in open_ballots.items():
         report = VoteReport(ballot.id, {args.lost: "no"})
-        answers, refused = split_answers(desk.ask([host], report, BallotState, TIMEOUT))
+        answers, refused = split_answers(desk.command([host], report, BallotState, TIMEOUT))
         failed |= refused
         ended += [host for answer in answers.values() if answer.outcome == "aborted"]
     report_unreached(failed, "")

@@ -121,4 +121,4 @@ def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> 
     devices = inventory.hosts[args.host].devices
     if devices is not None:
         found.append(f"--devices={devices}")
-    return [*found, *shlex.split(args.up_options)]
+    return [*found, *inventory.hosts[args.host].options, *shlex.split(args.up_options)]

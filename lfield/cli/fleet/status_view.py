@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING
 
 from lfield.authority.peer_verification import format_time
 from lfield.cli.views.team_state_view import new_table
-from lfield.operator.fleet.active_missions import divided_hosts
+from lfield.operator.fleet.active_missions import (
+    ActiveMission,
+    IdleCoordinator,
+    active_missions,
+    divided_hosts,
+    idle_coordinators,
+    is_idle,
+)
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 from lfield.wire.fields import short_digest
@@ -55,6 +62,12 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
         )
     if versions := differing_versions(statuses):
         yield versions
+    missions = [(each, _idle(each, statuses)) for each in active_missions(statuses)]
+    for mission, idle in missions:
+        if is_idle(mission, idle):
+            yield escape_line(f"no coordinator of {mission.name} runs:")
+        yield from (escape_line(f"{one.host}: {one.reason}") for one in idle)
+    reported = {(one.host, one.agent) for _, idle in missions for one in idle}
     for host, status in statuses.items():
         run = status.run
         if run.reason:
@@ -62,6 +75,8 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
         if status.ballot is not None and status.ballot.outcome == "open":
             yield escape_line(f"{host}: {open_ballot_text(status.ballot)}")
         for one in status.unfinished:
+            if (host, one.agent) in reported:
+                continue
             where = f" ({one.where})" if one.where and one.where != host else ""
             yield escape_line(f"{host}: coordinator {one.agent} {one.state}{where}")
         if status.refusal and not status.unfinished:
@@ -69,6 +84,11 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
         offset = status.time - time.time()
         if abs(offset) > MAX_CLOCK_OFFSET:
             yield escape_line(f"{host}: its clock shows {format_time(status.time)}; set it")
+
+
+def _idle(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[IdleCoordinator]:
+    """The coordinators that do not run. One of a host that was not reached may run there."""
+    return [one for one in idle_coordinators(mission, statuses) if one.host in statuses]
 
 
 def bundle_info(status: ServiceStatus, digest: bytes) -> BundleInfo | None:

@@ -49,11 +49,13 @@ def run(args: argparse.Namespace) -> int:
     if not hosts:
         raise UsageError("no host is left: --without names all of them")
     with explained_interrupt("hosts that have received the order stop; vehicles land first"):
-        stopped, failed = split_answers(desk.ask(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT))
+        stopped, failed = split_answers(
+            desk.command(hosts, MissionCommand("stop"), CommandResult, STOP_TIMEOUT)
+        )
         if args.discard and not failed:
             # Only when every host has stopped: a coordinator on another one could continue.
             order = MissionCommand("stop", discards=True)
-            stopped, failed = split_answers(desk.ask(hosts, order, CommandResult, STOP_TIMEOUT))
+            stopped, failed = split_answers(desk.command(hosts, order, CommandResult, STOP_TIMEOUT))
     if args.json:
         print(json.dumps({**_as_data(stopped), **{host: error.as_data() for host, error in failed.items()}}))
     else:

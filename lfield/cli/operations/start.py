@@ -1,6 +1,7 @@
 """`lfield start`: starts the mission on all robots, or coordinators that wait without the missing hosts.
 
-Without a mission, without a run on this computer, and with an inventory it is for the services of the robots.
+Without a mission it is for the services of the robots of the inventory, if no mission runs on this computer
+or --inventory names a file.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ def run(args: argparse.Namespace) -> int:
     """
     from lfield.operator.runs import runs_here
 
-    if args.mission is None and args.deploy is None and not args.run and not runs_here():
+    is_named = args.mission is not None or args.deploy is not None or args.run
+    if not is_named and (args.inventory is not None or not runs_here()):
         from lfield.cli.fleet.mission_start import start_on_robots
 
         if (status := start_on_robots(args)) is not None:

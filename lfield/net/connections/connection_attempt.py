@@ -125,7 +125,8 @@ class ConnectionAttempt:
         parts = [
             f"{socket_address(at.address)}: {_error_text(error)}" for at, error in self._failures.items()
         ]
-        return "; ".join([*parts, *(f"{socket_address(at.address)}: {why}" for at in self._remaining)])
+        rest = [at for at in self._remaining if at not in self._failures]
+        return "; ".join([*parts, *(f"{socket_address(at.address)}: {why}" for at in rest)])
 
     def _fail(self, at: ResolvedAddress, error: Exception) -> None:
         self._failures[at] = error

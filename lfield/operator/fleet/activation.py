@@ -42,16 +42,17 @@ class BallotResult:
         self.votes: dict[str, Vote] = {}
         self.reasons: dict[str, str] = {}
         self.informed: set[str] = set()
-        #: Why hosts did not answer, or could not vote.
+        #: Why hosts did not answer, or could not vote; `late` are those that have answered later.
         self.unreached: dict[str, LfieldError] = {}
+        self.late: dict[str, LfieldError] = {}
 
     def add(self, host: str, state: BallotState) -> None:
         """Add the answer of a host."""
         self.votes |= state.votes
         self.reasons |= state.reasons
-        if host in state.votes:
-            # A host that answers without a vote could not store it: its error stays.
-            self.unreached.pop(host, None)
+        # A host that answers without a vote could not store it: its error stays.
+        if host in state.votes and (error := self.unreached.pop(host, None)) is not None:
+            self.late[host] = error
         if state.outcome != "open" and state.outcome == self.outcome:
             self.informed.add(host)
 
@@ -88,7 +89,9 @@ async def activate(
 
     async def ask(host: str, message: ServiceMessage, within: float) -> None:
         try:
-            result.add(host, await links.ask(host, message, BallotState, within, ANSWER_TIMEOUT))
+            # A service that is restarted meanwhile has stored its vote, or can still vote.
+            answer = await links.ask(host, message, BallotState, within, ANSWER_TIMEOUT, restart=within)
+            result.add(host, answer)
         except LfieldError as error:
             result.unreached[host] = error
         on_change(result)

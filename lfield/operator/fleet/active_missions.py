@@ -1,4 +1,6 @@
-"""The missions whose bundles are active on robots, as far as the states of their services tell. Pure.
+"""The missions whose bundles are active on robots, and which of their coordinators do not run. Pure.
+
+From the states of the services, as far as they are known.
 
 An inventory may have more robots than a mission: only the hosts of the deployment in the active bundle count.
 """
@@ -19,6 +21,29 @@ class ActiveMission:
     name: str
     hosts: tuple[str, ...]
     coordinators: Mapping[str, str]
+
+
+#: Phases in which a host does not run, nor will by itself.
+DOWN = ("stopped", "ended", "interrupted")
+
+
+@dataclass(frozen=True, slots=True)
+class IdleCoordinator:
+    """A coordinator that does not run although hosts of its mission do: why, and on which host."""
+
+    agent: str
+    host: str
+    is_parked: bool
+
+    @property
+    def reason(self) -> str:
+        """Why it does not run, and what to do."""
+        if self.is_parked:
+            return (
+                f"coordinator {self.agent} is parked: it belongs to another bundle; 'lfield stop --discard' "
+                "ends it, and 'lfield start' then starts a new one"
+            )
+        return f"coordinator {self.agent} runs only when this host runs the mission: 'lfield start'"
 
 
 def active_missions(
@@ -50,6 +75,40 @@ def divided_hosts(statuses: Mapping[str, ServiceStatus]) -> list[str]:
         hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in left}
         found |= hosts if len(hosts) > 1 else set()
     return [host for host in statuses if host in found]
+
+
+def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[IdleCoordinator]:
+    """The coordinators that do not run on hosts that do: parked ones, and those of hosts that do not run.
+
+    None without a running host, or where the mission of a host has ended in order: others may have ended.
+    """
+    known = {host: statuses[host] for host in mission.hosts if host in statuses}
+    up = {host: one for host, one in known.items() if one.run.phase == "running"}
+    if not up or any(one.run.phase == "ended" and one.run.status == 0 for one in known.values()):
+        return []
+    found = []
+    for agent, home in mission.coordinators.items():
+        states = [
+            (host, one.state)
+            for host, status in up.items()
+            for one in status.unfinished
+            if one.agent == agent
+        ]
+        if states and all(state == "parked" for _, state in states):
+            found.append(IdleCoordinator(agent, states[0][0], is_parked=True))
+        elif not states and (home not in known or known[home].run.phase in DOWN):
+            found.append(IdleCoordinator(agent, home, is_parked=False))
+    return found
+
+
+def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
+    """Whether no coordinator of a mission runs, so that nothing will happen."""
+    return bool(idle) and len(idle) == len(mission.coordinators)
+
+
+def idle_text(idle: Collection[IdleCoordinator], host: str) -> str:
+    """The reasons of the idle coordinators of a host."""
+    return "; ".join(one.reason for one in idle if one.host == host)
 
 
 def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> bool:

@@ -27,8 +27,8 @@ from lfield.wire.service_messages import (
 
 #: Pieces that are sent before the first is confirmed.
 WINDOW = 8
-#: Seconds for a host to verify a bundle.
-STAGE_TIMEOUT = 30.0
+#: Seconds for a host to verify a bundle, and between two offers to a host that stores other bundles first.
+STAGE_TIMEOUT, BUSY_DELAY = 30.0, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,8 @@ class Upload:
 class UploadProgress:
     """Progress of an upload to one host, in pieces. `sent` counts the bytes of pieces as they were sent.
 
-    `refusal` is why the host does not store the bundle, '' if it does, `code` the code of its error.
+    `refusal` is why the host does not store the bundle, '' if it does, `code` the code of its error. With
+    `is_deferred` the host will store it later.
     """
 
     stored: int = 0
@@ -63,6 +64,12 @@ class UploadProgress:
     attempts: int = 0
     refusal: str = ""
     code: str = ""
+    is_deferred: bool = False
+
+    def on_answer(self, answer: PieceRequest | PieceStored | StageResult) -> None:
+        """Add the refusal in an answer; the first one counts."""
+        if answer.trouble and not self.refusal:
+            self.refusal, self.is_deferred = answer.trouble, answer.retry
 
 
 async def upload(
@@ -75,65 +82,88 @@ async def upload(
 ) -> UploadProgress:
     """Transfer a bundle to the service of `host`, and have it verified and stored there.
 
-    Links are made again until no piece was confirmed for `patience` seconds. Raises AddressError,
-    HandshakeError, KeysError.
+    Links are made again, and a host that stores other bundles first is asked again, until no piece was
+    confirmed for `patience` seconds. Raises AddressError, HandshakeError, KeysError.
     """
     progress = UploadProgress(total=len(what.pieces))
     now = asyncio.get_running_loop().time
     last, stored = now(), 0
     while True:
+        broken: AddressError | None = None
         try:
             async with links.link(host) as link:
                 progress.attempts += 1
-                await _send_missing(link, what, progress, on_progress)
-                if not progress.refusal:
-                    request = StageRequest(what.digest, what.file)
-                    result = await link.ask(request, StageResult, STAGE_TIMEOUT)
-                    progress.refusal, progress.code = result.trouble, result.code
-                return progress
+                await _transfer(link, what, progress, on_progress)
         except AddressError as error:
-            if progress.stored > stored:
-                last, stored = now(), progress.stored
-            if now() - last > patience:
-                raise error
-            await asyncio.sleep(RETRY_DELAY)
+            broken = error
+        if broken is None and not progress.is_deferred:
+            return progress
+        if progress.stored > stored:
+            last, stored = now(), progress.stored
+        if now() - last > patience:
+            if broken is not None:
+                raise broken
+            return progress
+        on_progress(progress)
+        await asyncio.sleep(RETRY_DELAY if broken is not None else BUSY_DELAY)
 
 
-async def _send_missing(
+async def _transfer(
     link: ServiceLink,
     what: Upload,
     progress: UploadProgress,
     on_progress: Callable[[UploadProgress], None],
 ) -> None:
-    """Offer all pieces, and send those that are missing, until the host refuses one. Raises LfieldError."""
-    progress.stored = 0
+    """One attempt, until the host has stored the bundle or refuses it. Raises LfieldError."""
+    progress.stored, progress.refusal, progress.is_deferred = 0, "", False
     for first in range(0, len(what.pieces), MAX_OFFER):
-        some = what.pieces[first : first + MAX_OFFER]
-        entries = [(piece.digest, piece.size) for piece in map(piece_of, some)]
-        offer = BundleOffer(what.digest, what.file, what.size, len(what.pieces), first, entries)
-        request = await link.ask(offer, PieceRequest)
-        progress.refusal = progress.refusal or request.trouble
-        progress.stored += len(some) - len(request.missing)
-        on_progress(progress)
-        under_way = 0
-        for number in request.missing:
-            if progress.refusal:
-                return
-            packed, data = compress(what.pieces[number])
-            link.send(BundlePiece(what.file, number, packed, data))
-            progress.sent += len(data)
-            under_way += 1
-            if under_way >= WINDOW:
-                await _confirmed(link, progress, on_progress)
-                under_way -= 1
-        for _ in range(under_way):
+        await _send_missing(link, what, first, progress, on_progress)
+        if progress.refusal:
+            return
+    result = await link.ask(StageRequest(what.digest, what.file), StageResult, STAGE_TIMEOUT)
+    progress.on_answer(result)
+    progress.code = result.code
+
+
+async def _send_missing(
+    link: ServiceLink,
+    what: Upload,
+    first: int,
+    progress: UploadProgress,
+    on_progress: Callable[[UploadProgress], None],
+) -> None:
+    """Offer pieces from number `first`, and send those that are missing, until the host refuses one.
+
+    Every answer was received at the end: the link may be used again. Raises LfieldError.
+    """
+    some = what.pieces[first : first + MAX_OFFER]
+    entries = [(piece.digest, piece.size) for piece in map(piece_of, some)]
+    offer = BundleOffer(what.digest, what.file, what.size, len(what.pieces), first, entries)
+    request = await link.ask(offer, PieceRequest)
+    progress.on_answer(request)
+    if request.trouble:
+        return
+    progress.stored += len(some) - len(request.missing)
+    on_progress(progress)
+    under_way = 0
+    for number in request.missing:
+        packed, data = compress(what.pieces[number])
+        link.send(BundlePiece(what.file, number, packed, data))
+        progress.sent += len(data)
+        under_way += 1
+        if under_way >= WINDOW:
             await _confirmed(link, progress, on_progress)
+            under_way -= 1
+        if progress.refusal:
+            break
+    for _ in range(under_way):
+        await _confirmed(link, progress, on_progress)
 
 
 async def _confirmed(
     link: ServiceLink, progress: UploadProgress, on_progress: Callable[[UploadProgress], None]
 ) -> None:
     answer = await link.receive(PieceStored)
-    progress.refusal = progress.refusal or answer.trouble
+    progress.on_answer(answer)
     progress.stored += not answer.trouble
     on_progress(progress)

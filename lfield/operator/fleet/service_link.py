@@ -20,8 +20,8 @@ A = TypeVar("A", bound=ServiceMessage)
 
 #: Seconds for the handshake, and seconds without any message after which a link counts as broken.
 HANDSHAKE_TIMEOUT, SILENCE = 8.0, 8.0
-#: Seconds between two links.
-RETRY_DELAY = 0.2
+#: Seconds between two links, and seconds in which a service that is restarted by its unit listens again.
+RETRY_DELAY, RESTART_TIME = 0.2, 10.0
 
 
 class ServiceLink(ObserverLink):
@@ -54,7 +54,8 @@ class ServiceLink(ObserverLink):
             if not self._greeted.done():
                 self._greeted.set_result(None)
         elif isinstance(message, HandshakeRefused):
-            raise HandshakeError(f"{self.host} refused: {message.reason}")
+            # Reports begin with the name of the host.
+            raise HandshakeError(message.reason)
         elif isinstance(message, ServiceMessage):
             self._answers.put_nowait(message)
 
@@ -164,23 +165,32 @@ class ServiceLinks:
             self._idle[host] = link
 
     async def ask(
-        self, host: str, message: ServiceMessage, kind: type[A], within: float, answered: float = SILENCE
+        self,
+        host: str,
+        message: ServiceMessage,
+        kind: type[A],
+        within: float,
+        answered: float = SILENCE,
+        *,
+        restart: float = 0.0,
     ) -> A:
         """The answer to a request that may be repeated: again after broken links, for `within` seconds.
 
-        Each answer may take `answered` seconds. Raises NoListener at once, else AddressError at the end;
-        HandshakeError, KeysError.
+        Each answer may take `answered` seconds. A service that does not listen may be restarting: it is asked
+        again for `restart` seconds. Raises AddressError, HandshakeError, KeysError.
         """
+        now = asyncio.get_running_loop().time
         last: AddressError | None = None
+        started = now()
         try:
             async with asyncio.timeout(within):
                 while True:
                     try:
                         async with self.link(host) as link:
                             return await link.ask(message, kind, answered)
-                    except NoListener:
-                        raise
                     except AddressError as error:
+                        if isinstance(error, NoListener) and now() - started >= restart:
+                            raise
                         last = error
                     await asyncio.sleep(RETRY_DELAY)
         except TimeoutError:

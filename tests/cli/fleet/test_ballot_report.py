@@ -8,7 +8,7 @@ import pytest
 
 from lfield import exit_status
 from lfield.cli.fleet.ballot_report import PushReport
-from lfield.errors import HandshakeError
+from lfield.errors import HandshakeError, NoListener
 from lfield.operator.fleet.activation import BallotResult, new_ballot
 from lfield.wire.service_messages import BallotState, Vote
 
@@ -52,10 +52,19 @@ def test_hosts_that_do_not_know_the_result_are_named(capsys) -> None:
 
 def test_a_host_that_cannot_store_its_vote_is_named_with_the_reason(capsys) -> None:
     found = result(bravo="yes")
-    found.unreached["alpha"] = HandshakeError(
-        "alpha refused: cannot write state.json: No space left on device"
-    )
+    found.unreached["alpha"] = HandshakeError("cannot write state.json: No space left on device")
     # It answers the report of the votes, and has none of its own.
     found.add("alpha", BallotState(found.ballot.id, None, {}, {}, "open"))
     assert PushReport(DIGEST, as_json=False).on_result(found) == exit_status.UNKNOWN_OUTCOME
-    assert "alpha: no vote: alpha refused: cannot write state.json" in capsys.readouterr().err
+    assert "alpha: no vote: cannot write state.json" in capsys.readouterr().err
+
+
+def test_a_host_that_has_voted_too_late_is_named_with_the_reason(capsys) -> None:
+    found = result(alpha="yes")
+    found.unreached["bravo"] = NoListener("10.0.0.2:8182")
+    closed = BallotState(found.ballot.id, None, {"bravo": "no"}, {"bravo": "closed"}, "aborted")
+    found.add("bravo", closed)
+    assert PushReport(DIGEST, as_json=False).on_result(found) == exit_status.FAILED
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("bravo")]
+    assert "closed" in line
+    assert "10.0.0.2:8182" in line

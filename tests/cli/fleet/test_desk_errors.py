@@ -8,7 +8,7 @@ from lfield import exit_status
 from lfield.cli.fleet.desk import failure_status, report_unreached
 from lfield.errors import AddressError, HandshakeError, LfieldError, NoListener, WireError
 
-REFUSED = HandshakeError("bravo refused: cannot write state.json: No space left on device")
+REFUSED = HandshakeError("cannot write state.json: No space left on device")
 UNREACHED = AddressError("127.0.0.1:2", "no answer within 8 s")
 OTHER = HandshakeError("carol answered at an address of bravo", answered_by="carol")
 

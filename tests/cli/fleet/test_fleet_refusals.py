@@ -57,6 +57,14 @@ def test_a_bundle_whose_signer_has_no_right_is_refused_when_it_is_stored(lfield,
     assert {each["code"] for each in told(refused)["sent"].values()} == {"signature"}
 
 
+def test_a_refusal_says_so_once(lfield, here, team) -> None:
+    lfield.keys.put("me", lfield.keys.made("person", "watcher", Right.OBSERVE))
+    refused = here("stop")
+    assert refused.status == 1
+    assert refused.err[0].startswith("alpha: REFUSED")
+    assert refused.err[0].lower().count("refused") == 1
+
+
 def test_keys_of_another_authority_are_refused(lfield, here, team) -> None:
     other = Keyring(lfield.folder / "other").give() / "me"
     for command in ("status", "stop", "rollback"):

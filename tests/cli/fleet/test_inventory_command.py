@@ -131,3 +131,15 @@ def test_an_unknown_key_is_reported_with_all_known_ones(lfield, here) -> None:
     refused = here("inventory", "show", "--inventory", file)
     assert refused.status == 65
     assert "ssh_port" in " ".join(refused.err)
+
+
+def test_files_that_do_not_exist_are_named(lfield, here, robots) -> None:
+    team = robots("alpha")
+    more = ", devices: a.yaml, files: [here.dbc, b.dbc]}"
+    team.inventory.write_text(team.inventory.read_text().replace("}", more))
+    lfield.write("config/lfield/here.dbc", "")
+    for command in (("inventory", "show"), ("status",)):
+        said = " ".join(here(*command).err)
+        assert "a.yaml for alpha" in said
+        assert "b.dbc for alpha" in said
+        assert "here.dbc" not in said

@@ -291,7 +291,7 @@ def test_what_came_too_often_is_counted_for_whoever_reads_it_however(lfield):
 def test_who_begins_before_the_mission_finds_it_as_soon_as_it_runs_and_again_after_that(lfield):
     deployment = lfield.mission(PROGRAM, LATER)
     watcher = lfield.start("logs", "-f", "--deploy", deployment)
-    watcher.wait_for(r"alpha: unreachable: .*this mission does not run on this computer \(yet\)")
+    watcher.wait_for(r"alpha: unreachable: .*the mission may not run there \(yet\)")
     for run in (1, 2):
         team = lfield.start("up", "--deploy", deployment, "--all", "--sim")
         nth(watcher, " alpha | p: visit 0", run)

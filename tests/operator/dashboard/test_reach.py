@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from lfield.errors import AddressError, NoMissionRunning
-from lfield.operator.dashboard.event_stream.host_locator import NOT_HERE, REFRESH_INTERVAL, HostLocator
+from lfield.operator.dashboard.event_stream.host_locator import NOT_RUNNING, REFRESH_INTERVAL, HostLocator
 from lfield.operator.runs import Run, RunManifest
 from lfield.operator.targets import TargetTeam
 from lfield.simulate.jumping_loop import run_jumping
@@ -94,7 +94,7 @@ def test_a_mission_that_was_started_later_is_found_and_after_it_the_next_run_of_
 def test_whether_the_mission_runs_here_is_said_as_far_as_it_was_looked_for() -> None:
     now: list[TargetTeam] = [unstarted("alpha")]
     reach = HostLocator(unstarted("alpha"), lambda: now)
-    assert reach.hint() == NOT_HERE
+    assert reach.hint() == NOT_RUNNING
     now[:] = [party("m-1", "a", "alpha")]
     assert found(reach, after=REFRESH_INTERVAL) == "unix:/run/m-1/alpha.sock"
     assert reach.hint() == ""

@@ -4,8 +4,15 @@ from __future__ import annotations
 
 import hashlib
 
-from lfield.operator.fleet.active_missions import active_missions, divided_hosts
-from lfield.wire.service_messages import BundleInfo, RunInfo, ServiceStatus
+from msgspec.structs import replace
+
+from lfield.operator.fleet.active_missions import (
+    active_missions,
+    divided_hosts,
+    idle_coordinators,
+    is_idle,
+)
+from lfield.wire.service_messages import BundleInfo, RunInfo, ServiceStatus, UnfinishedCoordinator
 
 
 def info(name: str, *hosts: str) -> BundleInfo:
@@ -83,3 +90,53 @@ def test_a_bundle_without_a_description_counts_where_it_is_active() -> None:
         status.bundles.clear()
     (found,) = active_missions(statuses)
     assert (found.digest, found.hosts) == (TWO.digest, ("alpha", "bravo"))
+
+
+def idle(run: dict[str, str], **where: str) -> tuple[dict[str, tuple[str, bool]], bool]:
+    """The idle coordinators of a mission with `pilot` of alpha and `wing` of bravo, by name; and if all are.
+
+    `run` has the phases of the hosts, `where` the state of each coordinator on its home.
+    """
+    homes = {"pilot": "alpha", "wing": "bravo"}
+    bundle = replace(TWO, coordinators=homes)
+    statuses = {
+        host: replace(
+            status,
+            run=RunInfo(bundle.digest, phase, status=0 if phase == "ended" else None),
+            unfinished=[
+                UnfinishedCoordinator(agent, state, host, "two")
+                for agent, state in where.items()
+                if homes[agent] == host
+            ],
+        )
+        for (host, status), phase in zip(
+            team(**dict.fromkeys(run, bundle)).items(), run.values(), strict=True
+        )
+    }
+    (mission,) = active_missions(statuses)
+    found = idle_coordinators(mission, statuses)
+    return {one.agent: (one.host, one.is_parked) for one in found}, is_idle(mission, found)
+
+
+BOTH = {"alpha": "running", "bravo": "running"}
+
+
+def test_a_parked_coordinator_does_not_run() -> None:
+    assert idle(BOTH, pilot="running", wing="waiting to start") == ({}, False)
+    assert idle(BOTH, pilot="running", wing="parked") == ({"wing": ("bravo", True)}, False)
+    parked = {"pilot": ("alpha", True), "wing": ("bravo", True)}
+    assert idle(BOTH, pilot="parked", wing="parked") == (parked, True)
+
+
+def test_a_coordinator_of_a_host_that_does_not_run_does_not_run_unless_another_host_has_it() -> None:
+    assert idle({"alpha": "running"}, pilot="running") == ({"wing": ("bravo", False)}, False)
+    assert idle({"alpha": "running", "bravo": "stopped"}, pilot="moved") == (
+        {"wing": ("bravo", False)},
+        False,
+    )
+    # One that has ended is not reported any more.
+    assert idle(BOTH, pilot="running") == ({}, False)
+    assert idle({"alpha": "stopped", "bravo": "stopped"}) == ({}, False)
+    # A host that restarts goes on with its coordinators.
+    assert idle({"alpha": "running", "bravo": "waiting"}, pilot="running") == ({}, False)
+    assert idle({"alpha": "ended", "bravo": "running"}) == ({}, False)

@@ -61,6 +61,8 @@ class Script:
     refused: dict[str, str] = field(default_factory=dict)
     stopped: float | None = None
     paused: bool = False
+    #: Hosts that a vote about an activation holds.
+    voting: set[str] = field(default_factory=set)
     pressed: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
@@ -95,6 +97,8 @@ class Script:
                 self.stubborn.discard(agent)
                 self.stopped = self.now()
                 self.held |= {self.host_of(number) for number in range(self.count)} - self.dead
+            case ["vote", host]:
+                self.voting.add(host)
             case ["low", agent]:
                 self.low.add(agent)
             case ["refuse", host, *reason]:
@@ -224,6 +228,7 @@ class Script:
                 0.1 if name in live else self.now() - self.frozen[name],
                 seconds,
                 paused=self.paused,
+                held=name in self.voting,
                 stopped="stop" if name in self.held else "",
                 waits_for=tuple(self.refused),
                 refused=self.refused,

@@ -256,6 +256,18 @@ def test_stopped_and_paused_at_once_is_told_as_both(browser, page_of):
     browser.says("state", "STOPPED · paused at alpha, bravo")
 
 
+@pytest.mark.few(0)
+def test_a_host_that_a_vote_holds_is_named(browser, page_of):
+    page = page_of()
+    browser.open(page.link)
+    browser.says("state", "2 of 2 hosts linked")
+    assert "vote" not in browser.text("state") + browser.text("host-alpha")
+    page.do("vote alpha")
+    browser.says("state", "held by a vote at alpha")
+    browser.says("host-alpha", "held until the result of a vote")
+    assert "vote" not in browser.text("host-bravo")
+
+
 #: How often each of these colours is in a chart.
 _COLOURS = """
 const canvas = document.querySelector(`[data-testid=plot-${arguments[0]}] canvas`);

@@ -16,7 +16,7 @@ from lfield.operator.targets import TargetTeam
 #: Minimum seconds between two searches for runs, however many hosts are missing.
 REFRESH_INTERVAL = 1.0
 #: Another possible reason why a host is not found.
-NOT_HERE = "this mission does not run on this computer (yet)"
+NOT_RUNNING = "the mission may not run there (yet)"
 
 
 class HostLocator:
@@ -40,7 +40,7 @@ class HostLocator:
 
     def hint(self) -> str:
         """A hint for a host that is not at its expected address; '' for none."""
-        return "" if self._team.runs else NOT_HERE
+        return "" if self._team.runs else NOT_RUNNING
 
     async def __call__(self, host: str) -> str:
         """The present address of a host. Raises AddressError for one that is no longer in the mission."""

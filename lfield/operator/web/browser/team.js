@@ -154,6 +154,8 @@ export default {
       if (asked.length) said.push(`STOP: ${asked.join(", ")} not answered yet`);
       if (missing.length) said.push(`STOP has NOT REACHED ${missing.join(", ")}`);
       if (this.look.paused.length) said.push(`paused at ${this.look.paused.join(", ")}`);
+      const voting = this.look.hosts.filter((host) => host.held).map((host) => host.host);
+      if (voting.length) said.push(`held by a vote at ${voting.join(", ")}`);
       if (this.stale) said.push(`updated ${words.age((this.now - this.taken) / 1000)} ago`);
       return said.join(" · ");
     },
@@ -207,6 +209,7 @@ export default {
       for (const [other, reason] of Object.entries(host.refused)) parts.push(`no link with ${other}: ${reason}`);
       if (host.stopped) parts.push(host.linked ? "stopped" : "was stopped");
       if (host.paused) parts.push(host.linked ? "paused" : "was paused");
+      if (host.held) parts.push(`${host.linked ? "held" : "was held"} until the result of a vote about an activation is known`);
       if (host.clock !== null && Math.abs(host.clock) > 1) parts.push(`its clock is ${words.age(Math.abs(host.clock))} ${host.clock > 0 ? "ahead" : "behind"}`);
       return parts.join(" · ");
     },

@@ -6,7 +6,7 @@ just after a save, the disk may be full, and it may be slow.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from functools import cache
 from typing import Literal
 
@@ -108,7 +108,7 @@ class OpenServiceDisk:
         self._check_usable()
         self._disk.bundles[digest] = data
 
-    def start_upload(self, file: bytes) -> None:
+    def start_upload(self, file: bytes, under_way: Collection[bytes]) -> None:
         """Prepare for the pieces of a file. Raises OutputFileError."""
         self._check_usable()
         self._disk.uploads.setdefault(file, {})

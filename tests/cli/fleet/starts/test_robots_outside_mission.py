@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
-from robots import told
+from robots import TEAM, program, told
 
 pytestmark = pytest.mark.process
 
@@ -35,3 +37,17 @@ def test_a_robot_outside_the_mission_takes_no_part_in_start_status_and_rollback(
     assert here("start").status == 0
     assert here("stop", "--without", "carol", "--discard").status == 0
     assert told(here("rollback", "--json"))["outcome"] == "activated"
+
+
+def test_a_named_inventory_is_meant_where_a_mission_runs_on_this_computer_too(lfield, here, robots) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission()
+    assert here("push", "mission.dL").status == 0
+    other = lfield.mission(program(rounds=1000, pause=1.0), TEAM, name="other")
+    running = lfield.start("up", "--deploy", other, "--all", "--sim")
+    running.wait_for("visit 1")
+    began = here("start", "--inventory", team.inventory, "--json")
+    assert (began.status, told(began)["started"]) == (0, True)
+    running.signal(signal.SIGINT)
+    running.wait()

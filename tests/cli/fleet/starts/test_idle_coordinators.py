@@ -1,0 +1,56 @@
+"""`lfield start` and `status` where hosts run and no coordinator does."""
+
+from __future__ import annotations
+
+import base64
+import json
+
+import pytest
+from robots import told
+
+pytestmark = pytest.mark.process
+
+
+def test_a_start_without_the_home_of_the_only_coordinator_says_that_nothing_runs(
+    lfield, here, robots
+) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission()
+    assert told(here("push", "mission.dL", "--json"))["outcome"] == "activated"
+    began = here("start", "--without", "alpha", "--json")
+    assert (began.status, told(began)["started"]) == (1, False)
+    assert "tom" in told(began)["waits"]["alpha"]
+    # What it says to do.
+    assert here("start").status == 0
+
+
+def test_a_start_with_a_parked_coordinator_says_that_nothing_runs_and_how_to_end_it(
+    lfield, here, robots
+) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission(rounds=100, pause=1.0)
+    old = told(here("push", "mission.dL", "--json"))["bundle"]
+    assert here("start").status == 0
+    assert here("stop").status == 0
+    # No vote activates another bundle now. A state of the service that was restored from a backup does.
+    team.mission(text="call")
+    new = told(here("push", "mission.dL", "--stage", "--json"))["bundle"]
+    for host in team.hosts:
+        team.kill(host)
+        (file,) = lfield.folder.glob(f"state-{host}/lfield-*/service/state.json")
+        file.write_text(json.dumps(team.state(host)).replace(encoded(old), encoded(new)))
+    team.up()
+    began = here("start", "--json")
+    assert (began.status, told(began)["started"], told(began)["continues"]) == (1, False, [])
+    (host,) = told(began)["waits"]
+    assert "tom" in told(began)["waits"][host]
+    assert any(line.startswith(f"{host}: coordinator tom is parked") for line in here("status").out)
+    assert here("stop", "--discard").status == 0
+    assert here("start").status == 0
+
+
+def encoded(digest: str) -> str:
+    """A digest as the state file has it."""
+    return base64.b64encode(bytes.fromhex(digest)).decode()
