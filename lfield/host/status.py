@@ -94,6 +94,7 @@ def status_of(
         start=core.startup.status,
         epochs=core.orders.epochs,
         ballot=core.coordinators.ballot,
+        observers=links.monitor.observers.by_name(),
     )
 
 

@@ -8,6 +8,7 @@ from lfield.authority.identity import ANONYMOUS
 from lfield.errors import AddressError, HandshakeError, WireError
 from lfield.event_loop import report_exception
 from lfield.net.coding.link_compression import LinkCompression
+from lfield.net.coding.traffic_kinds import TrafficBytes, TrafficKind, kind_of
 from lfield.net.coding.transfer_history import FAST_PATH, MissingReference, TransferHistory
 from lfield.net.scheduling.cpu_budgets import PROOF_WEIGHT
 from lfield.wire.codec import (
@@ -89,8 +90,8 @@ class FramedLink:
         #: and which coordinators.
         self._withheld: list[Buffer] | None = None
         self._weight, self._withheld_weight = 0, set[str]()
-        #: See `Link.work`.
-        self.work = 0
+        #: See `Link.work` and `Link.traffic`.
+        self.work, self.traffic = 0, TrafficBytes()
         self._error: LfieldError | None = None
         self._max_block = max_block
         self._history = TransferHistory()
@@ -138,20 +139,28 @@ class FramedLink:
     def on_idle(self) -> None:
         """See `Link.on_idle`: no effect without a socket."""
 
+    def count_in(self, traffic: TrafficBytes) -> None:
+        """See `Link.count_in`."""
+        self.traffic = traffic
+
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""
         return None
 
-    def send(self, message: Message) -> None:
+    def send(self, message: Message) -> int:
         """Queue a message, before queued data if urgent. Raises AddressError on a closed link."""
         self._require_open()
         self.work += not isinstance(message, _BACKGROUND)
         if isinstance(message, _URGENT):
-            self.write_urgent(encode(message))
-        elif self._withheld is None or isinstance(message, _NEVER_WITHHELD):
-            self.write(self._encode(message))
+            self.write_urgent(data := encode(message))
         else:
-            self._withheld.append(self._encode(message))
+            data = self._encode(message)
+            if self._withheld is None or isinstance(message, _NEVER_WITHHELD):
+                self.write(data)
+            else:
+                self._withheld.append(data)
+        self.traffic.add(kind_of(message), len(data))
+        return len(data)
 
     def _encode(self, message: Message) -> bytes:
         """The frame of a message that is sent in order."""
@@ -169,6 +178,7 @@ class FramedLink:
         whole = b"".join((encode_transfer(header, block), block))
         kind, payload = self._history.encode(header.agent, memoryview(whole)[HEADER_SIZE:], self._round_trip)
         data = whole if kind == TRANSFER else frame(kind, payload)
+        self.traffic.add(TrafficKind.HOP, len(data))
         if self._withheld is not None:
             self._withheld.append(data)
         else:
@@ -218,6 +228,8 @@ class FramedLink:
             self._on_frame(kind, payload)
 
     def _on_frame(self, kind: int, payload: memoryview) -> None:
+        if kind in (TRANSFER, TRANSFER_DELTA):
+            self.traffic.add(TrafficKind.HOP, HEADER_SIZE + len(payload))
         if kind == TRANSFER:
             # Copied: the payload may be a small part of a large buffer.
             self._on_transfer(bytes(payload))
@@ -231,6 +243,7 @@ class FramedLink:
             else:
                 message = decode(kind, payload)
             self.work += not isinstance(message, _BACKGROUND)
+            self.traffic.add(kind_of(message), HEADER_SIZE + len(payload))
             if isinstance(message, WholeTransferRequest):
                 self._resend(message.agent)
             else:

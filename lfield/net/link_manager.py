@@ -336,6 +336,7 @@ class LinkManager:
         if hello.role == "host":
             self._on_linked(session, hello)
             return
+        session.link.count_in(self.monitor.observers)
         pushed = self._observers.admit(session, str(session.link.who))
         if pushed is not None:
             pushed.reject(f"over {MAX_OBSERVERS} observers are linked to this host")

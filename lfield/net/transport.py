@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from lfield.authority.identity import Identity
     from lfield.errors import CpuBudgetExceeded, LfieldError
+    from lfield.net.coding.traffic_kinds import TrafficBytes
     from lfield.net.health.traffic import TcpCounts
     from lfield.wire.coordinator_messages import Transfer
     from lfield.wire.framing import Buffer
@@ -74,8 +75,12 @@ class Link(Protocol):
         """The number of transfers and messages sent and received, without heartbeats and background
         reports."""
 
-    def send(self, message: Message) -> None:
-        """Queue a message. Raises AddressError on a closed link."""
+    @property
+    def traffic(self) -> TrafficBytes:
+        """The bytes sent and received, by kind."""
+
+    def send(self, message: Message) -> int:
+        """Queue a message; returns the bytes of its frame. Raises AddressError on a closed link."""
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Queue a coordinator. The block must not change until an answer arrives or the link is closed.
@@ -86,6 +91,9 @@ class Link(Protocol):
 
         Before, any message but a Hello or a refusal closes the link.
         """
+
+    def count_in(self, traffic: TrafficBytes) -> None:
+        """Count bytes there from now on, together with those of other links."""
 
     def set_round_trip(self, round_trip: float) -> None:
         """Set the measured round trip in seconds, which determines retransmission time-outs."""

@@ -64,7 +64,8 @@ class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 
     Of a link the smoothed round-trip time in seconds, the share of segments lost in the last minute, and the
     bytes sent (retransmissions included) and received since it opened, with TLS overhead and without headers
-    of TCP and IP; None for values that are not available.
+    of TCP and IP; None for values that are not available. `kinds` are the bytes of the messages of both
+    directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS.
     """
 
     host: Name
@@ -73,6 +74,7 @@ class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
     loss: Share | None = None
     sent: Count | None = None
     received: Count | None = None
+    kinds: Annotated[dict[Label, Count], Meta(max_length=16)] = {}
 
 
 class AttributeReading(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
@@ -187,6 +189,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     which no link can be made, `start` is None if no coordinator of this host waits to start. `epochs` are the
     numbers that orders must name (see `orders`). `ballot` is the ballot about an activation that holds the
     mission like a pause, b"" for none. `starting`: its devices are not open yet, and no resource has started.
+    `observers` are the bytes exchanged with observers, by kind of traffic.
     """
 
     host: Name
@@ -214,6 +217,7 @@ class Status(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     epochs: Epochs = Epochs()
     ballot: Annotated[bytes, Meta(max_length=16)] = b""
     starting: bool = False
+    observers: Annotated[dict[Label, Count], Meta(max_length=16)] = {}
 
 
 class EmergencyStop(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=10):

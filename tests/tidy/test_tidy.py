@@ -32,6 +32,7 @@ TABLES: dict[str, str] = {
 }
 #: Shorter than others, each one idea that nothing else is about.
 SMALL = {
+    "lfield/host/events/path_rate.py": "a measurement of its own, without I/O",
     "lfield/net/coding/link_compression.py": "two streams of zlib",
     "lfield/inventory/location.py": "which inventory counts, without YAML",
     "lfield/service/messages.py": "the log lines of the service",

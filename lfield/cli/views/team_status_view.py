@@ -122,16 +122,23 @@ def _hosts(linked: Mapping[str, HostState]) -> Table:
 def _links(linked: Mapping[str, HostState]) -> Table:
     """A row for each end of each link, because loss differs by direction."""
     right = "ROUND TRIP", "LOSS", "SENT", "RECEIVED"
-    shown = new_table("HOST", "LINK WITH", *right, right=right)
+    shown = new_table("HOST", "LINK WITH", *right, "BY KIND", right=right)
     for name, host in linked.items():
         for peer, link in host.links.items():
             took = "" if link.round_trip is None else duration_text(link.round_trip)
             loss = "" if link.loss is None else percentage_text(link.loss)
             both = ("" if count is None else byte_count_text(count) for count in (link.sent, link.received))
-            add_row(shown, name, peer, took, loss, *both)
+            add_row(shown, name, peer, took, loss, *both, _kinds(link.kinds))
         for peer, seconds in host.away.items():
-            add_row(shown, name, peer, f"none for {seconds:.0f} s", "", "", "")
+            add_row(shown, name, peer, f"none for {seconds:.0f} s", "", "", "", "")
+        if host.report.observers:
+            add_row(shown, name, "observers", "", "", "", "", _kinds(host.report.observers))
     return shown
+
+
+def _kinds(kinds: Mapping[str, int]) -> str:
+    """The bytes of messages by kind of traffic."""
+    return ", ".join(f"{kind} {byte_count_text(count)}" for kind, count in kinds.items())
 
 
 def _journal(journal: JournalStatus | None) -> str:
@@ -243,6 +250,7 @@ def _host_data(host: HostState) -> dict[str, Any]:
         "linked": list(host.links),
         "away": dict(host.away),
         "links": {peer: dataclasses.asdict(link) for peer, link in host.links.items()},
+        "observers": host.report.observers,
         "devices": {device.name: device.telemetry for device in devices},
         "silences": {device.name: device.silent for device in devices if device.silent is not None},
         "latched": {device.name: device.latched for device in devices if device.latched},

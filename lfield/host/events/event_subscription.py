@@ -6,9 +6,9 @@ lost ones, and continues with live events. Telemetry is sent when there is room 
 the newest value of each device and agent, with a count of the replaced ones. At most WINDOW batches are in
 flight; a subscriber that does not read costs its host only this bookkeeping.
 
-Telemetry leaves most of a slow path to other messages, stop orders above all: at most one batch with
-telemetry is in flight, and after one that was acknowledged late there is a pause of several times the delay
-beyond the round trip.
+On a slow path, batches leave most of the measured rate to other messages (`path_rate`). At most one batch
+with telemetry is in flight, and after one that was acknowledged late there is a pause of several times the
+delay beyond the round trip.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 
 from lfield.host.events.event_log import EventLog, size_of, stamped_event
+from lfield.host.events.path_rate import PathRate
 from lfield.wire.events import Event, TelemetryEvent
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import MAX_EVENTS, WINDOW, EventBatch, Subscribe
@@ -62,6 +63,8 @@ class EventSubscription:
         #: When the unacknowledged batches were sent; the one of them with telemetry, 0 for none; the round
         #: trip in seconds, and when telemetry may be sent again.
         self._sent: dict[int, float] = {}
+        self._sizes: dict[int, int] = {}
+        self._path = PathRate()
         self._full, self._is_full = 0, False
         self._round_trip: float | None = None
         self._rest_until = up
@@ -78,6 +81,8 @@ class EventSubscription:
         if not self._acknowledged < batch <= self._batch:
             return
         self._acknowledged, self._last_ack_at = batch, up
+        if batch in self._sizes:
+            self._path.add(self._sizes[batch], up - self._sent[batch])
         if self._full and self._full <= batch:
             self._rest_until, self._full = up + self._rest(up - self._sent[self._full]), 0
         else:
@@ -85,6 +90,7 @@ class EventSubscription:
             before = took if self._round_trip is None else self._round_trip
             self._round_trip = min(took, before + CREEP * (took - before))
         self._sent = {number: at for number, at in self._sent.items() if number > batch}
+        self._sizes = {number: size for number, size in self._sizes.items() if number > batch}
 
     def _rest(self, took: float) -> float:
         """The pause of telemetry after a batch that was acknowledged after so many seconds."""
@@ -152,6 +158,11 @@ class EventSubscription:
         return EventBatch(
             self._incarnation, self._batch, at, up, after, self._event_log.latest, events, lost, shown
         )
+
+    def on_sent(self, size: int, up: float) -> None:
+        """The last batch was sent as so many bytes."""
+        self._sizes[self._batch] = size
+        self.next_batch_at = max(self.next_batch_at, up + self._path.pause(size))
 
     def final_batch(self, at: float, up: float) -> EventBatch:
         """The last batch of a dropped subscription: its losses until now."""

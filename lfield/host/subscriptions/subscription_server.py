@@ -148,7 +148,7 @@ class SubscriptionServer:
                 self._send(link, watcher.final_batch(at, up))
                 self._end(link, f"what it watches was not read for {READ_TIMEOUT:g} s")
             elif batch := self._batch(watcher, up):
-                self._send(link, batch)
+                watcher.on_sent(self._send(link, batch), up)
         if self._subscriptions:
             self._schedule()
         else:
@@ -162,11 +162,13 @@ class SubscriptionServer:
     def _batch(self, watcher: EventSubscription, up: float) -> EventBatch | None:
         return watcher.next_batch(self._clock.time(), up, self._status)
 
-    def _send(self, link: Link, message: EventBatch) -> None:
+    def _send(self, link: Link, message: EventBatch) -> int:
+        """Send a batch; returns its bytes."""
         try:
-            link.send(message)
+            return link.send(message)
         except AddressError:
             self._subscriptions.pop(link, None)
+            return 0
 
     def _end(self, link: Link, reason: str) -> None:
         self._subscriptions.pop(link, None)

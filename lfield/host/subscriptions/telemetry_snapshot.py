@@ -68,4 +68,4 @@ def _devices(guards: DeviceGuards, now: float) -> Iterator[tuple[str, tuple[obje
 
 def _links(links: Mapping[str, LinkFigures]) -> Iterator[tuple[str, tuple[object, TelemetryEvent]]]:
     for host, figures in links.items():
-        yield f"link {host}", (figures, LinkTelemetry(host, *figures))
+        yield f"link {host}", (figures, LinkTelemetry(host, *figures[:4]))

@@ -8,6 +8,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from lfield.errors import AddressError
 from lfield.hybrid_clock import HybridClock
+from lfield.net.coding.traffic_kinds import TrafficBytes
 from lfield.net.health.link_heartbeats import IDLE_PING_EVERY, Heartbeats
 from lfield.net.health.traffic import LinkTraffic, TcpCounts
 from lfield.wire.messages import Ping, Pong
@@ -26,7 +27,11 @@ class MonitoredLink(Protocol):
     def work(self) -> int:
         """The number of transfers and messages sent and received, without background reports."""
 
-    def send(self, message: Ping | Pong, /) -> None:
+    @property
+    def traffic(self) -> TrafficBytes:
+        """The bytes sent and received, by kind."""
+
+    def send(self, message: Ping | Pong, /) -> int:
         """Queue a message. Raises AddressError on a closed link."""
 
     def set_round_trip(self, round_trip: float, /) -> None:
@@ -40,7 +45,7 @@ class MonitoredLink(Protocol):
 
 
 class LinkFigures(NamedTuple):
-    """Measurements of one link, see `LinkStatus`: seconds, shares from 0 to 1, bytes.
+    """Measurements of one link, see `LinkStatus`: seconds, shares from 0 to 1, bytes; bytes by kind.
 
     None if not measured yet or not available from the kernel.
     """
@@ -49,6 +54,7 @@ class LinkFigures(NamedTuple):
     loss: float | None
     sent: int | None
     received: int | None
+    kinds: dict[str, int]
 
 
 class LinkActivity:
@@ -95,6 +101,8 @@ class LinkMonitor:
             for number, host in enumerate(hosts)
         }
         self._links: dict[str, tuple[MonitoredLink, LinkTraffic, LinkActivity]] = {}
+        #: The bytes exchanged with all observers.
+        self.observers = TrafficBytes()
         #: The figures of each link at the last reading of its counters, every few seconds.
         self.latest: dict[str, LinkFigures] = {}
 
@@ -155,4 +163,4 @@ class LinkMonitor:
         traffic.record(link.counts(), self._now())
         counts = traffic.counts
         sent, received = (counts.bytes_sent, counts.bytes_received) if counts is not None else (None, None)
-        return LinkFigures(self.round_trip(host), traffic.loss, sent, received)
+        return LinkFigures(self.round_trip(host), traffic.loss, sent, received, link.traffic.by_name())

@@ -27,6 +27,10 @@ K = TypeVar("K")
 DRIFT = 2e-4
 
 
+#: A link that has not been measured.
+NO_LINK = LinkState()
+
+
 class HostModel:
     """One host, at first with the devices that `moves` names.
 
@@ -145,7 +149,7 @@ class HostModel:
                 if lost:
                     self._away[peer] = when
             case events.LinkTelemetry(peer) if peer in self._links:
-                self._links[peer] = _measured(what)
+                self._links[peer] = _measured(what, self._links[peer])
             case events.OfferPublished(agent):
                 self.offers[agent] = ""
             case events.OfferWithdrawn(agent, reason):
@@ -203,5 +207,6 @@ def host_states(answers: Mapping[K, EventBatch | LfieldError]) -> dict[K, HostSt
     return found
 
 
-def _measured(of: LinkStatus | events.LinkTelemetry) -> LinkState:
-    return LinkState(of.round_trip, of.loss, of.sent, of.received)
+def _measured(of: LinkStatus | events.LinkTelemetry, before: LinkState = NO_LINK) -> LinkState:
+    kinds = of.kinds if isinstance(of, LinkStatus) else before.kinds
+    return LinkState(of.round_trip, of.loss, of.sent, of.received, kinds)

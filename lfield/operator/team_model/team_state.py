@@ -46,13 +46,14 @@ class GeoPosition(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class LinkState:
-    """Measurements of a host about one link: the round trip in seconds, the loss rate of sent segments, and
-    the bytes sent and received since the link opened."""
+    """Measurements of a host about one link: the round trip in seconds, the loss rate of sent segments, the
+    bytes sent and received since the link opened, and the bytes of its messages by kind of traffic."""
 
     round_trip: float | None = None
     loss: float | None = None
     sent: int | None = None
     received: int | None = None
+    kinds: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

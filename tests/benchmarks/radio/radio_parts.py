@@ -71,6 +71,15 @@ def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
     starters: dict[str, Starter] = {"lfield": partial(travellers, checkout)}
     starters |= {name: peers(checkout, called, SIZE) for name, called in PEERS.items()}
     yield from _compared(f"hops, {cell}", starters, samples, tick, cell)
+    tick(f"hops, {cell}, bytes")
+    with Processes() as processes:
+        (lane,) = travellers(checkout, processes, [1])
+        count = max(20, min(samples, 200))
+        collect([lane], cell, WARM_UP)
+        lane.radio.reset()
+        collect([lane], cell, count)
+        sent = sum(each.bytes for each in lane.radio.counts().values())
+        yield Row("", "lfield, bytes of one hop", "B", [sent / (2 * count)])
 
 
 def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:

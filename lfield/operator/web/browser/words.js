@@ -31,13 +31,14 @@ export function bytes(count) {
   return count < 1e6 ? `${(count / 1e3).toFixed(1)} kB` : `${(count / 1e6).toFixed(1)} MB`;
 }
 
-// The measurements of a link: "214 ms, 4.8 % lost, 12.3 kB sent, 9.1 kB received".
-export function link({ round_trip, loss, sent, received }) {
+// The measurements of a link: "214 ms, 4.8 % lost, 12.3 kB sent, 9.1 kB received, hop 3.1 kB".
+export function link({ round_trip, loss, sent, received, kinds }) {
   const parts = [];
   if (round_trip !== null) parts.push(duration(round_trip));
   if (loss !== null) parts.push(`${(loss * 100).toFixed(1)} % lost`);
   if (sent !== null) parts.push(`${bytes(sent)} sent`);
   if (received !== null) parts.push(`${bytes(received)} received`);
+  for (const [kind, count] of Object.entries(kinds ?? {})) parts.push(`${kind} ${bytes(count)}`);
   return parts.join(", ");
 }
 
