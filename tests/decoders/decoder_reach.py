@@ -70,11 +70,6 @@ UNREACHED: Mapping[str, Mapping[str, str]] = {
         "FramedLink._oversize: self._weigh(header.agent)": "only a member over its budget gets no answers",
         "FrameDecoder.reset_skipped: self.skipped = 0": "called by `withhold`, not by a reader",
     },
-    "compact": {
-        'TransferHistory.decode: raise WireError("the checksum of a delta does not fit")': (
-            "every input gets the right checksum; those of `stream` do not"
-        ),
-    },
     "control": {
         'Handshake.admit: raise WireError(f"received {type(message).__name__} before the handshake")': (
             "here all have greeted"

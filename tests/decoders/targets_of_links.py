@@ -157,7 +157,7 @@ def decode_transfer(data: bytes) -> None:
 
 
 def decode_compact(data: bytes) -> None:
-    """A compressed message, or a delta of a known transfer, with the checksum that it should have."""
+    """A compressed message with the checksum that it should have, or a delta of a known transfer."""
     (header, block), *_ = transfers()
     if data[:1] == b"\0":
         with suppress(WireError):
@@ -165,9 +165,8 @@ def decode_compact(data: bytes) -> None:
         return
     history = TransferHistory()
     history.keep(header.agent, codec.encode_transfer(header, block)[HEADER_SIZE:] + block, is_sent=False)
-    checked = struct.pack(">I", zlib.crc32(data[1:])) + data[1:]
     with suppress(WireError):
-        delta = history.decode(memoryview(checked))
+        delta = history.decode(memoryview(data)[1:])
         if isinstance(delta, Delta) and delta.size <= 1 << 16:
             assert len(delta.expand()) == delta.size
             delta.leading_bytes()
@@ -507,7 +506,7 @@ def _transfer_seeds() -> Sequence[bytes]:
 
 
 def _compact_seeds() -> Sequence[bytes]:
-    deltas = [b"\1" + payload[4:] for payload in payloads()[codec.TRANSFER_DELTA]]
+    deltas = [b"\1" + payload for payload in payloads()[codec.TRANSFER_DELTA]]
     unnamed = bytearray(deltas[0])
     unnamed[15] = 0xFF
     long = struct.pack(">I", 1 << 15) + deltas[0][5:]

@@ -4,15 +4,15 @@ Both ends of a link keep the last transfer of each coordinator, in either direct
 reference by agent and digest. If the receiver does not have it (the two transfers crossed, or it was
 evicted), it requests the whole transfer.
 
-A delta frame contains: checksum (4 bytes), size of the whole transfer (4), digest of the reference (8),
-length of the agent's name (2), name, delta. Numbers are big-endian; the checksum is the CRC-32 of the rest.
+A delta frame contains: size of the whole transfer (4 bytes), digest of the reference (8), length of the
+agent's name (2), name, delta. Numbers are big-endian. It needs no checksum, because the expanded transfer has
+two.
 """
 
 from __future__ import annotations
 
 import hashlib
 import struct
-import zlib
 from typing import TYPE_CHECKING, NamedTuple
 
 from lfield.errors import WireError
@@ -28,8 +28,7 @@ MAX_KEPT = 512 << 10
 #: the processor for the delta.
 FAST_PATH = 0.001
 
-_CHECKSUM = struct.Struct(">I")
-_START = struct.Struct(">II8sH")
+_START = struct.Struct(">I8sH")
 
 
 class Delta(NamedTuple):
@@ -76,8 +75,8 @@ class TransferHistory:
         name, delta = agent.encode(), encode_delta(payload, reference)
         if len(delta) >= len(payload):
             return TRANSFER, payload
-        checked = b"".join((_START.pack(0, len(payload), _digest(reference), len(name))[4:], name, delta))
-        return TRANSFER_DELTA, _CHECKSUM.pack(zlib.crc32(checked)) + checked
+        start = _START.pack(len(payload), _digest(reference), len(name))
+        return TRANSFER_DELTA, b"".join((start, name, delta))
 
     def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> None:
         """Keep a transfer that was sent or has arrived; `payload` must not change."""
@@ -98,9 +97,7 @@ class TransferHistory:
         """The delta of a frame. Raises WireError."""
         if len(payload) < _START.size:
             raise WireError("a delta is too short to have a header")
-        checksum, size, digest, length = _START.unpack_from(payload)
-        if zlib.crc32(payload[_CHECKSUM.size :]) != checksum:
-            raise WireError("the checksum of a delta does not fit")
+        size, digest, length = _START.unpack_from(payload)
         end = _START.size + length
         try:
             agent = bytes(payload[_START.size : end]).decode()

@@ -79,7 +79,7 @@ def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Ro
         lane.radio.reset()
         collect([lane], cell, count)
         sent = sum(each.bytes for each in lane.radio.counts().values())
-        yield Row("", "lfield, bytes of one hop", "B", [sent / (2 * count)])
+        yield Row("", "lfield, bytes of one hop", COUNT, [round(sent / (2 * count))])
 
 
 def stops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:

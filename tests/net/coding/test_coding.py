@@ -216,5 +216,6 @@ def test_a_damaged_delta_closes_the_link_or_is_requested_again(place):
     body[place % len(body)] ^= 1 << place % 8
     near.loses = False
     far.received(frame(TRANSFER_DELTA, body))
-    assert far.closed
-    assert len(far.handler.messages) == 1
+    arrived = far.handler.messages[1:]
+    assert arrived in ([], [(transfer(600, 2), BLOCK)])
+    assert arrived or far.closed or near.closed
