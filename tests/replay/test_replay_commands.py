@@ -15,7 +15,6 @@ import pytest
 from mcap.reader import make_reader
 
 from lfield.host.recording.recording_target import RecordingDirectory
-from lfield.mission.bundle import encode
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 
@@ -51,7 +50,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("recorded")
     write_mission(folder, PROGRAM)
     mission = load_mission(folder / "mission.dL", simulate=True)
-    target = RecordingDirectory(folder / "records", 64 << 20, encode(mission))
+    target = RecordingDirectory(folder / "records", 64 << 20)
     fleet = Fleet(mission, 1, options=FleetOptions(record=target))
     fleet.run(30.0)
     for name in list(fleet.lives):

@@ -121,10 +121,17 @@ class GraphWriter:
         return None
 
     def _own(self, value: object) -> Iterator[tuple[str, object]]:
-        """The attributes of a known object, without functions that an observer has put into it."""
+        """The attributes of a known object.
+
+        A function that shadows a method of the class, as that of a simulation that observes its calls, is
+        omitted: the restored object has the method. Raises RecordingError for any other new function.
+        """
+        made = type(value)
         for name, each in attributes(value):
             if not isinstance(each, FunctionType) or id(each) in self._known:
                 yield name, each
+            elif not isinstance(getattr(made, name, None), FunctionType):
+                raise RecordingError(f"a checkpoint cannot contain the function {made.__name__}.{name}")
 
     def objects(self) -> list[Any]:
         """All objects that were encoded and are not known."""

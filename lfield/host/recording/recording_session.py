@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from lfield import __version__
-from lfield.errors import LfieldError
+from lfield.errors import LfieldError, RecordingError
 from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.host.core import HostCore
 from lfield.host.effects import Environment
@@ -48,13 +48,13 @@ class RunIdentity:
 def replayed_form(mission: Mission) -> Mission:
     """The mission as a replay reads it from the bundle: checkpoints number its objects.
 
-    A mission that was loaded from files shares other objects than the same one that was decoded. One that
-    cannot be decoded is returned as it is: the recorder does not prevent a start.
+    A mission that was loaded from files shares other objects than the same one that was decoded. Raises
+    RecordingError for one that cannot be decoded.
     """
     try:
         return replace(decode(encode(mission)), release=mission.release)
-    except LfieldError:
-        return mission
+    except LfieldError as error:
+        raise RecordingError(f"its bundle cannot be read again: {error}") from None
 
 
 class RecordingSession:
@@ -115,7 +115,7 @@ class RecordingSession:
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle = self._target.bundle or encode(self._mission)
+        bundle = encode(self._mission)
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
         try:

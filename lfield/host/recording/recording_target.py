@@ -56,10 +56,6 @@ class MemorySink:
 class RecordingTarget(Protocol):
     """Opens the recordings of incarnations."""
 
-    @property
-    def bundle(self) -> bytes:
-        """The bundle of the mission; b"" to encode the mission as it runs."""
-
     def open_sink(
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
     ) -> RecordSink:
@@ -74,12 +70,10 @@ class RecordingTarget(Protocol):
 
 
 class RecordingDirectory:
-    """Recordings as folders in `parent`, each with at most `limit` bytes; `bundle` is as in
-    `RecordingTarget`.
-    """
+    """Recordings as folders in `parent`, each with at most `limit` bytes."""
 
-    def __init__(self, parent: Path, limit: int, bundle: bytes = b"") -> None:
-        self._parent, self._limit, self.bundle = parent, limit, bundle
+    def __init__(self, parent: Path, limit: int) -> None:
+        self._parent, self._limit = parent, limit
         self._folder: Path | None = None
 
     def open_sink(
@@ -101,8 +95,6 @@ class RecordingDirectory:
 
 class RecordingMemory:
     """Recordings in memory, by host and incarnation, in the order of their starts."""
-
-    bundle = b""
 
     def __init__(self) -> None:
         self.sinks: list[tuple[str, int, MemorySink]] = []

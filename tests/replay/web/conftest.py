@@ -22,7 +22,6 @@ from lfield.guard.recording.guard_records import (
     recorded_device,
 )
 from lfield.host.recording.recording_target import RecordingDirectory
-from lfield.mission.bundle import encode
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from lfield.recording.folders import SUFFIX
@@ -63,7 +62,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "mission.L").write_text(PROGRAM)
     (folder / "mission.dL").write_text(DEPLOYMENT)
     mission = load_mission(folder / "mission.dL", simulate=True)
-    target = RecordingDirectory(folder / "records", 64 << 20, encode(mission))
+    target = RecordingDirectory(folder / "records", 64 << 20)
     fleet = Fleet(mission, 1, options=FleetOptions(time_of_day=1.8e9, record=target))
     fleet.run(8.0)
     for name in list(fleet.lives):
