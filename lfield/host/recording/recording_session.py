@@ -76,7 +76,7 @@ class RecordingSession:
         self.flight: FlightRecorder | None = None
         self._environment: RecordedEnvironment | None = None
         self._turns: CoreTurns | None = None
-        self._host = ""
+        self._host, self._incarnation = "", 0
         self._drawn: list[bytes] = []
         self._seed = 0
 
@@ -108,7 +108,7 @@ class RecordingSession:
 
     def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
         """The core is constructed, in the present turn."""
-        self._turns, self._host = turns, core.name
+        self._turns, self._host, self._incarnation = turns, core.name, core.incarnation
         self._open(core, turns, engine)
         turns.attach(core, self.flight)
 
@@ -148,7 +148,7 @@ class RecordingSession:
         """What the guards of this host record."""
         if self.flight is None or self._target is None:
             return NO_RECORDING
-        return self._target.for_guards(self.run.id)
+        return self._target.for_guards(self._host, self._incarnation, self.run.id)
 
     def write_due(self, now: float) -> None:
         """Between two turns: write what is due."""

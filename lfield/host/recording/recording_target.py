@@ -65,8 +65,8 @@ class RecordingTarget(Protocol):
         reason. Raises OutputFileError.
         """
 
-    def for_guards(self, run: str) -> GuardRecording:
-        """What the guards of that incarnation write."""
+    def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
+        """What the guards of an incarnation write."""
 
 
 class RecordingDirectory:
@@ -74,7 +74,8 @@ class RecordingDirectory:
 
     def __init__(self, parent: Path, limit: int) -> None:
         self._parent, self._limit = parent, limit
-        self._folder: Path | None = None
+        #: The folders by host and incarnation.
+        self._opened: dict[tuple[str, int], Path] = {}
 
     def open_sink(
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
@@ -82,15 +83,16 @@ class RecordingDirectory:
         """See `RecordingTarget`."""
         folder = create_folder(self._parent, host, incarnation, wall_time)
         write_private(folder / BUNDLE_NAME, bundle)
-        self._folder = folder
+        self._opened[host, incarnation] = folder
         limit = int(self._limit * CORE_SHARE)
         return RingWriter(folder, CORE_STEM, SUFFIX, limit, on_failure, MAGIC)
 
-    def for_guards(self, run: str) -> GuardRecording:
+    def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
         """See `RecordingTarget`."""
-        if self._folder is None:
+        folder = self._opened.get((host, incarnation))
+        if folder is None:
             return NO_RECORDING
-        return GuardRecording(str(self._folder), int(self._limit * (1.0 - CORE_SHARE)), run)
+        return GuardRecording(str(folder), int(self._limit * (1.0 - CORE_SHARE)), run)
 
 
 class RecordingMemory:
@@ -107,6 +109,6 @@ class RecordingMemory:
         self.sinks.append((host, incarnation, sink))
         return sink
 
-    def for_guards(self, run: str) -> GuardRecording:
+    def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
         """See `RecordingTarget`."""
         return NO_RECORDING

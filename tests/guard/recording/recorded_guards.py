@@ -59,7 +59,9 @@ class RecordedGuard:
 
     def __init__(self, limit=None, start=1000.0, *, is_open=True):
         self.clock, self.ring = ManualClock(start), MemoryRing(limit)
-        message = OpenDevices(DEVICES, "", SILENCE, DRIVER, [], GuardRecording(FOLDER, 1 << 20, "run 7"))
+        message = OpenDevices(
+            DEVICES, "", SILENCE, DRIVER, [], GuardRecording(f"{FOLDER}/guard-a.arm", 1 << 20, "run 7")
+        )
         self.recorder = GuardRecorder(message, self.clock, self.ring)
         if is_open:
             self.open()

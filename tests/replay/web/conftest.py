@@ -24,7 +24,7 @@ from lfield.guard.recording.guard_records import (
 from lfield.host.recording.recording_target import RecordingDirectory
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.recording.folders import SUFFIX
+from lfield.recording.folders import SUFFIX, guard_folder
 from lfield.recording.segments import MAGIC
 from lfield.replay.recording_files import TeamRecording, load_team
 from lfield.simulate.host_fleet import Fleet, FleetOptions
@@ -69,8 +69,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
         fleet.stop(name)
     fleet.run(4.0)
     fleet.close()
-    # In virtual time all guards write into one folder, whatever their host.
-    for path in (folder / "records").glob(f"*/guard-*{SUFFIX}"):
+    for path in (folder / "records").glob(f"*/guard-*/*{SUFFIX}"):
         path.unlink()
     (alpha,) = (folder / "records").glob("alpha-*")
     incarnations = load_team([folder / "records"]).incarnations
@@ -102,7 +101,7 @@ def write_guard(folder: Path, mission: Mission, at: float, wall: float) -> None:
         NoteRecord(at + LATCHED_AT, *note_fields(Note("one.fc", "battery at 3 %"))),
     ]
     data = MAGIC + b"".join(map(framed, records))
-    (folder / f"guard-one.fc-000001{SUFFIX}").write_bytes(data)
+    (guard_folder(folder, "one.fc") / f"guard-000001{SUFFIX}").write_bytes(data)
 
 
 def note_fields(note: Note) -> tuple[str, str, str, str]:
