@@ -35,7 +35,7 @@ from lfield.vm.memory.block import Block
 from lfield.vm.turns.run_limit import RunLimit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 #: Seconds between two digests of the blocks, and the bytes of blocks that lengthen it by one second.
 DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
@@ -54,7 +54,10 @@ class TurnTime(Protocol):
 
 
 class FlightRecorder:
-    """Records `core` into `sink`; `start` describes the incarnation."""
+    """Records `core` into `sink`; `start` describes the incarnation.
+
+    `on_pending` is called when a record waits for `write_due` or `flush` and none did before.
+    """
 
     def __init__(
         self,
@@ -64,9 +67,10 @@ class FlightRecorder:
         start: StartRecord,
         sink: RecordSink,
         drawn: list[bytes],
+        on_pending: Callable[[], None],
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
-        self._start, self._drawn = start, drawn
+        self._start, self._drawn, self._on_pending = start, drawn, on_pending
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
@@ -106,6 +110,8 @@ class FlightRecorder:
         times, self._times = self._times, []
         record = TurnRecord(at, turn.entry, *changes, turn.run, times)
         self._turns += 1
+        if not self._records:
+            self._on_pending()
         self._records.append(IdleTurn(at) if record == TurnRecord(at) else record)
 
     def note_time(self, at: float) -> None:
@@ -130,8 +136,14 @@ class FlightRecorder:
         if now >= self._checkpoint_due or self._bytes >= CHECKPOINT_BYTES or self._sink.is_full:
             self._write_checkpoint(now)
 
+    def flush(self) -> None:
+        """Write what is pending."""
+        self._write_batch()
+
     def note_run(self, run: str) -> None:
         """The run id of this host has changed."""
+        if not self._records:
+            self._on_pending()
         self._records.append(RunIdRecord(run))
 
     def close(self, at: float) -> None:
