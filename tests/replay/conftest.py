@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from recorded_flight import record_flight
+from flight_of_two import record_flight
 
 from lfield.clock import ManualClock
 from lfield.guard.core import GuardCore

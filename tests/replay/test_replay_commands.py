@@ -12,8 +12,8 @@ import sys
 from pathlib import Path
 
 import pytest
+from flight_of_two import PROGRAM, record_flight, write_mission
 from mcap.reader import make_reader
-from recorded_flight import PROGRAM, record_flight, write_mission
 
 ROOT = Path(__file__).parents[2]
 #: Options for commands that would read from a terminal.
