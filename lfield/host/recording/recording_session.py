@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
-from functools import partial
 
 from lfield import __version__
 from lfield.errors import LfieldError, RecordingError
@@ -156,7 +155,10 @@ class RecordingSession:
         """Between two turns: write what is due."""
         if self.flight is None:
             return
-        self._guarded(partial(self.flight.write_due, now))
+        try:
+            self.flight.write_due(now)
+        except Exception as error:
+            self._on_fault(error)
 
     def close(self, now: float) -> None:
         """The host ends in order."""
@@ -173,15 +175,16 @@ class RecordingSession:
 
     def _flush(self) -> None:
         self._timer = None
-        if self.flight is not None:
-            self._guarded(self.flight.flush)
-
-    def _guarded(self, write: Callable[[], None]) -> None:
+        if self.flight is None:
+            return
         try:
-            write()
+            self.flight.flush()
         except Exception as error:
-            # A fault of the recorder must not end the host.
-            self._on_failure(f"{type(error).__name__}: {error}")
+            self._on_fault(error)
+
+    def _on_fault(self, error: Exception) -> None:
+        """A fault of the recorder, which must not end the host."""
+        self._on_failure(f"{type(error).__name__}: {error}")
 
     def _on_failure_elsewhere(self, reason: str) -> None:
         with suppress(RuntimeError):  # the loop has ended
