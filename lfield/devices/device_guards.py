@@ -6,9 +6,8 @@ import asyncio
 import contextlib
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
-
-import msgspec
 
 from lfield import event_loop
 from lfield.capability.directory.directory_delta import Unavailability
@@ -21,11 +20,13 @@ from lfield.devices.scheduling_jitter import JitterLimit, JitterMonitor
 from lfield.driver.binding import DeviceBinding, by_bus
 from lfield.driver.contract import RELEASE
 from lfield.driver.driver_index import DriverLookup
-from lfield.errors import DeviceError, DevicesError
+from lfield.errors import DeviceError, DevicesError, OutputFileError
 from lfield.guard.core import HOST_TIMEOUT
 from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.manifest import DeviceManifest, DeviceValue, Instruction, Observation
+from lfield.recording.folders import guard_folder
 from lfield.text.log_messages import LogLine
+from lfield.text.secure_files import private_folder
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import PENDING, Pending
 
@@ -93,11 +94,12 @@ class DeviceGuards:
         if problems:
             return
         buses = by_bus(placed)
-        share = msgspec.structs.replace(recording, limit=recording.limit // max(1, len(buses)))
+        limit = recording.limit // max(1, len(buses))
         for bus in buses.values():
             driver = self._drivers.by_driver[bus[0].driver]
+            files = _recording_of(bus, recording, limit)
             guard = GuardProcess(
-                driver, bus, self.clock, self._note, self.lateness, self._has_progressed, share
+                driver, bus, self.clock, self._note, self.lateness, self._has_progressed, files
             )
             guard.latched_devices.inhibit(self._barred)
             guard.latched_devices.set_event_handlers(self.on_event, self.on_lock_out)
@@ -321,6 +323,17 @@ class DeviceGuards:
         """Stops waiting for devices; `close` then ends and reports those not at rest."""
         for guard in self._guards:
             guard.stop_waiting()
+
+
+def _recording_of(bus: Sequence[DeviceBinding], recording: GuardRecording, limit: int) -> GuardRecording:
+    """What the guard of a bus writes, in a folder of its own: its driver cannot remove other files."""
+    if not recording.folder:
+        return recording
+    folder = guard_folder(Path(recording.folder), bus[0].name)
+    # The guard reports a folder that it cannot use.
+    with contextlib.suppress(OutputFileError):
+        private_folder(folder)
+    return GuardRecording(str(folder), limit, recording.run)
 
 
 def _unconfirmed(guard: GuardProcess, name: str) -> str:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from lfield.driver.binding import DeviceBinding
     from lfield.driver.contract import Manifest
     from lfield.driver.device import Driver
-    from lfield.driver.driver_index import DriverInfo
+    from lfield.driver.driver_index import DriverInfo, ManifestFile
     from lfield.text.source_text import Diagnostic
 
 
@@ -77,6 +77,10 @@ class Plugin:
     def manifest_digest(self, file: str) -> bytes:
         """SHA-256 of a manifest file, which identifies the version of the driver's contract."""
         return hashlib.sha256(self.manifest_bytes(file)).digest()
+
+    def has_manifest(self, file: ManifestFile) -> bool:
+        """Whether the driver has the contract of a manifest file. Raises PluginError without such a file."""
+        return self.manifest_digest(file.name) == file.digest
 
     def read_manifests(self) -> dict[str, Manifest]:
         """The manifests by device type. Raises PluginError."""
@@ -208,7 +212,7 @@ def load_plugin(reference: str) -> Plugin:
 def check_same(known: DriverInfo, plugin: Plugin) -> None:
     """Raises PluginError unless the installed driver has the contract that the mission was built with."""
     for file in known.files.values():
-        if plugin.manifest_digest(file.name) != file.digest:
+        if not plugin.has_manifest(file):
             raise PluginError(
                 f"the installed driver '{known.name}' is not the one that the mission was built with "
                 f"({file.name} differs): install {known.to_install}, or build the mission again with the "

@@ -33,7 +33,7 @@ class GuardMessage(msgspec.Struct, frozen=True, array_like=True):
 
 
 class GuardRecording(msgspec.Struct, frozen=True, array_like=True):
-    """What a guard writes into the folder of a recording, '' for nothing: at most `limit` bytes together.
+    """What a guard writes into its folder in a recording, '' for nothing: at most `limit` bytes together.
 
     `run` is the id of the run, '' where it has none.
     """

@@ -2,8 +2,9 @@
 
 DIR/HOST-20261129T173015-1f3a9c02/   host, UTC time of the start, first digits of the incarnation
     core-000001.lfrec                the host's core: inputs, digests, checkpoints
-    guard-BUS-000001.lfrec           a guard: inputs and decisions
-    wire-DEVICE-000001.tlog          the bytes of a vehicle's link, as its usual tools read them
+    guard-DEVICE/                    all that a guard may write; DEVICE is the first one of its bus
+        guard-000001.lfrec           inputs and decisions
+        wire-000001.tlog             the bytes of a vehicle's link, as its usual tools read them
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import NamedTuple
+from urllib.parse import quote, unquote
 
 from lfield.text.secure_files import new_private_folder, private_folder
 
@@ -25,6 +27,7 @@ CORE_SHARE = 0.5
 INCARNATIONS = 8
 #: Suffix of the segments of cores and guards.
 SUFFIX = ".lfrec"
+_GUARD = "guard-"
 _NAME = re.compile(r"(?P<host>.+)-(?P<at>\d{8}T\d{6})-(?P<incarnation>[0-9a-f]{8})")
 
 
@@ -62,6 +65,17 @@ def parse_folder(path: Path) -> RecordingFolder | None:
     """The folder as one of an incarnation; None if its name is not that of one."""
     matched = _NAME.fullmatch(path.name)
     return None if matched is None else RecordingFolder(path, *matched.group("host", "at", "incarnation"))
+
+
+def guard_folder(folder: Path, device: str) -> Path:
+    """The folder of the guard of a bus, whose first device is this one, in that of an incarnation."""
+    return folder / f"{_GUARD}{quote(device, safe='')}"
+
+
+def guard_folders(folder: Path) -> dict[str, Path]:
+    """The folders of the guards of an incarnation, by their first devices."""
+    found = sorted(path for path in _folders(folder) if path.name.startswith(_GUARD))
+    return {unquote(path.name.removeprefix(_GUARD)): path for path in found}
 
 
 def segments_of(folder: Path, stem: str, suffix: str = SUFFIX) -> list[Path]:

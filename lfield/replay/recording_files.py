@@ -150,6 +150,8 @@ def _folders(paths: Iterable[Path]) -> list[Path]:
         if not path.exists():
             raise InputFileError(str(path), "it does not exist")
         place = path if path.is_dir() else path.parent
+        # Also the folder of a guard, and a file in it.
+        place = place.parent if parse_folder(place.parent) is not None else place
         if parse_folder(place) is not None or any(place.glob(f"{CORE_STEM}-*{SUFFIX}")):
             found[place] = None
             continue

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.contract import RELEASE
 from lfield.driver.device import Device, Driver, method_name
+from lfield.driver.driver_index import ManifestFile
 from lfield.driver.plugin import Plugin, load_plugin
 from lfield.errors import DeviceError
 from lfield.guard.endpoint_lock import endpoint_targets
@@ -209,7 +210,15 @@ def _plugged_in(endpoint: str) -> Hardware:
     return found
 
 
-PLUGIN = Plugin("simulated", "lfield.simulate", "lfield.simulate.hardware:AnyDriver", "all")
+class AnyPlugin(Plugin):
+    """The plugin of a driver that has every contract."""
+
+    def has_manifest(self, file: ManifestFile) -> bool:
+        """See `Plugin`."""
+        return True
+
+
+PLUGIN = AnyPlugin("simulated", "lfield.simulate", "lfield.simulate.hardware:AnyDriver", "all")
 
 
 class SimulatedLock:

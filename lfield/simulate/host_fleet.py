@@ -26,6 +26,7 @@ from lfield.host.host import Host
 from lfield.host.logbook import Logbook
 from lfield.host.process.host_process import run_until_exit
 from lfield.host.process.shutdown_signals import ShutdownSignals
+from lfield.host.recording.recording_session import replayed_form
 from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.records import Record
 from lfield.mission.mission import Mission
@@ -123,9 +124,9 @@ class Fleet:
         self._known: set[str] = set()
         #: Hardware of any driver, by the names of devices that share it.
         self.hardware: dict[str, Hardware] = {}
-        self.mission = (plug or plug_any_hardware)(self, mission, rng).at(
-            mission.team.at({name: f"{name}:{PORT}" for name in names})
-        )
+        plugged = (plug or plug_any_hardware)(self, mission, rng)
+        at_simulation = plugged.at(mission.team.at({name: f"{name}:{PORT}" for name in names}))
+        self.mission = at_simulation if self.options.record is None else replayed_form(at_simulation)
         #: Running hosts; exit statuses of those that have exited.
         self.lives: dict[str, HostLife] = {}
         self.left: dict[str, int] = {}
@@ -318,8 +319,7 @@ def plug_any_hardware(fleet: Fleet, mission: Mission, rng: random.Random) -> Mis
         fleet.hardware[devices[0].name] = made
         endpoints |= {device.name: endpoint for device in devices}
     simulated = {
-        name: replace(driver, reference=REFERENCE, files={})
-        for name, driver in mission.drivers.by_driver.items()
+        name: replace(driver, reference=REFERENCE) for name, driver in mission.drivers.by_driver.items()
     }
     return replace(at_endpoints(mission, endpoints), drivers=DriverIndex(simulated))
 

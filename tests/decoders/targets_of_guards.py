@@ -166,7 +166,7 @@ def decode_in_guard(data: bytes) -> None:
     """What a guard does with what its host says."""
 
     async def story() -> None:
-        plugin: Any = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32), reference="")
+        plugin: Any = SimpleNamespace(load=lambda: Bus, has_manifest=lambda file: True, reference="")
         shell = Shell(plugin, Output(), LoopClock(), lock=Free())  # type: ignore[arg-type]
         raised: list[Any] = []
         crashed = shell._callback_raised

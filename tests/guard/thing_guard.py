@@ -45,7 +45,7 @@ def guard_of(kind, output):
         async def _close(self):
             pass
 
-    plugin = SimpleNamespace(load=lambda: Bus, manifest_digest=lambda file: bytes(32))
+    plugin = SimpleNamespace(load=lambda: Bus, has_manifest=lambda file: True)
     return Shell(plugin, output, LoopClock())
 
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 from pathlib import Path
 
 from lfield.host.recording.host_records import FrameHeader, HostRecord, encode_frame
-from lfield.host.recording.recording_session import replayed_form
 from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM, RecordingMemory
 from lfield.mission import bundle
 from lfield.mission.loader import load_mission
@@ -81,10 +80,10 @@ class Comparison:
 
 
 def walk_mission(folder: Path) -> Mission:
-    """The mission of WALK_PROGRAM, as a host runs it: decoded from its bundle."""
+    """The mission of WALK_PROGRAM."""
     (folder / "mission.L").write_text(WALK_PROGRAM)
     (folder / "mission.dL").write_text(WALK_DEPLOYMENT)
-    return replayed_form(load_mission(folder / "mission.dL"))
+    return load_mission(folder / "mission.dL")
 
 
 def run_recorded(mission: Mission, seconds: float, seed: int = 1) -> RecordedTeam:

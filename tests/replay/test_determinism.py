@@ -12,7 +12,6 @@ from recorded_teams import RecordedTeam, compare, run_recorded, walk_mission
 
 from lfield.host.core import HostCore
 from lfield.host.recording.recording_target import RecordingDirectory
-from lfield.mission.bundle import encode
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.text import log_messages
 
@@ -41,7 +40,7 @@ def test_a_core_that_reads_the_real_time_is_found(walked, monkeypatch):
 @pytest.mark.process
 def test_another_hash_seed_changes_nothing(tmp_path):
     mission = walk_mission(tmp_path)
-    target = RecordingDirectory(tmp_path / "records", 1 << 22, encode(mission))
+    target = RecordingDirectory(tmp_path / "records", 1 << 22)
     fleet = Fleet(mission, 1, options=FleetOptions(record=target))
     fleet.run(6.0)
     for name in list(fleet.lives):

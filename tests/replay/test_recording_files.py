@@ -9,20 +9,24 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from recorded_teams import checkpoints_of, run_recorded, walk_mission, write_folder
+from recorded_teams import Comparison, checkpoints_of, recorded, run_recorded, walk_mission, write_folder
 
 from lfield import exit_status
 from lfield.cli.main import main
-from lfield.errors import InputFileError, RecordingError
+from lfield.errors import BundleError, InputFileError, RecordingError
 from lfield.host.process import host_process
-from lfield.host.recording import flight_recorder
+from lfield.host.recording import flight_recorder, recording_session
+from lfield.host.recording.core_snapshot import CoreSnapshots
+from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.object_graph import walk
-from lfield.host.recording.recording_target import RecordingMemory
+from lfield.host.recording.recording_target import RecordingDirectory, RecordingMemory
 from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 from lfield.recording.segments import MAGIC
 from lfield.replay.recording_files import load_team
 from lfield.replay.team_check import check_team
+from lfield.simulate.host_fleet import Fleet, FleetOptions
+from lfield.vm.reference import ReferenceEngine
 
 
 @pytest.fixture(scope="module")
@@ -172,10 +176,6 @@ def test_one_unusable_folder_does_not_hide_the_others(team, tmp_path, capsys):
 
 
 def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
-    from recorded_teams import recorded
-
-    from lfield.simulate.host_fleet import Fleet, FleetOptions
-
     memory = RecordingMemory()
     fleet = Fleet(walk_mission(tmp_path), 3, options=FleetOptions(record=memory))
     fleet.run(1.0)
@@ -190,26 +190,102 @@ def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
     assert check_team(loaded).differences == 0
 
 
-def test_the_process_of_a_host_runs_a_mission_from_files_in_the_form_of_a_replay(tmp_path, monkeypatch):
-    """Otherwise no checkpoint of `lfield up --deploy` can be restored: its objects have other numbers."""
-    found = []
+@pytest.fixture
+def started(tmp_path, monkeypatch):
+    """A function that starts the process of a host, and returns its mission, its recorder and its log."""
+    made = SimpleNamespace(mission=None, options=None, log=[])
 
     class Started(Exception):
         pass
 
-    def host(mission, *rest):
-        found.append(mission)
+    def host(mission, name, transport, logbook, options):
+        made.mission, made.options = mission, options
         raise Started
 
-    walk_mission(tmp_path)
-    mission = load_mission(tmp_path / "mission.dL")
     identity = SimpleNamespace(address="", tls=None, admission=None, orders=None)
     monkeypatch.setattr(host_process, "Host", host)
     monkeypatch.setattr(host_process, "_identity", lambda mission, *rest: (identity, mission))
-    for record in (None, RecordingMemory()):
+    monkeypatch.setattr(host_process.Logbook, "note", lambda book, line: made.log.append(line.code))
+
+    def start(record):
         with pytest.raises(Started):
-            asyncio.run(host_process.run_host(mission, "north", record=record))
-    decoded = bundle.decode(bundle.encode(mission))
-    sizes = [len(walk(each, {}, ())) for each in (*found, decoded)]
+            asyncio.run(host_process.run_host(walk_mission(tmp_path), "north", record=record))
+        return made.mission, made.options.record, made.log
+
+    return start
+
+
+def test_the_process_of_a_host_runs_a_mission_from_files_in_the_form_of_a_replay(started):
+    """Otherwise no checkpoint of `lfield up --deploy` can be restored: its objects have other numbers."""
+    memory = RecordingMemory()
+    (plain, _, _), (run, record, log) = started(None), started(memory)
+    decoded = bundle.decode(bundle.encode(plain))
+    sizes = [len(walk(each, {}, ())) for each in (plain, run, decoded)]
     assert sizes[0] != sizes[1] == sizes[2]
-    assert found[1].release == found[0].release
+    assert run.release == plain.release
+    assert record is memory
+    assert log == []
+
+
+def test_a_mission_whose_bundle_cannot_be_read_again_starts_without_a_recording(started, monkeypatch):
+    def fail(data):
+        raise BundleError("it is damaged")
+
+    monkeypatch.setattr(recording_session, "decode", fail)
+    _, record, log = started(RecordingMemory())
+    assert record is None
+    assert log == ["host-recording-ended"]
+
+
+def test_a_simulated_recording_is_replayed_from_its_checkpoints(tmp_path, monkeypatch):
+    monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 0.6)
+    target = RecordingDirectory(tmp_path / "records", 1 << 22)
+    fleet = Fleet(walk_mission(tmp_path), 1, options=FleetOptions(record=target))
+    fleet.run(3.0)
+    for name in list(fleet.lives):
+        fleet.stop(name)
+    fleet.run(2.0)
+    fleet.close()
+    loaded, found = load_team([tmp_path / "records"]), Comparison()
+    for part in (part for each in loaded.incarnations for part in each.parts):
+        for frame in (each for each in part.frames if each.header.kind == b"C"):
+            found.checkpoints += 1
+            found.add(part, loaded.mission, ReferenceEngine, frame.turn)
+    assert found.checkpoints > 4
+    assert not found.differences
+
+
+def test_a_checkpoint_has_no_function_that_was_set_later_except_for_a_method(tmp_path):
+    fleet = Fleet(walk_mission(tmp_path), 1, options=FleetOptions(record=RecordingMemory()))
+    core = fleet.lives["north"].host.core
+    snapshots = CoreSnapshots(core)
+    run = core.run
+    core.run = lambda: run()
+    assert snapshots.capture()
+    core.observer = lambda: None
+    with pytest.raises(RecordingError, match=r"HostCore\.observer"):
+        snapshots.capture()
+    fleet.close()
+
+
+def test_what_a_host_did_is_written_although_no_turn_follows(tmp_path, monkeypatch):
+    """A killed host must not lose more than a second, also if it was idle."""
+    (tmp_path / "mission.L").write_text("resource Post { init(string[] arg) { } }")
+    (tmp_path / "mission.dL").write_text("//Post:one@north\n")
+    turns: list[float] = []
+    end_turn = FlightRecorder.end_turn
+
+    def counted(flight, effects):
+        end_turn(flight, effects)
+        turns.append(fleet.now)
+
+    monkeypatch.setattr(FlightRecorder, "end_turn", counted)
+    monkeypatch.setattr(RecordingMemory, "flush_interval", RecordingDirectory.flush_interval)
+    memory = RecordingMemory()
+    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 1, options=FleetOptions(record=memory))
+    fleet.run(30.0)
+    while not turns or fleet.now < turns[-1] + 0.5:
+        fleet.run(0.1)
+    (recording,) = recorded(fleet.mission, memory).recordings()
+    assert recording.turns == len(turns) > 0
+    fleet.close()

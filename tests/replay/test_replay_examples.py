@@ -10,7 +10,6 @@ from recorded_teams import compare, run_recorded
 
 from lfield.host.engine_provider import select_engine
 from lfield.host.recording import flight_recorder
-from lfield.host.recording.recording_session import replayed_form
 from lfield.mission.loader import load_mission
 from lfield.vm.reference import ReferenceEngine
 
@@ -35,7 +34,7 @@ def drivers(monkeypatch, tmp_path):
 @pytest.mark.parametrize("name", MISSIONS)
 def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, engine, monkeypatch):
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 2.0)
-    team = run_recorded(replayed_form(load_mission(EXAMPLES / name, simulate=name in SIMULATED)), 6.0)
+    team = run_recorded(load_mission(EXAMPLES / name, simulate=name in SIMULATED), 6.0)
     engines = ReferenceEngine if engine == "reference" else select_engine("wasm", lambda line: None, float)
     found = compare(team, engines, at_checkpoints=True)
     assert found.differences == []

@@ -95,7 +95,7 @@ class GuardRecorder:
         self._message, self._clock, self._ring = message, clock, ring
         #: Records before the first segment, None once that is started.
         self._early: list[bytes] | None = []
-        self._origin = parse_folder(Path(message.recording.folder))
+        self._origin = parse_folder(Path(message.recording.folder).parent)
         self._guard, self._number = f"{os.getpid()}-{clock.monotonic():.3f}", 0
         self._positions = {device.name: at for at, device in enumerate(message.devices)}
         manifests = message.driver.manifests

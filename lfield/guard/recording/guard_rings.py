@@ -7,13 +7,11 @@ gone ends them with one log line each; the guard and its driver are not affected
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from urllib.parse import quote
 
 from lfield.clock import Clock
-from lfield.driver.binding import DeviceBinding
 from lfield.driver.recording import WireLog
 from lfield.guard.messages import OpenDevices
 from lfield.guard.recording.guard_recorder import GuardRecorder
@@ -22,6 +20,8 @@ from lfield.recording.ring_writer import RingWriter
 from lfield.recording.segments import MAGIC
 from lfield.text import log_messages
 
+#: The stems of the records and of the log of the wire.
+RECORDS, WIRE = "guard", "wire"
 #: The share of the records in the limit of a guard; the log of its wire, which grows faster, has the rest.
 RECORDS_SHARE = 0.25
 
@@ -34,9 +34,8 @@ def open_recorder(message: OpenDevices, clock: Clock, note: Note) -> GuardRecord
     if not message.recording.folder:
         return None
     folder, limit = Path(message.recording.folder), int(message.recording.limit * RECORDS_SHARE)
-    stem = ring_stem("guard", message.devices)
-    on_failure = failure_reporter(message.devices, stem + SUFFIX, note)
-    return GuardRecorder(message, clock, RingWriter(folder, stem, SUFFIX, limit, on_failure, MAGIC))
+    on_failure = failure_reporter(message, RECORDS + SUFFIX, note)
+    return GuardRecorder(message, clock, RingWriter(folder, RECORDS, SUFFIX, limit, on_failure, MAGIC))
 
 
 def start_wire_log(log: WireLog, message: OpenDevices, note: Note) -> None:
@@ -44,27 +43,22 @@ def start_wire_log(log: WireLog, message: OpenDevices, note: Note) -> None:
     if not message.recording.folder:
         return
     folder, limit = Path(message.recording.folder), int(message.recording.limit * (1.0 - RECORDS_SHARE))
-    stem = ring_stem("wire", message.devices)
 
     def make_ring(suffix: str, header: bytes) -> RingWriter:
-        on_failure = failure_reporter(message.devices, stem + suffix, note)
-        return RingWriter(folder, stem, suffix, limit, on_failure, header)
+        on_failure = failure_reporter(message, WIRE + suffix, note)
+        return RingWriter(folder, WIRE, suffix, limit, on_failure, header)
 
     log.start(make_ring)
 
 
-def ring_stem(kind: str, devices: Sequence[DeviceBinding]) -> str:
-    """The stem of the files of a bus, named after its first device: `guard-alpha.fc`."""
-    return f"{kind}-{quote(devices[0].name, safe='')}"
-
-
-def failure_reporter(devices: Sequence[DeviceBinding], files: str, note: Note) -> Callable[[str], None]:
+def failure_reporter(message: OpenDevices, files: str, note: Note) -> Callable[[str], None]:
     """A function for any thread that logs why the files of a ring have ended."""
-    loop, device = asyncio.get_running_loop(), devices[0].name
+    loop, device = asyncio.get_running_loop(), message.devices[0].name
+    folder = Path(message.recording.folder).name
 
     def report(reason: str) -> None:
         with suppress(RuntimeError):  # the loop has ended
-            line = log_messages.RECORDING_ENDED.line(files=files, reason=reason)
+            line = log_messages.RECORDING_ENDED.line(files=f"{folder}/{files}", reason=reason)
             loop.call_soon_threadsafe(note, device, line)
 
     return report

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
-from urllib.parse import unquote
 
 import msgspec
 
@@ -19,11 +17,10 @@ from lfield.guard.recording.guard_records import (
     TelemetryRecord,
     decode_record,
 )
+from lfield.guard.recording.guard_rings import RECORDS
 from lfield.manifest import DeviceValue
-from lfield.recording.folders import SUFFIX
+from lfield.recording.folders import guard_folders, segments_of
 from lfield.recording.segments import MAGIC, SegmentEnd, SegmentReader, version_of
-
-_RING = re.compile(rf"guard-(?P<device>.+)-\d{{6,}}{re.escape(SUFFIX)}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,11 +57,8 @@ class TelemetryValue(NamedTuple):
 
 def rings_in(folder: Path) -> dict[str, list[Path]]:
     """The rings of the guards in the folder of an incarnation, by their first devices; oldest file first."""
-    found: dict[str, list[Path]] = {}
-    for path in sorted(folder.iterdir()):
-        if matched := _RING.fullmatch(path.name):
-            found.setdefault(unquote(matched["device"]), []).append(path)
-    return found
+    rings = {device: segments_of(path, RECORDS) for device, path in guard_folders(folder).items()}
+    return {device: paths for device, paths in rings.items() if paths}
 
 
 def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:

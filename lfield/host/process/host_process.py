@@ -17,6 +17,7 @@ from lfield import exit_status
 from lfield.authority.admission_policy import AdmissionPolicy
 from lfield.clock import SystemClock
 from lfield.driver.binding import longest_rest
+from lfield.errors import RecordingError
 from lfield.host.environment import HostOptions
 from lfield.host.host import Host
 from lfield.host.inputs import HostExited
@@ -80,7 +81,7 @@ async def run_host(
     clock = SystemClock()
     logbook = JsonLogbook(name, clock) if as_json else Logbook()
     identity, mission = _identity(mission, name, listen, credentials, journal, logbook)
-    mission = mission if record is None else replayed_form(mission)
+    mission, record = _recorded_form(mission, record, name, logbook)
     bound = unreachable_after or mission.bindings.unreachable_after
     host_options = HostOptions(
         identity.address,
@@ -116,6 +117,19 @@ def _watch_parent(host: Host, signals: ShutdownSignals) -> None:
     """Read the supervision pipe: hosts that have exited, and the end of the parent process."""
     stop = partial(signals.request, is_repeatable=False)
     ParentPipe(sys.stdin.fileno(), lambda exited: host.dispatch(HostExited(exited)), stop)
+
+
+def _recorded_form(
+    mission: Mission, record: RecordingTarget | None, name: str, logbook: Logbook
+) -> tuple[Mission, RecordingTarget | None]:
+    """The mission to run, and where it is recorded. The recorder does not prevent a start."""
+    if record is None:
+        return mission, None
+    try:
+        return replayed_form(mission), record
+    except RecordingError as error:
+        logbook.note(log_messages.HOST_RECORDING_ENDED.line(host=name, reason=error))
+        return mission, None
 
 
 class _Identity(NamedTuple):

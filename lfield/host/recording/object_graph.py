@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
+from collections import Counter, OrderedDict, defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cached_property, partial
@@ -23,6 +23,11 @@ from lfield.vm.memory.block_allocator import BlockAllocator
 #: Values that are encoded as they are; an int of more than 64 bits does not occur.
 PLAIN = (bool, int, float, str, bytes, type(None))
 _CONTAINERS = (dict, list, set, deque)
+#: Makes an empty container of each kind.
+_MADE: Mapping[str, Callable[[], object]] = {
+    **{kind.__name__: kind for kind in (dict, OrderedDict, Counter, list, set, deque)},
+    "defaultdict": partial(defaultdict, list),
+}
 _FUNCTIONS = (FunctionType, MethodType, BuiltinMethodType, partial)
 _OURS = "lfield."
 #: The memory of all blocks of a snapshot, in bytes.
@@ -99,6 +104,19 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
     return found
 
 
+def _container_kind(value: object) -> str:
+    """The kind of a container, as in `_MADE`. Raises RecordingError for one that could not be made again."""
+    kind = type(value).__name__
+    if (
+        kind not in _MADE
+        or type(_MADE[kind]()) is not type(value)
+        or (isinstance(value, defaultdict) and value.default_factory is not list)
+        or (isinstance(value, deque) and value.maxlen is not None)
+    ):
+        raise RecordingError(f"a checkpoint cannot contain a {kind} such as {value!r}")
+    return kind
+
+
 class GraphWriter:
     """Encodes objects as plain data; objects with a reference in `known` (by id) are encoded as that."""
 
@@ -121,10 +139,17 @@ class GraphWriter:
         return None
 
     def _own(self, value: object) -> Iterator[tuple[str, object]]:
-        """The attributes of a known object, without functions that an observer has put into it."""
+        """The attributes of a known object.
+
+        A function that shadows a method of the class, as that of a simulation that observes its calls, is
+        omitted: the restored object has the method. Raises RecordingError for any other new function.
+        """
+        made = type(value)
         for name, each in attributes(value):
             if not isinstance(each, FunctionType) or id(each) in self._known:
                 yield name, each
+            elif not isinstance(getattr(made, name, None), FunctionType):
+                raise RecordingError(f"a checkpoint cannot contain the function {made.__name__}.{name}")
 
     def objects(self) -> list[Any]:
         """All objects that were encoded and are not known."""
@@ -143,7 +168,7 @@ class GraphWriter:
                 value.packed,
             ]
         if isinstance(value, _CONTAINERS):
-            return [type(value).__name__, self.state_of(value)]
+            return [_container_kind(value), self.state_of(value)]
         state = [x for name, each in attributes(value) for x in (name, self.encode(each))]
         return ["instance", class_name(type(value)), state]
 
@@ -237,14 +262,8 @@ class GraphReader:
             case "instance":
                 made: Any = class_named(row[1])
                 return None if issubclass(made, msgspec.Struct) else object.__new__(made)
-            case "dict" | "OrderedDict" | "defaultdict":
-                return {}
-            case "list":
-                return []
-            case "set":
-                return set()
-            case "deque":
-                return deque()
+            case str(kind) if kind in _MADE:
+                return _MADE[kind]()
         raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
 
     def _block(self, data: bytes, capacity: int, limit: int, packed: int) -> Block:
@@ -260,7 +279,9 @@ class GraphReader:
         if isinstance(made, dict):
             items = [self.decode(each) for each in state]
             made.clear()
-            made.update(zip(items[::2], items[1::2], strict=True))
+            # `update` of a Counter would add, or count.
+            for key, value in zip(items[::2], items[1::2], strict=True):
+                made[key] = value
         elif isinstance(made, set):
             made.clear()
             made.update(self.decode(each) for each in state)

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from lfield import __version__
-from lfield.errors import LfieldError
+from lfield.errors import LfieldError, RecordingError
 from lfield.guard.messages import NO_RECORDING, GuardRecording
 from lfield.host.core import HostCore
 from lfield.host.effects import Environment
@@ -48,13 +48,13 @@ class RunIdentity:
 def replayed_form(mission: Mission) -> Mission:
     """The mission as a replay reads it from the bundle: checkpoints number its objects.
 
-    A mission that was loaded from files shares other objects than the same one that was decoded. One that
-    cannot be decoded is returned as it is: the recorder does not prevent a start.
+    A mission that was loaded from files shares other objects than the same one that was decoded. Raises
+    RecordingError for one that cannot be decoded.
     """
     try:
         return replace(decode(encode(mission)), release=mission.release)
-    except LfieldError:
-        return mission
+    except LfieldError as error:
+        raise RecordingError(f"its bundle cannot be read again: {error}") from None
 
 
 class RecordingSession:
@@ -72,11 +72,12 @@ class RecordingSession:
     ) -> None:
         self._target, self._mission, self.run = target, mission, run
         self._note, self._loop = note, asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
         #: The recorder, None without a recording.
         self.flight: FlightRecorder | None = None
         self._environment: RecordedEnvironment | None = None
         self._turns: CoreTurns | None = None
-        self._host = ""
+        self._host, self._incarnation = "", 0
         self._drawn: list[bytes] = []
         self._seed = 0
 
@@ -108,24 +109,24 @@ class RecordingSession:
 
     def attach(self, core: HostCore, turns: CoreTurns, engine: str) -> None:
         """The core is constructed, in the present turn."""
-        self._turns, self._host = turns, core.name
+        self._turns, self._host, self._incarnation = turns, core.name, core.incarnation
         self._open(core, turns, engine)
         turns.attach(core, self.flight)
 
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle = self._target.bundle or encode(self._mission)
+        bundle, wall_time = encode(self._mission), clock.time()
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
+        at = core.name, core.incarnation, wall_time
         try:
-            sink = self._target.open_sink(
-                core.name, core.incarnation, clock.time(), bundle, self._on_failure_elsewhere
-            )
+            sink = self._target.open_sink(*at, bundle, self._on_failure_elsewhere)
         except LfieldError as error:
             self._on_failure(str(error))
             return
-        self.flight = FlightRecorder(core, clock, self._environment, start, sink, self._drawn)
+        given = self._environment, start, sink, self._drawn, self._on_pending
+        self.flight = FlightRecorder(core, clock, *given)
 
     def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
         context, release = core.context, self._mission.release
@@ -148,7 +149,7 @@ class RecordingSession:
         """What the guards of this host record."""
         if self.flight is None or self._target is None:
             return NO_RECORDING
-        return self._target.for_guards(self.run.id)
+        return self._target.for_guards(self._host, self._incarnation, self.run.id)
 
     def write_due(self, now: float) -> None:
         """Between two turns: write what is due."""
@@ -157,13 +158,33 @@ class RecordingSession:
         try:
             self.flight.write_due(now)
         except Exception as error:
-            # A fault of the recorder must not end the host.
-            self._on_failure(f"{type(error).__name__}: {error}")
+            self._on_fault(error)
 
     def close(self, now: float) -> None:
         """The host ends in order."""
+        if self._timer is not None:
+            self._timer.cancel()
         if self.flight is not None:
             self.flight.close(now)
+
+    def _on_pending(self) -> None:
+        # The next turn that calls `write_due` may be minutes away.
+        interval = None if self._target is None else self._target.flush_interval
+        if self._timer is None and interval is not None:
+            self._timer = self._loop.call_later(interval, self._flush)
+
+    def _flush(self) -> None:
+        self._timer = None
+        if self.flight is None:
+            return
+        try:
+            self.flight.flush()
+        except Exception as error:
+            self._on_fault(error)
+
+    def _on_fault(self, error: Exception) -> None:
+        """A fault of the recorder, which must not end the host."""
+        self._on_failure(f"{type(error).__name__}: {error}")
 
     def _on_failure_elsewhere(self, reason: str) -> None:
         with suppress(RuntimeError):  # the loop has ended

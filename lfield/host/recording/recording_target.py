@@ -57,8 +57,8 @@ class RecordingTarget(Protocol):
     """Opens the recordings of incarnations."""
 
     @property
-    def bundle(self) -> bytes:
-        """The bundle of the mission; b"" to encode the mission as it runs."""
+    def flush_interval(self) -> float | None:
+        """Seconds after which records are written although no turn follows; None for no such limit."""
 
     def open_sink(
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
@@ -69,18 +69,19 @@ class RecordingTarget(Protocol):
         reason. Raises OutputFileError.
         """
 
-    def for_guards(self, run: str) -> GuardRecording:
-        """What the guards of that incarnation write."""
+    def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
+        """What the guards of an incarnation write."""
 
 
 class RecordingDirectory:
-    """Recordings as folders in `parent`, each with at most `limit` bytes; `bundle` is as in
-    `RecordingTarget`.
-    """
+    """Recordings as folders in `parent`, each with at most `limit` bytes."""
 
-    def __init__(self, parent: Path, limit: int, bundle: bytes = b"") -> None:
-        self._parent, self._limit, self.bundle = parent, limit, bundle
-        self._folder: Path | None = None
+    flush_interval = 0.25
+
+    def __init__(self, parent: Path, limit: int) -> None:
+        self._parent, self._limit = parent, limit
+        #: The folders by host and incarnation.
+        self._opened: dict[tuple[str, int], Path] = {}
 
     def open_sink(
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
@@ -88,21 +89,25 @@ class RecordingDirectory:
         """See `RecordingTarget`."""
         folder = create_folder(self._parent, host, incarnation, wall_time)
         write_private(folder / BUNDLE_NAME, bundle)
-        self._folder = folder
+        self._opened[host, incarnation] = folder
         limit = int(self._limit * CORE_SHARE)
         return RingWriter(folder, CORE_STEM, SUFFIX, limit, on_failure, MAGIC)
 
-    def for_guards(self, run: str) -> GuardRecording:
+    def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
         """See `RecordingTarget`."""
-        if self._folder is None:
+        folder = self._opened.get((host, incarnation))
+        if folder is None:
             return NO_RECORDING
-        return GuardRecording(str(self._folder), int(self._limit * (1.0 - CORE_SHARE)), run)
+        return GuardRecording(str(folder), int(self._limit * (1.0 - CORE_SHARE)), run)
 
 
 class RecordingMemory:
-    """Recordings in memory, by host and incarnation, in the order of their starts."""
+    """Recordings in memory, by host and incarnation, in the order of their starts.
 
-    bundle = b""
+    They wake no host, so that a simulation runs as without them.
+    """
+
+    flush_interval = None
 
     def __init__(self) -> None:
         self.sinks: list[tuple[str, int, MemorySink]] = []
@@ -115,6 +120,6 @@ class RecordingMemory:
         self.sinks.append((host, incarnation, sink))
         return sink
 
-    def for_guards(self, run: str) -> GuardRecording:
+    def for_guards(self, host: str, incarnation: int, run: str) -> GuardRecording:
         """See `RecordingTarget`."""
         return NO_RECORDING

@@ -8,6 +8,7 @@ process.
 from __future__ import annotations
 
 import hashlib
+import platform
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -152,8 +153,9 @@ def _header_of(name: str, content: bytes) -> bytes:
 
 
 def name_of(digest: bytes, reservation: int) -> str:
-    """The file name of a program's code, which differs by program, lfield and wasmtime."""
-    made_of = (digest, str(reservation).encode(), version("wasmtime").encode(), _makers())
+    """The file name of a program's code, which differs by program, lfield, wasmtime and processor."""
+    made_by = version("wasmtime").encode(), platform.machine().encode(), _makers()
+    made_of = (digest, str(reservation).encode(), *made_by)
     return hashlib.sha256(b"\0".join(made_of)).hexdigest()[:32]
 
 

@@ -27,7 +27,7 @@ class MemoryRing:
 
     def stored(self, folder):
         """Its files in a folder."""
-        paths = [folder / f"guard-a-{number:06d}.lfrec" for number in range(1, len(self.files) + 1)]
+        paths = [folder / f"guard-{number:06d}.lfrec" for number in range(1, len(self.files) + 1)]
         for path, data in zip(paths, self.files, strict=True):
             path.write_bytes(data)
         return paths

@@ -16,9 +16,10 @@ from lfield.guard.messages import GuardCall, GuardRecording, OpenDevices
 from lfield.guard.recording import guard_inputs as inputs
 from lfield.guard.recording.guard_recorder import GuardRecorder
 from lfield.guard.recording.guard_records import decode_record
-from lfield.guard.recording.recorded_core import EventClock, RecordedCore
+from lfield.guard.recording.recorded_core import RecordedCore
 from lfield.manifest import NEVER, DeviceManifest, Instruction, Parameter, Quantity
 from lfield.recording.segments import SegmentReader
+from lfield.recording.turn_clocks import TurnClock
 
 ARM = DeviceManifest(
     "Arm",
@@ -59,13 +60,15 @@ class RecordedGuard:
 
     def __init__(self, limit=None, start=1000.0, *, is_open=True):
         self.clock, self.ring = ManualClock(start), MemoryRing(limit)
-        message = OpenDevices(DEVICES, "", SILENCE, DRIVER, [], GuardRecording(FOLDER, 1 << 20, "run 7"))
+        message = OpenDevices(
+            DEVICES, "", SILENCE, DRIVER, [], GuardRecording(f"{FOLDER}/guard-a.arm", 1 << 20, "run 7")
+        )
         self.recorder = GuardRecorder(message, self.clock, self.ring)
         if is_open:
             self.open()
 
     def open(self):
-        clock = EventClock(self.clock)
+        clock = TurnClock(self.clock)
         given = [("a.arm", ARM, 0.5, 30.0), ("a.eye", EYE, 0.5, 30.0)]
         self.core = RecordedCore(GuardCore(given, clock, silence=SILENCE), clock, self.recorder)
         self.handle(inputs.BusOpened(""))

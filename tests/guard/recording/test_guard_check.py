@@ -9,6 +9,7 @@ from recorded_guards import DrawnStory, RecordedGuard
 
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Exit
+from lfield.recording.folders import guard_folder
 from lfield.replay.team_check import check_guards
 
 
@@ -22,7 +23,9 @@ def team(folder: Path) -> SimpleNamespace:
 def recorded(folder: Path) -> list[Path]:
     guard = DrawnStory(7, RecordedGuard(limit=5000)).run(200)
     guard.recorder.close()
-    return guard.ring.stored(folder)
+    own = guard_folder(folder, "a.arm")
+    own.mkdir()
+    return guard.ring.stored(own)
 
 
 def test_the_guards_of_a_host_are_replayed(tmp_path, monkeypatch):

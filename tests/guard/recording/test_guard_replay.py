@@ -23,6 +23,7 @@ from lfield.guard.recording.guard_records import (
 from lfield.guard.recording.guard_replay import replay_guard
 from lfield.guard.recording.guard_segments import read_segment, rings_in
 from lfield.guard.recording.heartbeat_pulses import MOST_PULSES, PulseCollector, pulses_in
+from lfield.recording.folders import guard_folder
 from lfield.recording.segments import MAGIC, SegmentReader, frame
 
 
@@ -158,14 +159,13 @@ def test_a_file_that_is_gone_is_refused(tmp_path):
 
 
 def test_the_rings_of_a_folder_are_found_by_their_devices(tmp_path):
-    for name in ("guard-b.fc-000002.lfrec", "guard-b.fc-000001.lfrec", "guard-%C3%A4.x-000001.lfrec"):
-        (tmp_path / name).touch()
+    for device, numbers in {"b.fc": (2, 1), "ä/x": (1,), "none": ()}.items():
+        guard_folder(tmp_path, device).mkdir()
+        for number in numbers:
+            (guard_folder(tmp_path, device) / f"guard-{number:06d}.lfrec").touch()
     (tmp_path / "core-000001.lfrec").touch()
     found = {device: [path.name for path in paths] for device, paths in rings_in(tmp_path).items()}
-    assert found == {
-        "b.fc": ["guard-b.fc-000001.lfrec", "guard-b.fc-000002.lfrec"],
-        "ä.x": ["guard-%C3%A4.x-000001.lfrec"],
-    }
+    assert found == {"b.fc": ["guard-000001.lfrec", "guard-000002.lfrec"], "ä/x": ["guard-000001.lfrec"]}
 
 
 def test_no_secret_of_a_binding_is_recorded():

@@ -21,6 +21,7 @@ from lfield.guard.messages import Beat, GuardCall, GuardRecording, Note, OpenDev
 from lfield.guard.recording.guard_replay import replay_guard
 from lfield.guard.recording.guard_segments import read_segment, rings_in, telemetry_in
 from lfield.manifest import Instruction, Quantity
+from lfield.recording.folders import guard_folder
 from lfield.recording.ring_writer import FILES, RingWriter
 from lfield.simulate.jumping_loop import JumpingLoop, LoopClock
 
@@ -29,7 +30,7 @@ BINDING = DeviceBinding(
     agent="a", field="lift", type="Thing", driver="thing", endpoint="here", safe_state="off",
     waivers=["device_watchdog"],
 )  # fmt: skip
-RECORDS, WIRE = "guard-a.lift", "wire-a.lift"
+RECORDS, WIRE = "guard", "wire"
 
 
 class Lift(Device):
@@ -48,6 +49,14 @@ class Lift(Device):
 
     def log(self, data):
         self._reports._driver.wire_log.log_bytes(data, is_sent=True)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """The folder of the guard in that of a recording, as the host creates it."""
+    path = guard_folder(tmp_path, "a.lift")
+    path.mkdir()
+    return path
 
 
 def flown(folder, limit=1 << 20, calls=1, story=None):
@@ -88,38 +97,38 @@ async def both_failures(output):
         await asyncio.sleep(0.0)
 
 
-def test_a_guard_records_its_decisions_telemetry_and_wire(tmp_path):
-    received = flown(tmp_path, calls=30)
+def test_a_guard_records_its_decisions_telemetry_and_wire(folder):
+    received = flown(folder, calls=30)
     assert failures_in(received) == []
-    names = sorted(path.name for path in tmp_path.iterdir())
+    names = sorted(path.name for path in folder.iterdir())
     assert names == [f"{RECORDS}-000001.lfrec", f"{WIRE}-000001.hex.log"]
-    assert {path.stat().st_mode & 0o777 for path in tmp_path.iterdir()} == {0o600}
-    ((device, paths),) = rings_in(tmp_path).items()
+    assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o600}
+    ((device, paths),) = rings_in(folder.parent).items()
     result = replay_guard(paths)
     assert (device, result.differences, result.cut) == ("a.lift", 0, {})
     assert result.digests > 100
     assert [(value.quantity, value.value, value.unit) for value in telemetry_in(paths)] == [
         ("height", 2.0, "m")
     ]
-    assert len((tmp_path / names[1]).read_text().splitlines()) == 1 + 32
+    assert len((folder / names[1]).read_text().splitlines()) == 1 + 32
 
 
-def test_a_guard_that_is_started_again_continues_the_ring_of_its_predecessor(tmp_path):
-    flown(tmp_path)
-    flown(tmp_path)
-    ((_, paths),) = rings_in(tmp_path).items()
+def test_a_guard_that_is_started_again_continues_the_ring_of_its_predecessor(folder):
+    flown(folder)
+    flown(folder)
+    ((_, paths),) = rings_in(folder.parent).items()
     assert [path.name for path in paths] == [f"{RECORDS}-000001.lfrec", f"{RECORDS}-000002.lfrec"]
     assert [read_segment(path).start.number for path in paths] == [0, 0]
     assert replay_guard(paths).differences == 0
 
 
-def test_a_full_ring_remains_within_its_limit_and_can_be_replayed(tmp_path):
+def test_a_full_ring_remains_within_its_limit_and_can_be_replayed(folder):
     limit = 400_000
-    flown(tmp_path, limit, calls=3000)
-    ((_, paths),) = rings_in(tmp_path).items()
+    flown(folder, limit, calls=3000)
+    ((_, paths),) = rings_in(folder.parent).items()
     assert 2 < len(paths) <= FILES + 1
     assert paths[0].name != f"{RECORDS}-000001.lfrec"
-    assert sum(path.stat().st_size for path in tmp_path.iterdir()) <= limit
+    assert sum(path.stat().st_size for path in folder.iterdir()) <= limit
     result = replay_guard(paths)
     assert (result.differences, result.cut, result.missing) == (0, {}, [])
     assert next(iter(telemetry_in(paths))).value == 2.0
@@ -136,21 +145,21 @@ def file_size_limit(size):
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_full_disk_ends_each_log_with_one_line_and_not_the_guard(tmp_path):
+def test_a_full_disk_ends_each_log_with_one_line_and_not_the_guard(folder):
     with file_size_limit(64):
-        received = flown(tmp_path, story=both_failures)
+        received = flown(folder, story=both_failures)
     found = failures_in(received)
     assert len(found) == 2
-    assert any(f"{RECORDS}.lfrec" in text for text in found)
+    assert any(f"{folder.name}/{RECORDS}.lfrec" in text for text in found)
     assert any(f"{WIRE}.hex.log" in text for text in found)
-    ((_, paths),) = rings_in(tmp_path).items()
+    ((_, paths),) = rings_in(folder.parent).items()
     assert replay_guard(paths).missing == paths
 
 
 @pytest.mark.parametrize("place", ["removed", "a file", "/proc/self"])
-def test_a_folder_that_refuses_files_ends_the_log_and_not_the_guard(tmp_path, place):
-    (tmp_path / "a file").touch()
-    received = flown(tmp_path / place, story=both_failures)
+def test_a_folder_that_refuses_files_ends_the_log_and_not_the_guard(folder, place):
+    (folder / "a file").touch()
+    received = flown(folder / place, story=both_failures)
     assert len(failures_in(received)) == 2
 
 

@@ -45,7 +45,7 @@ def test_a_killed_guard_leaves_its_recording_and_the_next_one_continues_it(tmp_p
         recording = GuardRecording(str(folder), 1 << 20, "run 7")
         async with guarded(bound, recording=recording) as (axis,):
             await axis.call("release")
-            await until(lambda: finished_calls(folder) and list(folder.glob("wire-*")))
+            await until(lambda: finished_calls(folder) and list(folder.glob("guard-*/wire-*")))
             await axis.kill_guard()
         return [note for note in axis.notes if "recording" in note]
 
@@ -57,7 +57,7 @@ def test_a_killed_guard_leaves_its_recording_and_the_next_one_continues_it(tmp_p
     start = read_segment(paths[0]).start
     assert (start.host, start.incarnation, start.run) == ("north", "00000007", "run 7")
     assert "velocity" in {value.quantity for value in telemetry_in(paths)}
-    logs = sorted(folder.glob("wire-winch.axis-*.candump.log"))
+    logs = sorted(folder.glob("guard-winch.axis/wire-*.candump.log"))
     assert len(logs) == 2
     directions = []
     for log in logs:
@@ -65,4 +65,4 @@ def test_a_killed_guard_leaves_its_recording_and_the_next_one_continues_it(tmp_p
             directions.append({message.is_rx for message in reader})
     # Only the second guard commands the safe state.
     assert directions == [{True}, {True, False}]
-    assert {path.stat().st_mode & 0o777 for path in folder.iterdir()} == {0o600}
+    assert {path.stat().st_mode & 0o777 for path in folder.glob("*/*")} == {0o600}

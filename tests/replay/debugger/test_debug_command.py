@@ -14,7 +14,6 @@ from debugger_recordings import EXAMPLES
 from lfield import exit_status
 from lfield.cli.main import main
 from lfield.host.recording.recording_target import RecordingDirectory
-from lfield.mission.bundle import encode
 from lfield.mission.loader import load_mission
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 
@@ -65,7 +64,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Recordings of two hosts in files."""
     folder = tmp_path_factory.mktemp("recorded")
     mission = load_mission(Path(SERVER))
-    fleet = Fleet(mission, options=FleetOptions(record=RecordingDirectory(folder, 1 << 20, encode(mission))))
+    fleet = Fleet(mission, options=FleetOptions(record=RecordingDirectory(folder, 1 << 20)))
     fleet.run(4.0)
     for name in list(fleet.lives):
         fleet.stop(name)

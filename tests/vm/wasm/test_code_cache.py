@@ -151,7 +151,7 @@ def test_where_this_user_may_not_look_nothing_is_kept(tmp_path: Path) -> None:
     assert [note.rpartition(": ")[2] for note in notes] == ["Permission denied"]
 
 
-def test_the_name_tells_programs_reservations_and_versions_apart(
+def test_the_name_tells_programs_reservations_processors_and_versions_apart(
     cached: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from lfield.vm.wasm import machine_code
@@ -161,7 +161,9 @@ def test_the_name_tells_programs_reservations_and_versions_apart(
     names.add(machine_code.name_of(b"a", 1))
     monkeypatch.setattr(machine_code, "_makers", lambda: b"another lfield")
     names.add(machine_code.name_of(b"a", 1))
-    assert len(names) == 6
+    monkeypatch.setattr(machine_code.platform, "machine", lambda: "another processor")
+    names.add(machine_code.name_of(b"a", 1))
+    assert len(names) == 7
 
 
 def test_the_oldest_code_is_forgotten(tmp_path: Path) -> None:
