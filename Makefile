@@ -59,7 +59,8 @@ simulate: $(VENV)/.tested
 SECONDS ?= 120
 SEED ?= 1
 chaos: $(VENV)/.tested
-	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED)
+	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED) \
+		$(if $(filter zenoh,$(OVER)),--zenoh)
 
 # What a refactoring must not change (tests/oracles), written anew: `git diff tests/oracles` shows what did change.
 oracles: $(VENV)/.tested
@@ -114,7 +115,7 @@ LOCK = printf 'editables\nhatchling\n$(if $(filter run,$(1)),pip\n)' | \
 # Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
 locks: $(VENV)/.tested
 	$(INSTALL) uv
-	$(call LOCK,run,all) && $(call LOCK,desk,desk) && \
+	$(call LOCK,run,all,zenoh) && $(call LOCK,desk,desk) && \
 		$(call LOCK,test,desk,test) && $(call LOCK,bench,desk,test,bench)
 	$(MAKE) test
 

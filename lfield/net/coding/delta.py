@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 CHUNK, MARGIN = 12 << 10, 8 << 10
 #: The largest window of deflate, and the smallest that zlib accepts for raw streams, as powers of two.
 _MAX_WINDOW, _MIN_WINDOW = 15, 10
-#: Compression level; and memory levels: a small hash table is initialised in 3 microseconds instead of 40, and a
-#: large one finds the matches in a large dictionary.
+#: Compression level; and memory levels: a small hash table is initialised in a few microseconds instead of
+#: 40, and a large one finds the matches in a large dictionary.
 _LEVEL, _SMALL, _LARGE = 6, 4, 8
 
 

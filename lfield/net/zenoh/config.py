@@ -1,0 +1,79 @@
+"""Zenoh configuration of this process, as the inventory states it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import msgspec
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohConfig:
+    """The section `zenoh` of an inventory.
+
+    `connect` are endpoints of routers or peers in Zenoh's syntax (tcp/10.0.0.1:7447), `listen` those at which
+    this process accepts peers. With `listen`, `multicast` or `gossip` it is a peer, otherwise a client of a
+    router. `settings` are further settings of Zenoh by path, with JSON values.
+    """
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    multicast: bool = False
+    gossip: bool = False
+    settings: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def mode(self) -> str:
+        """Zenoh's mode of a session."""
+        return "peer" if self.listen or self.multicast or self.gossip else "client"
+
+    def options(self) -> dict[str, str]:
+        """All settings by path, as JSON values."""
+        own: dict[str, Any] = {
+            "mode": self.mode,
+            "connect/endpoints": self.connect,
+            "listen/endpoints": self.listen,
+            "scouting/multicast/enabled": self.multicast,
+            "scouting/gossip/enabled": self.gossip,
+            # An outage of a router ends sooner than the silence that ends a link.
+            "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+            # The thread may wait this long (microseconds) for room in the queue of the session. Then the
+            # packet is dropped, and its stream repeats it.
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 50_000,
+        }
+        return {key: json.dumps(value) for key, value in own.items()} | dict(self.settings)
+
+    def encode(self) -> str:
+        """The configuration as one text, for another process of this computer."""
+        return json.dumps(asdict(self))
+
+
+def decode_config(text: str) -> ZenohConfig:
+    """The inverse of `ZenohConfig.encode`. Raises ValueError."""
+    return msgspec.json.decode(text, type=ZenohConfig)
+
+
+class ZenohNetwork:
+    """The configuration of this process. It is set where a command reads its inventory."""
+
+    def __init__(self) -> None:
+        self.config: ZenohConfig | None = None
+        self._by_host: Mapping[str, ZenohConfig] = {}
+
+    def configure(self, config: ZenohConfig | None, by_host: Mapping[str, ZenohConfig] = {}) -> None:
+        """Use a configuration for sessions that are opened from now on; None without the section."""
+        self.config, self._by_host = config, dict(by_host)
+
+    def select(self, host: str, encoded: str = "") -> None:
+        """This process is a host: use its own section, if it has one, or the one that its service passes on.
+
+        Raises ValueError.
+        """
+        self.config = decode_config(encoded) if encoded else self._by_host.get(host, self.config)
+
+
+#: A process has one, as it has one routing table.
+NETWORK = ZenohNetwork()
