@@ -305,6 +305,21 @@ class NoListener(AddressError):
         super().__init__(address, "no program listens there (is it running?)")
 
 
+class MissingZenoh(AddressError):
+    """An address is in a Zenoh fabric, and the package is not installed."""
+
+    code, remedy = "zenoh-missing", "pip install 'lfield[zenoh]'"
+
+    def __init__(self, address: str) -> None:
+        super().__init__(address, "the package eclipse-zenoh is not installed: pip install 'lfield[zenoh]'")
+
+
+class ZenohUnreachable(AddressError):
+    """No router or peer of the Zenoh fabric can be reached; lfield goes on trying."""
+
+    code, remedy = "zenoh-unreachable", "start the router, or correct `zenoh` in the inventory"
+
+
 class MissionTestError(LfieldError):
     """A mission test asks for something that does not exist, or does something that a test must not do."""
 

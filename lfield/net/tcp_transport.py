@@ -85,7 +85,7 @@ class TcpTransport:
         plain = address.startswith(UNIX)
 
         def called() -> StreamLink:
-            return self._new_link(on_link, plain=plain, calls=False)
+            return self.new_link(on_link, plain=plain, calls=False)
 
         async def serve(made: socket.socket) -> LinkServer:
             # Reports a port that is in use: uvloop returns a server without a socket then.
@@ -127,7 +127,7 @@ class TcpTransport:
         plain = address.startswith(UNIX)
 
         def calling() -> StreamLink:
-            return self._new_link(lambda _: handler, plain=plain, calls=True)
+            return self.new_link(lambda _: handler, plain=plain, calls=True)
 
         call = ConnectionAttempt(address, calling, self._unanswered, host)
         try:
@@ -166,7 +166,10 @@ class TcpTransport:
             self.note(log_messages.NO_DATAGRAMS.line(address=at, reason=describe(error)))
             return None
 
-    def _new_link(self, on_link: Callable[[Link], LinkHandler], *, plain: bool, calls: bool) -> StreamLink:
+    def new_link(
+        self, on_link: Callable[[Link], LinkHandler], *, plain: bool = False, calls: bool
+    ) -> StreamLink:
+        """A link without its connection: in TLS unless `plain`, dialled if `calls`."""
         block, pending, reception = self._max_block, self._max_pending, self._scheduler
         if plain or self._tls is None:
             return StreamLink(block, pending, on_link, reception, self._identify, calls=calls)

@@ -1,14 +1,16 @@
 """The transport interface: listen, connect, and links for messages and blocks.
 
 `tcp_transport` is the real one, `memory` the one for tests and simulation; `lfield.testing.transport_kit`
-tests both. Addresses are "host:port"; IPv6 hosts are in brackets. Several addresses of one host are written
-"host:port,host:port", in order of preference.
+tests both. Addresses are "host:port"; IPv6 hosts are in brackets. "zenoh:name:port" is a name in a Zenoh
+fabric (`lfield.net.zenoh`). Several addresses of one host are written "host:port,host:port", in order of
+preference.
 
 All calls and callbacks happen on one thread. No callback runs inside `send`, `send_transfer` or `close`.
 """
 
 from __future__ import annotations
 
+import re
 from ipaddress import ip_address
 from typing import TYPE_CHECKING, Protocol
 
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
 
 #: Prefix of the address of a Unix socket, before its path.
 UNIX = "unix:"
+#: Prefix of an address in a Zenoh fabric, before its name; the prefix is part of the host.
+ZENOH = "zenoh:"
+_ZENOH_NAME = re.compile(r"[A-Za-z0-9_-]+(\.[A-Za-z0-9_-]+)*", re.ASCII)
 #: Default port of a host (chapter IV, figure 4.9).
 DEFAULT_PORT = 8181
 
@@ -133,7 +138,15 @@ class Transport(Protocol):
 
 
 def split_address(address: str) -> tuple[str, int]:
-    """Host and port of "host", "host:port", "[v6]" or "[v6]:port". Raises AddressError."""
+    """Host and port of "host", "host:port", "[v6]" or "[v6]:port", and "zenoh:name" with or without a port.
+
+    Raises AddressError.
+    """
+    if is_zenoh(address):
+        name, port_number = split_address(address.removeprefix(ZENOH))
+        if not _ZENOH_NAME.fullmatch(name):
+            raise AddressError(address, "a name in Zenoh has letters, digits, '-', '_' and '.'")
+        return ZENOH + name, port_number
     if address.startswith("["):
         host, bracket, rest = address[1:].partition("]")
         if not bracket or (rest and not rest.startswith(":")):
@@ -157,7 +170,12 @@ def split_addresses(address: str) -> tuple[str, ...]:
 
 def join_address(host: str, port: int) -> str:
     """The inverse of `split_address`."""
-    return f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    return f"[{host}]:{port}" if ":" in host and not is_zenoh(host) else f"{host}:{port}"
+
+
+def is_zenoh(address: str) -> bool:
+    """Whether an address, or the host of one, is in a Zenoh fabric; "zenoh:8181" is a host of this name."""
+    return address.startswith(ZENOH) and not address.removeprefix(ZENOH).isdigit()
 
 
 def is_lasting(host: str) -> bool:

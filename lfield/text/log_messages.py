@@ -365,6 +365,7 @@ NO_DATAGRAMS = _message(
     "UDP port {address} not opened: {reason}; emergency stops need a TCP connection",
     "warning",
 )
+NO_ZENOH = _message("zenoh-unreachable", "not listening on {address} yet: {reason}", "warning")
 NO_DESCRIPTORS = _message("no-descriptors", "new connections rejected: {reason}", "error")
 LISTENING_ALSO = _message("listening-also", "{host} listening on {address} too: the name now resolves to it")
 LISTENING_ENDED = _message(

@@ -1,0 +1,67 @@
+"""Zenoh configuration of this process, as the inventory states it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import msgspec
+
+
+@dataclass(frozen=True, slots=True)
+class ZenohConfig:
+    """The section `zenoh` of an inventory.
+
+    `connect` are endpoints of routers or peers in Zenoh's syntax (tcp/10.0.0.1:7447), `listen` those at which
+    this process accepts peers. With `listen`, `multicast` or `gossip` it is a peer, otherwise a client of a
+    router. `settings` are further settings of Zenoh by path, with JSON values.
+    """
+
+    connect: tuple[str, ...] = ()
+    listen: tuple[str, ...] = ()
+    multicast: bool = False
+    gossip: bool = False
+    settings: tuple[tuple[str, str], ...] = ()
+
+    @property
+    def mode(self) -> str:
+        """Zenoh's mode of a session."""
+        return "peer" if self.listen or self.multicast or self.gossip else "client"
+
+    def options(self) -> dict[str, str]:
+        """All settings by path, as JSON values."""
+        own: dict[str, Any] = {
+            "mode": self.mode,
+            "connect/endpoints": self.connect,
+            "listen/endpoints": self.listen,
+            "scouting/multicast/enabled": self.multicast,
+            "scouting/gossip/enabled": self.gossip,
+            # An outage of a router ends sooner than the silence that ends a link.
+            "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+        }
+        return {key: json.dumps(value) for key, value in own.items()} | dict(self.settings)
+
+    def encode(self) -> str:
+        """The configuration as one text, for another process of this computer."""
+        return json.dumps(asdict(self))
+
+
+def decode_config(text: str) -> ZenohConfig:
+    """The inverse of `ZenohConfig.encode`. Raises ValueError."""
+    return msgspec.json.decode(text, type=ZenohConfig)
+
+
+class ZenohNetwork:
+    """The configuration of this process. It is set once, where the command reads the inventory."""
+
+    def __init__(self) -> None:
+        self.config: ZenohConfig | None = None
+
+    def configure(self, config: ZenohConfig | None) -> None:
+        """Use this configuration for sessions that are opened from now on; None without the section."""
+        self.config = config
+
+
+#: A process has one, as it has one routing table.
+NETWORK = ZenohNetwork()

@@ -1,0 +1,212 @@
+"""Zenoh session in a thread of its own: the event loop never waits for a call of Zenoh.
+
+One `put` may block for seconds when a subscriber is stopped. So all calls are made by this thread, from a
+queue. Packets beyond `MAX_QUEUED` bytes are dropped, as by a full router: the numbered stream repeats them.
+"""
+
+from __future__ import annotations
+
+import atexit
+import itertools
+import threading
+from collections.abc import Callable
+from queue import SimpleQueue
+from typing import Any
+
+import zenoh
+
+from lfield.net.zenoh.config import ZenohConfig
+
+#: Bytes of packets that wait for the thread; further ones are dropped.
+MAX_QUEUED = 4 << 20
+#: Seconds between two attempts to open the session, for a query of tokens, and for what is queued when the
+#: session is closed.
+RETRY, QUERY_TIMEOUT, FLUSH_TIMEOUT = 0.5, 2.0, 1.0
+
+#: Called in a thread of Zenoh, with the key and the bytes of a publication.
+OnPacket = Callable[[str, bytes], None]
+#: Called in a thread of Zenoh: whether a token was found, and how many routers and peers are connected.
+OnFound = Callable[[bool, int], None]
+
+
+class ZenohSession:
+    """A session that is opened in the background, and again until that succeeds.
+
+    Methods may be called in any thread and return at once. `on_open` and `on_failure` are called in the
+    thread of the session: when it is open, and for each failed attempt.
+    """
+
+    def __init__(
+        self, config: ZenohConfig, on_open: Callable[[], None], on_failure: Callable[[str], None]
+    ) -> None:
+        self._config, self._on_open, self._on_failure = config, on_open, on_failure
+        self._calls: SimpleQueue[Callable[[], None] | tuple[str, bytes]] = SimpleQueue()
+        #: Bytes of packets that were queued and that were sent; each is written by one thread only.
+        self._queued = self._sent = 0
+        self.is_open = False
+        self._is_closed = threading.Event()
+        self._session: zenoh.Session | None = None
+        self._publishers: dict[str, zenoh.Publisher] = {}
+        self._declared: dict[int, Any] = {}
+        self._handles = itertools.count()
+        self._thread = threading.Thread(target=self._run, name="lfield-zenoh", daemon=True)
+        self._thread.start()
+        atexit.register(self.close, wait=True)
+
+    # --- any thread ---------------------------------------------------------------------------------------
+
+    def publish(self, key: str, data: bytes) -> None:
+        """Publish a packet, or drop it: without a session, and while too many wait."""
+        if self.is_open and self._queued - self._sent <= MAX_QUEUED:
+            self._queued += len(data)
+            self._calls.put((key, data))
+
+    def publish_once(self, key: str, data: bytes) -> None:
+        """Publish a packet with a key that is not used again."""
+        if self.is_open:
+            self._calls.put(lambda: self._put_once(key, data))
+
+    def forget(self, key: str) -> None:
+        """Nothing is published with this key any more."""
+        self._calls.put(lambda: self._forget(key))
+
+    def subscribe(self, key: str, on_packet: OnPacket) -> int:
+        """Call `on_packet` for publications from now on. Returns a handle for `withdraw`."""
+
+        def received(sample: zenoh.Sample) -> None:
+            on_packet(str(sample.key_expr), sample.payload.to_bytes())
+
+        return self._declare(lambda session: session.declare_subscriber(key, _direct(received)))
+
+    def declare_token(self, key: str) -> int:
+        """Declare a liveliness token, which ends with this process. Returns a handle for `withdraw`."""
+        return self._declare(lambda session: session.liveliness().declare_token(key))
+
+    def watch_token(self, key: str, on_end: Callable[[], None]) -> int:
+        """Call `on_end` in a thread of Zenoh when a token ends. Returns a handle for `withdraw`."""
+
+        def changed(sample: zenoh.Sample) -> None:
+            if sample.kind == zenoh.SampleKind.DELETE:
+                on_end()
+
+        return self._declare(lambda session: session.liveliness().declare_subscriber(key, _direct(changed)))
+
+    def find_token(self, key: str, on_found: OnFound) -> None:
+        """Ask whether a token exists."""
+        self._calls.put(lambda: self._find_token(key, on_found))
+
+    def withdraw(self, handle: int) -> None:
+        """End a subscription, token or watch."""
+        self._calls.put(lambda: self._withdraw(handle))
+
+    def close(self, *, wait: bool = False) -> None:
+        """Send what is queued, and close the session; with `wait` return after that."""
+        atexit.unregister(self.close)
+        self._is_closed.set()
+        self._calls.put(self._end)
+        if wait:
+            self._thread.join(FLUSH_TIMEOUT)
+
+    # --- the thread of the session ------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        self._open()
+        session = self._session
+        while session is not None and not session.is_closed():
+            call = self._calls.get()
+            try:
+                if isinstance(call, tuple):
+                    self._put(session, *call)
+                else:
+                    call()
+            except zenoh.ZError as error:
+                self._on_failure(_first_line(error))
+
+    def _open(self) -> None:
+        while not self._is_closed.is_set():
+            try:
+                self._session = zenoh.open(_zenoh_config(self._config))
+                self.is_open = True
+                self._on_open()
+                return
+            except zenoh.ZError as error:
+                self._on_failure(_first_line(error))
+                self._is_closed.wait(RETRY)
+
+    def _put(self, session: zenoh.Session, key: str, data: bytes) -> None:
+        self._sent += len(data)
+        publisher = self._publishers.get(key)
+        if publisher is None:
+            # A full queue drops packets. "Block" would stop those to all other hosts as well.
+            publisher = self._publishers[key] = session.declare_publisher(
+                key,
+                congestion_control=zenoh.CongestionControl.DROP,
+                reliability=zenoh.Reliability.RELIABLE,
+                express=True,
+            )
+        publisher.put(data)
+
+    def _put_once(self, key: str, data: bytes) -> None:
+        assert self._session is not None
+        self._session.put(key, data, congestion_control=zenoh.CongestionControl.DROP, express=True)
+
+    def _forget(self, key: str) -> None:
+        if (publisher := self._publishers.pop(key, None)) is not None:
+            publisher.undeclare()  # type: ignore[no-untyped-call]
+
+    def _declare(self, make: Callable[[zenoh.Session], Any]) -> int:
+        handle = next(self._handles)
+
+        def declare() -> None:
+            assert self._session is not None
+            self._declared[handle] = make(self._session)
+
+        self._calls.put(declare)
+        return handle
+
+    def _withdraw(self, handle: int) -> None:
+        if (declared := self._declared.pop(handle, None)) is not None:
+            declared.undeclare()
+
+    def _find_token(self, key: str, on_found: OnFound) -> None:
+        assert self._session is not None
+        info, found = self._session.info, list[bool]()
+        neighbours = len(info.routers_zid()) + len(info.peers_zid())
+        self._session.liveliness().get(
+            key,
+            _direct(
+                lambda reply: found.append(reply.ok is not None), lambda: on_found(any(found), neighbours)
+            ),
+            timeout=QUERY_TIMEOUT,
+        )
+
+    def _end(self) -> None:
+        self.is_open = False
+        if self._session is not None:
+            self._session.close()  # type: ignore[no-untyped-call]
+
+
+def _direct(call: Callable[[Any], None], drop: Callable[[], None] | None = None) -> Any:
+    """A handler in the thread of the network itself: another thread between would cost a switch."""
+    return zenoh.handlers.Callback(call, drop, indirect=False)
+
+
+def _zenoh_config(config: ZenohConfig) -> zenoh.Config:
+    made = zenoh.Config()
+    for key, value in config.options().items():
+        made.insert_json5(key, value)
+    return made
+
+
+def check_config(config: ZenohConfig) -> str:
+    """Why Zenoh rejects a configuration; '' if it accepts it."""
+    try:
+        _zenoh_config(config)
+    except zenoh.ZError as error:
+        return _first_line(error)
+    return ""
+
+
+def _first_line(error: Exception) -> str:
+    """The sentence of an error of Zenoh, without the place in its source."""
+    return str(error).partition("\n")[0].partition(" at /")[0].strip()
