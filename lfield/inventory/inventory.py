@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, get_args
 
-from lfield.net.transport import join_address, split_address
+from lfield.net.transport import is_zenoh, join_address, split_address
+from lfield.net.zenoh.config import ZenohConfig
 
 #: Default port of the service of a robot.
 SERVICE_PORT = 8182
@@ -24,7 +25,7 @@ class InventoryHost:
     `arch` and `python` ("3.11") are '' where they are not stated. `groups` are additional groups of the
     service's user, `devices` is the devices file of this robot alone, None without one,
     `files` are those that its devices need (a DBC file, a key), `options` further ones of `lfield up` for the
-    mission's host.
+    mission's host. `zenoh` is its own way into a Zenoh fabric.
     """
 
     name: str
@@ -39,6 +40,7 @@ class InventoryHost:
     devices: Path | None = None
     files: tuple[Path, ...] = ()
     options: tuple[str, ...] = ()
+    zenoh: ZenohConfig | None = None
 
     @property
     def address(self) -> str:
@@ -58,15 +60,22 @@ class InventoryHost:
 
     @property
     def ssh_hosts(self) -> tuple[str, ...]:
-        """The names or addresses that ssh tries, in order."""
+        """The names or addresses that ssh tries, in order; for a host in a Zenoh fabric its name."""
         if self.ssh_host:
             return (self.ssh_host,)
-        return tuple(dict.fromkeys(split_address(address)[0] for address in self.addresses))
+        stated = [split_address(address)[0] for address in self.addresses if not is_zenoh(address)]
+        return tuple(dict.fromkeys(stated)) or (self.name,)
 
 
 @dataclass(frozen=True, slots=True)
 class Inventory:
-    """The hosts of a file `path` by name, in its order."""
+    """The hosts of a file `path` by name, in its order; `zenoh` is the team's way into a Zenoh fabric."""
 
     path: Path
     hosts: Mapping[str, InventoryHost] = field(default_factory=dict)
+    zenoh: ZenohConfig | None = None
+
+    @property
+    def own_sections(self) -> dict[str, ZenohConfig]:
+        """The hosts with a way of their own into a fabric."""
+        return {name: host.zenoh for name, host in self.hosts.items() if host.zenoh is not None}

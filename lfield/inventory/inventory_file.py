@@ -3,7 +3,7 @@
 ```yaml
 hosts:
   alpha:
-    addresses: [10.42.0.11, "[fd00::11]:8181", "fe80::1%wlan0"]  # in order of preference
+    addresses: [10.42.0.11, "[fd00::11]:8181", "fe80::1%wlan0", "zenoh:alpha"]    # in order of preference
     user: pi                     # of ssh; default: what ssh is configured for
     ssh_port: 22
     ssh_host: alpha.local        # default: the addresses, in order
@@ -14,6 +14,8 @@ hosts:
     files: [motor.dbc]           # that its devices need; relative to this file
     devices: alpha.devices.yaml  # of this robot alone; relative to this file
     options: [--sim]             # of 'lfield up' for the mission's host: simulated devices
+    zenoh: {connect: [tcp/10.0.0.1:7447]}    # instead of that of the team
+zenoh: {connect: [tcp/192.0.2.10:7447]}      # for addresses zenoh:NAME; `zenoh_section` has all keys
 ```
 
 All errors are reported at once, each at its position.
@@ -27,7 +29,8 @@ from pathlib import Path
 
 from lfield.errors import AddressError, ProgramError
 from lfield.inventory.inventory import ARCHITECTURES, SERVICE_PORT, Inventory, InventoryHost
-from lfield.net.transport import DEFAULT_PORT, join_address, split_address
+from lfield.inventory.zenoh_section import read_zenoh_section
+from lfield.net.transport import DEFAULT_PORT, is_zenoh, join_address, split_address
 from lfield.text.source_text import Diagnostics, Span
 from lfield.text.yaml_fields import YamlFields
 from lfield.text.yaml_source import YamlEntry, YamlList, YamlNode, YamlScalar, read
@@ -65,8 +68,13 @@ class _Reader:
         hosts = {entry.key: self._host(entry, fields) for entry, fields in section.entries()}
         if not hosts:
             top.report("Y110", "an inventory needs 'hosts', with at least one", section.span, _EXAMPLE)
+        zenoh = read_zenoh_section(top)
+        for name, host in hosts.items():
+            if zenoh is None and host.zenoh is None and any(map(is_zenoh, host.addresses)):
+                hint = "zenoh: {connect: [tcp/192.0.2.10:7447]}"
+                top.report("Y110", f"the address of {name} needs a section 'zenoh'", section.span, hint)
         top.report_unread()
-        return Inventory(self._path, hosts)
+        return Inventory(self._path, hosts, zenoh)
 
     def _host(self, entry: YamlEntry, fields: YamlFields) -> InventoryHost:
         name = entry.key
@@ -97,6 +105,7 @@ class _Reader:
             (self._path.parent / devices).absolute() if devices else None,
             tuple((self._path.parent / file).absolute() for file in fields.texts("files")),
             self._options(fields),
+            read_zenoh_section(fields),
         )
         fields.report_unread()
         return host
@@ -159,11 +168,16 @@ class _Reader:
 
 _EXAMPLE = "hosts: {alpha: {addresses: [10.42.0.11]}}"
 _HOST = "write addresses: [10.42.0.11]"
-_ADDRESSES = "write HOST, HOST:PORT, IPv6, [IPv6]:PORT or [IPv6%INTERFACE]:PORT"
+_ADDRESSES = "write HOST, HOST:PORT, IPv6, [IPv6]:PORT, [IPv6%INTERFACE]:PORT or zenoh:NAME"
 
 
 def normal_address(text: str) -> str:
     """An address as "host:port" in its normal form; IPv6 may lack its brackets. Raises AddressError."""
+    if is_zenoh(text):
+        host, port = split_address(text)
+        if not port:
+            raise AddressError(text, "0 is not a port; write a number from 1 to 65535")
+        return join_address(host, port)
     is_bare = text.partition("%")[0].count(":") > 1 and not text.startswith("[")
     host, port = (text, DEFAULT_PORT) if is_bare else split_address(text)
     if not port:

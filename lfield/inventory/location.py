@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield.errors import NoHomeFolder
+from lfield.net.zenoh.config import NETWORK
 from lfield.text.user_dirs import config_dir
 
 if TYPE_CHECKING:
@@ -19,14 +20,17 @@ VARIABLE, SYSTEM = "LFIELD_INVENTORY", Path("/etc/lfield/inventory.yaml")
 def find_inventory(named: Path | None, environment: Mapping[str, str]) -> Inventory | None:
     """The inventory of a command: `named`, else $LFIELD_INVENTORY, else the user's, else that of the robot.
 
-    None without any, and with an empty variable. Raises as `read_inventory`.
+    None without any, and with an empty variable. Its section `zenoh` is that of this process from now on.
+    Raises as `read_inventory`.
     """
     path = inventory_path(named, environment)
     if path is None:
         return None
     from lfield.inventory.inventory_file import read_inventory
 
-    return read_inventory(path)
+    inventory = read_inventory(path)
+    NETWORK.configure(inventory.zenoh, inventory.own_sections)
+    return inventory
 
 
 def inventory_path(named: Path | None, environment: Mapping[str, str]) -> Path | None:

@@ -16,6 +16,7 @@ from lfield.authority import keystore
 from lfield.errors import AddressError, KeysError, LfieldError, NoListener
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import UNIX, Transport, is_number
+from lfield.net.zenoh.host_transport import HostTransport
 from lfield.operator.observer_link import OrderMessage, PresentedCrl, Request, ask_with_retries
 from lfield.operator.orders.known_hosts import KnownHosts
 from lfield.operator.targets import HostRef, TargetTeam
@@ -201,18 +202,18 @@ def print_unanswered(hosts: Mapping[str, LfieldError], meaning: str = "") -> Non
 
 def observer_transport(
     keys: Keys | None = None, known: KnownHosts | None = None, connect_timeout: float = 2.0
-) -> TcpTransport:
+) -> HostTransport:
     """The transport of links to hosts; over a network it needs keys. `connect_timeout` is in seconds.
 
     `known` stores the certificates of hosts. Raises KeysError.
     """
     if keys is None:
-        return TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout)
+        return HostTransport(TcpTransport(_MAX_BLOCK, connect_timeout=connect_timeout), connect_timeout)
     # Most commands ask hosts of this computer, and TLS is slow to load.
     from lfield.net.tls import TlsIdentity
 
     tls = TlsIdentity(keys, known.on_verified) if known is not None else TlsIdentity(keys)
-    return TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout)
+    return HostTransport(TcpTransport(_MAX_BLOCK, tls, connect_timeout=connect_timeout), connect_timeout)
 
 
 def own_keys(addresses: Iterable[str], named: Path | None) -> Keys | None:

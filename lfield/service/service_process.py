@@ -17,6 +17,8 @@ from lfield.host.logbook import JsonLogbook, Logbook
 from lfield.host.process.credentials import HostCredentials, admission_for
 from lfield.host.process.shutdown_signals import ShutdownSignals, install_signal_handlers
 from lfield.net.tcp_transport import TcpTransport
+from lfield.net.transport import Transport
+from lfield.net.zenoh.host_transport import HostTransport
 from lfield.operator.fleet.service_link import open_service_link
 from lfield.service import messages
 from lfield.service.bundle_receiver import BundleVerifier, vehicles_of
@@ -62,7 +64,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
     store = BundleStore(options.state / "service")
     record = store.load()
     tls, admission = admission_for(credentials, host, clock, ())
-    transport = TcpTransport(MAX_BLOCK, tls)
+    transport = HostTransport(TcpTransport(MAX_BLOCK, tls))
     result = options.state / "service" / "host.result"
     processes = LocalProcesses(host, store.path, options.up, result)
     runner = MissionRunner(record.run, processes, clock, logbook.note)
@@ -99,7 +101,7 @@ async def run_service(options: ServiceOptions, credentials: HostCredentials) -> 
 
 
 async def ask_peer(
-    transport: TcpTransport, peers: Mapping[str, str], host: str, query: VoteQuery
+    transport: Transport, peers: Mapping[str, str], host: str, query: VoteQuery
 ) -> BallotState:
     """The answer of the service of another host. Raises LfieldError."""
     if host not in peers:

@@ -38,6 +38,7 @@ from lfield.mission.access.signed_bundle import signing_time
 from lfield.mission.mission import Mission
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.tls import TlsIdentity
+from lfield.net.zenoh.host_transport import HostTransport
 from lfield.replication.locate.outcomes import CoordinatorOutcome
 from lfield.text import log_messages
 
@@ -98,8 +99,8 @@ async def run_host(
         record=record,
     )
     # CPU time of programs that a message wakes is not charged to the sender of the message.
-    transport = TcpTransport(mission.max_block, identity.tls, exempt=lambda: host.core.run_seconds)
-    host = Host(mission, name, transport, logbook, host_options)
+    tcp = TcpTransport(mission.max_block, identity.tls, exempt=lambda: host.core.run_seconds)
+    host = Host(mission, name, transport := HostTransport(tcp), logbook, host_options)
     transport.log_to(host.note)
     signals = ShutdownSignals(host.clock)
     install_signal_handlers(signals)

@@ -24,6 +24,7 @@ from lfield.net.datagrams.datagram_port import Address, DatagramPort, network_of
 from lfield.net.link_manager import LinkManager
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import Transport
+from lfield.net.zenoh.host_transport import HostTransport
 from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
 
@@ -45,6 +46,8 @@ def order_datagrams(
     fail: Callable[[BaseException], None],
 ) -> DatagramShell | None:
     """The datagram sockets of a host with keys; None where its transport has no sockets."""
+    if isinstance(transport, HostTransport):
+        transport = transport.tcp
     if not isinstance(transport, TcpTransport):
         return None
 

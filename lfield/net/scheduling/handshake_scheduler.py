@@ -14,6 +14,7 @@ from ipaddress import IPv6Address, ip_address
 from typing import Generic, TypeVar
 
 from lfield.net.scheduling.fair_queue import FairQueue
+from lfield.net.transport import ZENOH, is_zenoh
 
 G = TypeVar("G")
 
@@ -112,6 +113,9 @@ def source_of(address: str) -> str:
 
     Link-local addresses share one network, so each counts for itself.
     """
+    if is_zenoh(address):
+        # A caller chooses its inbox in a fabric, so all of a fabric count as one.
+        return ZENOH
     host = address.rpartition(":")[0].strip("[]") or address
     try:
         found = ip_address(host.partition("%")[0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -39,6 +40,9 @@ class ZenohConfig:
             "scouting/gossip/enabled": self.gossip,
             # An outage of a router ends sooner than the silence that ends a link.
             "connect/retry": {"period_init_ms": 100, "period_max_ms": 1000, "period_increase_factor": 2},
+            # The thread may wait this long (microseconds) for room in the queue of the session. Then the
+            # packet is dropped, and its stream repeats it.
+            "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 50_000,
         }
         return {key: json.dumps(value) for key, value in own.items()} | dict(self.settings)
 
@@ -53,14 +57,22 @@ def decode_config(text: str) -> ZenohConfig:
 
 
 class ZenohNetwork:
-    """The configuration of this process. It is set once, where the command reads the inventory."""
+    """The configuration of this process. It is set where a command reads its inventory."""
 
     def __init__(self) -> None:
         self.config: ZenohConfig | None = None
+        self._by_host: Mapping[str, ZenohConfig] = {}
 
-    def configure(self, config: ZenohConfig | None) -> None:
-        """Use this configuration for sessions that are opened from now on; None without the section."""
-        self.config = config
+    def configure(self, config: ZenohConfig | None, by_host: Mapping[str, ZenohConfig] = {}) -> None:
+        """Use a configuration for sessions that are opened from now on; None without the section."""
+        self.config, self._by_host = config, dict(by_host)
+
+    def select(self, host: str, encoded: str = "") -> None:
+        """This process is a host: use its own section, if it has one, or the one that its service passes on.
+
+        Raises ValueError.
+        """
+        self.config = decode_config(encoded) if encoded else self._by_host.get(host, self.config)
 
 
 #: A process has one, as it has one routing table.

@@ -21,7 +21,7 @@ from lfield.net.zenoh.config import ZenohConfig
 MAX_QUEUED = 4 << 20
 #: Seconds between two attempts to open the session, for a query of tokens, and for what is queued when the
 #: session is closed.
-RETRY, QUERY_TIMEOUT, FLUSH_TIMEOUT = 0.5, 2.0, 1.0
+RETRY, QUERY_TIMEOUT, FLUSH_TIMEOUT = 0.5, 2.0, 3.0
 
 #: Called in a thread of Zenoh, with the key and the bytes of a publication.
 OnPacket = Callable[[str, bytes], None]
@@ -51,7 +51,7 @@ class ZenohSession:
         self._handles = itertools.count()
         self._thread = threading.Thread(target=self._run, name="lfield-zenoh", daemon=True)
         self._thread.start()
-        atexit.register(self.close, wait=True)
+        atexit.register(self._close_at_exit)
 
     # --- any thread ---------------------------------------------------------------------------------------
 
@@ -99,18 +99,25 @@ class ZenohSession:
         """End a subscription, token or watch."""
         self._calls.put(lambda: self._withdraw(handle))
 
-    def close(self, *, wait: bool = False) -> None:
-        """Send what is queued, and close the session; with `wait` return after that."""
-        atexit.unregister(self.close)
-        self._is_closed.set()
-        self._calls.put(self._end)
-        if wait:
-            self._thread.join(FLUSH_TIMEOUT)
+    def close(self) -> None:
+        """Send what is queued, and close the session."""
+        if not self._is_closed.is_set():
+            self._is_closed.set()
+            self._calls.put(self._end)
+
+    def _close_at_exit(self) -> None:
+        """The interpreter must not end while the thread is in a call of Zenoh."""
+        self.close()
+        self._thread.join(FLUSH_TIMEOUT)
 
     # --- the thread of the session ------------------------------------------------------------------------
 
     def _run(self) -> None:
         self._open()
+        self._work()
+        atexit.unregister(self._close_at_exit)
+
+    def _work(self) -> None:
         session = self._session
         while session is not None and not session.is_closed():
             call = self._calls.get()

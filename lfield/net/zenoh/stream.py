@@ -106,7 +106,7 @@ class NumberedStream:
             self._pending.extend(view[at : at + MAX_SEGMENT] for at in range(0, len(view), MAX_SEGMENT))
             self.pending += len(view)
             self._send_pending(now)
-        return self._taken()
+        return self._drain()
 
     def close(self, now: float) -> list[Effect]:
         """Send what is pending, then the end; `Closed` follows when the peer has acknowledged it."""
@@ -115,14 +115,14 @@ class NumberedStream:
             self._is_paused = False
             self._read_on()
             self._send_pending(now)
-        return self._taken()
+        return self._drain()
 
     def abort(self) -> list[Effect]:
         """End at once."""
         if not self.is_closed:
             self._send(Kind.RESET)
             self._end("")
-        return self._taken()
+        return self._drain()
 
     def pause(self) -> None:
         """Deliver nothing until `resume`."""
@@ -135,27 +135,27 @@ class NumberedStream:
             if self._read_on() and not self.is_closed:
                 # The peer may wait for this before it sends more.
                 self._send(Kind.ACK)
-        return self._taken()
+        return self._drain()
 
     def on_suspicion(self, now: float) -> list[Effect]:
         """The peer seems to have ended: ask it, and close soon without an answer."""
         if not self.is_closed and self._suspected_at is None:
             self._suspected_at = now
             self._ask(now)
-        return self._taken()
+        return self._drain()
 
     def on_packet(self, data: bytes, now: float) -> list[Effect]:
         """A packet of the peer arrived."""
         packet = None if self.is_closed else decode_packet(data)
         if packet is None or not self._is_plausible(packet):
-            return self._taken()
+            return self._drain()
         self._last_received, self._suspected_at = now, None
         if packet.kind is Kind.RESET:
             self._end("" if self._is_closing else "the peer has reset the stream")
-            return self._taken()
+            return self._drain()
         if packet.kind is Kind.OPEN:
             self._send(Kind.ACCEPT)
-            return self._taken()
+            return self._drain()
         if not self.is_open:
             self.is_open = True
             self._effects.append(Opened())
@@ -167,20 +167,20 @@ class NumberedStream:
         elif packet.kind is Kind.ANSWER and packet.number == self._question:
             self._on_answer(now)
         self._send_pending(now)
-        return self._taken()
+        return self._drain()
 
     def on_time(self, now: float) -> list[Effect]:
         """`deadline` has passed."""
         if self.is_closed:
-            return self._taken()
+            return self._drain()
         if now >= self._silence_end:
             self._end(f"no answer for {now - self._silence_start:.0f} s")
-            return self._taken()
+            return self._drain()
         if not self.is_open:
             if now >= self._open_at:
                 self._send(Kind.OPEN)
                 self._open_at, self._open_delay = now + self._open_delay, min(2 * self._open_delay, LAST_OPEN)
-            return self._taken()
+            return self._drain()
         if self._sent and now >= self._check_at:
             self.window.on_silence()
             self._check_at = now + self.window.timeout
@@ -189,7 +189,7 @@ class NumberedStream:
             self._send(Kind.ACK)
         if now >= self._ask_at:
             self._ask(now)
-        return self._taken()
+        return self._drain()
 
     @property
     def deadline(self) -> float | None:
@@ -228,7 +228,7 @@ class NumberedStream:
 
     # --- sending ------------------------------------------------------------------------------------------
 
-    def _taken(self) -> list[Effect]:
+    def _drain(self) -> list[Effect]:
         effects, self._effects = self._effects, []
         return effects
 
@@ -250,8 +250,8 @@ class NumberedStream:
 
     @property
     def _may_send(self) -> bool:
-        has_room = self.in_flight < self.window.size and len(self._unread_sizes) < MAX_AHEAD
-        return has_room and bool(self._pending)
+        has_space = self.in_flight < self.window.size and len(self._unread_sizes) < MAX_AHEAD
+        return has_space and bool(self._pending)
 
     def _next_segment(self) -> bytes:
         """The data of the next packet: small writes that have waited are joined."""
@@ -303,13 +303,13 @@ class NumberedStream:
 
     def _on_acknowledgement(self, packet: Packet, now: float) -> None:
         """Forget acknowledged packets; repeat the next one if it seems lost."""
-        news = packet.expected - self._acknowledged
-        if news > 0:
-            self._forget(news, now)
+        count = packet.expected - self._acknowledged
+        if count > 0:
+            self._forget(count, now)
             self._same_acks = 0
             if self._sent and self._acknowledged < self._recover_to:
                 self._repeat(now)
-        elif news == 0 and self._sent and packet.kind is Kind.ACK:
+        elif count == 0 and self._sent and packet.kind is Kind.ACK:
             self._same_acks += 1
             if self._same_acks == 3 and self._acknowledged >= self._recover_to:
                 self._recover(self._next, now)

@@ -59,15 +59,18 @@ class ZenohListener:
 class ZenohTransport:
     """Hosts by their names in a fabric, in a running loop. `new_link` makes the links.
 
-    `connect_timeout`: seconds to open a stream, and again for the handshake of its link. The session is opened
-    at the first use, and again until that succeeds.
+    `connect_timeout`: seconds to open a stream, and again for the handshake of its link. The session is
+    opened at the first use, and again until that succeeds.
     """
 
     def __init__(self, config: ZenohConfig, new_link: NewLink, connect_timeout: float = 5.0) -> None:
         self._config, self._new_link, self._connect_timeout = config, new_link, connect_timeout
         self._endpoint: ZenohEndpoint | None = None
-        #: Writes a log line.
-        self.note: Callable[[LogLine], None] = lambda line: None
+        self._note: Callable[[LogLine], None] = lambda line: None
+
+    def log_to(self, note: Callable[[LogLine], None]) -> None:
+        """Write log lines there from now on."""
+        self._note = note
 
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> ZenohListener:
         """See `Transport.listen`. Without a router, it listens as soon as there is one.
@@ -83,7 +86,7 @@ class ZenohTransport:
 
         endpoint.listen(name, port, on_pipe)
         if not endpoint.is_open.is_set():
-            self.note(log_messages.NO_ZENOH.line(address=address, reason=self._why_closed(endpoint)))
+            self._note(log_messages.NO_ZENOH.line(address=address, reason=self._why_closed(endpoint)))
         return ZenohListener(endpoint, name, port)
 
     async def connect(self, address: str, handler: LinkHandler, host: str = "") -> StreamLink:
@@ -137,8 +140,8 @@ class ZenohTransport:
                     if not exists:
                         return each
             reason = (
-                "the port is in use; stop the program that has it, or choose another (after a loss of power or "
-                "of the network a router keeps it for 10 s)"
+                "the port is in use; stop the program that has it, or choose another (after a loss of power "
+                "or of the network a router keeps it for 10 s)"
             )
             raise AddressError(address, reason)
         return ports[0]

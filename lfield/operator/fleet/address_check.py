@@ -11,7 +11,7 @@ from lfield.address_race import first_connected
 from lfield.errors import AddressError, HandshakeError, LfieldError, NoListener
 from lfield.net.connections.resolver import ResolvedAddress, resolve
 from lfield.net.connections.socket_errors import describe
-from lfield.net.transport import join_address, split_address
+from lfield.net.transport import is_zenoh, join_address, split_address
 from lfield.operator.fleet.service_link import open_service_link
 
 if TYPE_CHECKING:
@@ -102,6 +102,8 @@ async def _authenticate(endpoint: Endpoint, transport: Transport, crl: Presented
 
 async def _connect(endpoint: Endpoint) -> EndpointState:
     """Connect by TCP alone. Raises AddressError."""
+    if is_zenoh(endpoint.address):
+        raise AddressError(endpoint.address, "an address in Zenoh is checked with keys only")
     failures: dict[ResolvedAddress, Exception] = {}
     try:
         async with asyncio.timeout(TIMEOUT):

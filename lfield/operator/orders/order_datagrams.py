@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 
 from lfield.errors import AddressError, HandshakeError, LfieldError
 from lfield.net.connections.resolver import AddressLookups, ResolvedAddress, SocketAddress
-from lfield.net.transport import split_addresses
+from lfield.net.transport import is_zenoh, split_addresses
 from lfield.operator.orders.order_protocol import OrderProtocol
 from lfield.operator.orders.order_sockets import OnDatagram, OrderSocket, OrderSockets
 from lfield.wire.observer_messages import EmergencyStopResult
@@ -86,7 +86,8 @@ class OrderDatagrams:
         self._step()
 
     async def _look_up(self, host: str) -> None:
-        each = split_addresses(self._addresses[host])
+        # A fabric carries no datagrams of ours.
+        each = [one for one in split_addresses(self._addresses[host]) if not is_zenoh(one)]
         try:
             lookups = AddressLookups(each)
         except AddressError:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from lfield.authority.identity import ANONYMOUS
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.zenoh.config import ZenohConfig
 from lfield.net.zenoh.transport import ZenohTransport
@@ -36,7 +37,9 @@ class Router:
         for _ in range(10):
             self.endpoint = fixed or free_endpoint()
             command = [self._python, str(ROUTER), self.endpoint, *self._connect]
-            self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+            self.process = subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            )
             assert self.process.stdout is not None
             if self.process.stdout.readline() == "ready\n":
                 return
@@ -61,9 +64,10 @@ class ZenohBench:
         self.loop = asyncio.new_event_loop()
         links = TcpTransport(MAX_BLOCK, **options)
         self.near, self.far = (ZenohTransport(config, links.new_link, timeout) for config in (near, far))
-        self.transport = self
+        self.transport, self._is_tls = self, "tls" in options
         self.links, self.listeners, self.notes = [], [], []
-        self.near.note = self.far.note = self.notes.append
+        for transport in (self.near, self.far):
+            transport.log_to(self.notes.append)
 
     async def listen(self, address: str, on_link):
         def tracked(link):
@@ -74,8 +78,12 @@ class ZenohBench:
         return self.listeners[-1]
 
     async def connect(self, address: str, handler, host=""):
-        self.links.append(await self.near.connect(address, handler))
-        return self.links[-1]
+        link = await self.near.connect(address, handler)
+        self.links.append(link)
+        # The kit sends at both ends at once; before its handshake the accepting end of TLS sends nothing.
+        while self._is_tls and any(each.who == ANONYMOUS and not each.closed for each in self.links):
+            await asyncio.sleep(0.0005)
+        return link
 
     def wait(self, work):
         return self.loop.run_until_complete(work)
