@@ -55,10 +55,9 @@ class ZenohEndpoint:
         #: Streams by inbox of the peer and number; the inbox is '' until a dialled peer has answered.
         self._pipes: dict[tuple[str, str], ZenohPipe] = {}
         self._listeners: dict[str, tuple[OnPipe, int, int]] = {}
-        #: The watched tokens of peers, and their streams.
-        self._watches: dict[str, int] = {}
         self._session.subscribe(f"{ROOT}/to/{self._inbox}/*/*", self._in_loop(self._on_packet))
         self._session.declare_token(f"{ROOT}/to/{self._inbox}")
+        self._session.watch_tokens(f"{ROOT}/to/*", self._in_loop(self._on_token_end))
 
     def close(self) -> None:
         """Close the session; streams end without a word to their peers."""
@@ -135,7 +134,6 @@ class ZenohEndpoint:
             self._sender(sender, stream),
             lambda: self._forget(sender, stream),
         )
-        self._watch(sender)
         return pipe
 
     # --- packets ------------------------------------------------------------------------------------------
@@ -161,26 +159,16 @@ class ZenohEndpoint:
         if pipe is not None:
             self._pipes[sender, stream] = pipe
             pipe.pin(self._sender(sender, stream), lambda: self._forget(sender, stream))
-            self._watch(sender)
         return pipe
 
     def _forget(self, peer: str, stream: str) -> None:
         """A stream has ended."""
-        if self._pipes.pop((peer, stream), None) is None or not peer:
-            return
-        self._session.forget(f"{ROOT}/to/{peer}/{self._inbox}/{stream}")
-        if not any(other == peer for other, _ in self._pipes):
-            self._session.withdraw(self._watches.pop(peer))
+        if self._pipes.pop((peer, stream), None) is not None and peer:
+            self._session.forget(f"{ROOT}/to/{peer}/{self._inbox}/{stream}")
 
-    # --- peers that end -----------------------------------------------------------------------------------
-
-    def _watch(self, peer: str) -> None:
-        if peer not in self._watches:
-            ended = self._in_loop(self._on_token_end)
-            self._watches[peer] = self._session.watch_token(f"{ROOT}/to/{peer}", lambda: ended(peer))
-
-    def _on_token_end(self, peer: str) -> None:
-        """The peer, or a router between, has ended. Its last packets may still arrive: so ask."""
+    def _on_token_end(self, key: str) -> None:
+        """A peer, or a router between, has ended. Its last packets may still arrive: so ask."""
+        peer = key.rpartition("/")[2]
         for (inbox, _), pipe in list(self._pipes.items()):
             if inbox == peer:
                 pipe.on_suspicion()

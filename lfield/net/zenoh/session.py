@@ -76,20 +76,20 @@ class ZenohSession:
         def received(sample: zenoh.Sample) -> None:
             on_packet(str(sample.key_expr), sample.payload.to_bytes())
 
-        return self._declare(lambda session: session.declare_subscriber(key, _direct(received)))
+        return self._declare(lambda session: session.declare_subscriber(key, _handler(received)))
 
     def declare_token(self, key: str) -> int:
         """Declare a liveliness token, which ends with this process. Returns a handle for `withdraw`."""
         return self._declare(lambda session: session.liveliness().declare_token(key))
 
-    def watch_token(self, key: str, on_end: Callable[[], None]) -> int:
+    def watch_tokens(self, key: str, on_end: Callable[[str], None]) -> int:
         """Call `on_end` in a thread of Zenoh when a token ends. Returns a handle for `withdraw`."""
 
         def changed(sample: zenoh.Sample) -> None:
             if sample.kind == zenoh.SampleKind.DELETE:
-                on_end()
+                on_end(str(sample.key_expr))
 
-        return self._declare(lambda session: session.liveliness().declare_subscriber(key, _direct(changed)))
+        return self._declare(lambda session: session.liveliness().declare_subscriber(key, _handler(changed)))
 
     def find_token(self, key: str, on_found: OnFound) -> None:
         """Ask whether a token exists."""
@@ -118,8 +118,7 @@ class ZenohSession:
         atexit.unregister(self._close_at_exit)
 
     def _work(self) -> None:
-        session = self._session
-        while session is not None and not session.is_closed():
+        while (session := self._session) is not None:
             call = self._calls.get()
             try:
                 if isinstance(call, tuple):
@@ -181,7 +180,7 @@ class ZenohSession:
         neighbours = len(info.routers_zid()) + len(info.peers_zid())
         self._session.liveliness().get(
             key,
-            _direct(
+            _handler(
                 lambda reply: found.append(reply.ok is not None), lambda: on_found(any(found), neighbours)
             ),
             timeout=QUERY_TIMEOUT,
@@ -189,13 +188,18 @@ class ZenohSession:
 
     def _end(self) -> None:
         self.is_open = False
-        if self._session is not None:
-            self._session.close()  # type: ignore[no-untyped-call]
+        session, self._session = self._session, None
+        if session is not None:
+            session.close()  # type: ignore[no-untyped-call]
 
 
-def _direct(call: Callable[[Any], None], drop: Callable[[], None] | None = None) -> Any:
-    """A handler in the thread of the network itself: another thread between would cost a switch."""
-    return zenoh.handlers.Callback(call, drop, indirect=False)
+def _handler(call: Callable[[Any], None], drop: Callable[[], None] | None = None) -> Any:
+    """A handler in a thread of its own.
+
+    In the thread of the network it would wait for the interpreter's lock while it holds one of Zenoh. A call
+    of Zenoh that holds the interpreter's lock and needs the other one would stop the process for ever.
+    """
+    return zenoh.handlers.Callback(call, drop, indirect=True)
 
 
 def _zenoh_config(config: ZenohConfig) -> zenoh.Config:
