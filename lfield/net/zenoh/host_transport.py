@@ -52,6 +52,12 @@ class HostTransport:
         if self._zenoh is not None:
             self._zenoh.log_to(note)
 
+    def close(self) -> None:
+        """Leave the fabric; links in it end without a word to their peers."""
+        if self._zenoh is not None:
+            self._zenoh.close()
+            self._zenoh = None
+
     async def listen(self, address: str, on_link: Callable[[Link], LinkHandler]) -> Listener:
         """See `Transport.listen`."""
         listeners: list[Listener] = []

@@ -25,9 +25,9 @@ def free_endpoint() -> str:
 class Router:
     """A router that may be killed and started again at the same endpoint."""
 
-    def __init__(self, *connect: str, python: str = sys.executable) -> None:
+    def __init__(self, *connect: str, endpoint: str = "", python: str = sys.executable) -> None:
         self._connect, self._python = connect, python
-        self.endpoint = ""
+        self.endpoint = endpoint
         self.process: subprocess.Popen[str] | None = None
         self.start()
 
