@@ -10,6 +10,7 @@ from lfield.errors import AddressError, InputFileError, ProgramError
 from lfield.inventory.inventory import Inventory, InventoryHost
 from lfield.inventory.inventory_file import normal_address, read_inventory
 from lfield.inventory.location import find_inventory
+from lfield.net.zenoh.config import NETWORK, decode_config
 
 FULL = """\
 hosts:
@@ -188,3 +189,74 @@ def test_which_file_counts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert found(named, LFIELD_INVENTORY="") == "c.yaml"
     with pytest.raises(InputFileError):
         found(LFIELD_INVENTORY=str(own))
+
+
+# Zenoh
+
+FABRIC = """\
+zenoh:
+  connect: [tcp/192.0.2.10:7447]
+  settings: {transport/link/tls/root_ca_certificate: ca.pem, transport/link/tx/lease: 5000}
+hosts:
+  alpha: {addresses: ["zenoh:alpha", 10.42.0.11]}
+  bravo: {addresses: ["zenoh:bravo:9000"], zenoh: {listen: [tcp/0.0.0.0:7447], gossip: true}}
+"""
+
+
+def test_hosts_in_a_fabric(tmp_path: Path) -> None:
+    found = read(tmp_path, FABRIC)
+    alpha, bravo = found.hosts.values()
+    assert found.zenoh is not None
+    assert (found.zenoh.mode, found.zenoh.connect) == ("client", ("tcp/192.0.2.10:7447",))
+    options = found.zenoh.options()
+    assert options["transport/link/tls/root_ca_certificate"] == '"ca.pem"'
+    assert (options["transport/link/tx/lease"], options["scouting/multicast/enabled"]) == ("5000", "false")
+    assert options["scouting/gossip/enabled"] == "false"
+    assert decode_config(found.zenoh.encode()) == found.zenoh
+    assert alpha.address == "zenoh:alpha:8181,10.42.0.11:8181"
+    assert alpha.service_address == "zenoh:alpha:8182,10.42.0.11:8182"
+    assert (alpha.ssh_hosts, bravo.ssh_hosts) == (("10.42.0.11",), ("bravo",))
+    assert bravo.zenoh is not None
+    assert (bravo.zenoh.mode, bravo.zenoh.gossip, bravo.zenoh.multicast) == ("peer", True, False)
+    assert found.own_sections == {"bravo": bravo.zenoh}
+
+
+def test_a_host_has_its_own_way_into_a_fabric(tmp_path: Path) -> None:
+    file = tmp_path / "inventory.yaml"
+    file.write_text(FABRIC)
+    found = find_inventory(file, {})
+    assert found is not None
+    assert found.zenoh == NETWORK.config
+    NETWORK.select("bravo")
+    assert found.hosts["bravo"].zenoh == NETWORK.config
+    NETWORK.select("alpha", found.zenoh.encode())
+    assert found.zenoh == NETWORK.config
+    NETWORK.configure(None)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ('hosts:\n  a: {addresses: ["zenoh:a"]}\n', [("Y110", 2, 3)]),
+        ("zenoh: {}\nhosts: {a: {addresses: [10.0.0.1]}}\n", [("Y110", 1, 1)]),
+        ("zenoh: {connect: [router]}\nhosts: {a: {addresses: [10.0.0.1]}}\n", [("Y113", 1, 18)]),
+        ("zenoh: {connect: [tcp/r:1], mode: x}\nhosts: {a: {addresses: [10.0.0.1]}}\n", [("Y111", 1, 29)]),
+        (
+            "zenoh: {connect: [tcp/r:1], settings: {A B: 1}}\nhosts: {a: {addresses: [10.0.0.1]}}\n",
+            [("Y113", 1, 40)],
+        ),
+    ],
+)
+def test_a_section_that_is_not_valid(tmp_path: Path, text: str, expected: list[tuple[str, int, int]]) -> None:
+    assert findings(tmp_path, text) == expected
+
+
+@pytest.mark.parametrize("text", ["zenoh:a b", "zenoh:a/b", "zenoh:a:0", "zenoh:", "zenoh:a:http"])
+def test_what_is_no_address_in_a_fabric(text: str) -> None:
+    with pytest.raises(AddressError):
+        normal_address(text)
+
+
+def test_a_host_named_zenoh_is_no_fabric() -> None:
+    assert normal_address("zenoh:8181") == "zenoh:8181"
+    assert normal_address("zenoh:alpha") == "zenoh:alpha:8181"

@@ -1,0 +1,92 @@
+"""`lfield up` and other commands in a Zenoh fabric, which the inventory names: the program stays as it is."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+from fabric import Router, free_endpoint
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
+pytestmark = pytest.mark.process
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "01-first-flight"
+INVENTORY = """\
+zenoh: {{connect: [{near}]}}
+hosts:
+  alpha: {{addresses: ["zenoh:alpha"]}}
+  bravo: {{addresses: ["zenoh:bravo:8191"], zenoh: {{connect: [{far}]}}}}
+"""
+PROGRAM = """
+resource Echo {
+    init(string[] arg) { while (true) yield(); }
+    portal say(string text) { write(text + "\\n"); }
+}
+coordinator Caller {
+    init(string[] arg) { findEcho(arg[1]).say("here"); }
+}
+"""
+DEPLOYMENT = "//Caller:tom@alpha?echo\n//Echo:echo@bravo\n"
+
+
+@pytest.fixture
+def routers():
+    """Two linked routers, one for each site."""
+    near = Router()
+    far = Router(near.endpoint)
+    yield near, far
+    far.kill()
+    near.kill()
+
+
+def started(lfield, deployment: Path, inventory: Path, *options: object):
+    """Both hosts, with keys."""
+    lfield.keys.give("alpha", "bravo")
+    words = (
+        "up",
+        "--deploy",
+        deployment,
+        "--inventory",
+        inventory,
+        "--until-done",
+        "--first-start",
+        *options,
+    )
+    return [lfield.start(*words, "--host", name) for name in ("alpha", "bravo")]
+
+
+def test_two_sites_fly_example_01(lfield, routers) -> None:
+    shutil.copytree(EXAMPLE, lfield.folder / "01")
+    near, far = (each.endpoint for each in routers)
+    inventory = lfield.write("inventory.yaml", INVENTORY.format(near=near, far=far))
+    hosts = started(lfield, lfield.folder / "01" / "mission.dL", inventory, "--sim")
+    assert [host.wait() for host in hosts] == [0, 0]
+    assert not any("unreachable" in line for host in hosts for line in host.err)
+
+
+def test_hosts_wait_for_a_router_that_starts_later(lfield) -> None:
+    endpoint = free_endpoint()
+    inventory = lfield.write("inventory.yaml", INVENTORY.format(near=endpoint, far=endpoint))
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    alpha, bravo = started(lfield, deployment, inventory, "--lost-after", "60")
+    for host in (alpha, bravo):
+        host.wait_for("not listening on zenoh:")
+    router = Router(endpoint=endpoint)
+    assert [alpha.wait(), bravo.wait()] == [0, 0]
+    assert bravo.out == ["here"]
+    router.kill()
+
+
+def test_a_command_without_the_package_names_it(lfield) -> None:
+    """One sentence with a code, and no traceback: in a Python that cannot import it."""
+    lfield.write("zenoh.py", "raise ImportError('hidden by the test')\n")
+    inventory = lfield.write(
+        "inventory.yaml", INVENTORY.format(near="tcp/127.0.0.1:1", far="tcp/127.0.0.1:1")
+    )
+    lfield.keys.give("alpha", "bravo")
+    deployment = lfield.mission(PROGRAM, DEPLOYMENT)
+    words = ("up", "--deploy", deployment, "--inventory", inventory, "--host", "alpha")
+    host = lfield(*words, env={"PYTHONPATH": str(lfield.folder)})
+    assert lfield.status(host) == 69
+    assert len([line for line in host.err if "lfield[zenoh]" in line]) == 1
