@@ -114,7 +114,7 @@ LOCK = printf 'editables\nhatchling\n$(if $(filter run,$(1)),pip\n)' | \
 # Takes the newest versions that pyproject.toml allows, for every Python and processor it names, and tries them.
 locks: $(VENV)/.tested
 	$(INSTALL) uv
-	$(call LOCK,run,all) && $(call LOCK,desk,desk) && \
+	$(call LOCK,run,all,zenoh) && $(call LOCK,desk,desk) && \
 		$(call LOCK,test,desk,test) && $(call LOCK,bench,desk,test,bench)
 	$(MAKE) test
 

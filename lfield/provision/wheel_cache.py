@@ -29,6 +29,8 @@ from lfield.provision.standalone_python import collect_python
 from lfield.provision.wheel_target import WheelTarget
 
 LOCK = "locks/run.txt"
+#: The package of the lock that only robots in a Zenoh fabric need.
+ZENOH = "eclipse-zenoh"
 
 
 class WheelCollection(msgspec.Struct, frozen=True):
@@ -40,12 +42,14 @@ class WheelCollection(msgspec.Struct, frozen=True):
 class WheelCache:
     """The wheels of all platforms; `handmade` is a folder with wheels that the package index does not have.
 
-    Each platform is collected once, also when several robots ask for it at the same time.
+    Each platform is collected once, also when several robots ask for it at the same time. `has_zenoh` says
+    whether the robots are in a Zenoh fabric.
     """
 
-    def __init__(self, folder: Path, handmade: Path | None = None) -> None:
+    def __init__(self, folder: Path, handmade: Path | None = None, *, has_zenoh: bool = False) -> None:
         self._folder, self._handmade = folder, handmade
-        self._lock = read_lock(deployment_file(LOCK).decode(), f"deploy/{LOCK}")
+        pins = read_lock(deployment_file(LOCK).decode(), f"deploy/{LOCK}")
+        self._lock = [pin for pin in pins if has_zenoh or pin.name != ZENOH]
         self._payloads: dict[tuple[WheelTarget, bool], asyncio.Task[Payload]] = {}
         self._own: asyncio.Task[Path] | None = None
         folder.mkdir(parents=True, exist_ok=True)

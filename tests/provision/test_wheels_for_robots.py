@@ -138,13 +138,23 @@ def test_each_platform_is_collected_once(cache, monkeypatch, tmp_path):
     monkeypatch.setattr(wheel_cache, "run_pip", index.download)
     payload = collect(cache)
     assert index.asked == 1
-    assert len(payload.wheels) == len(needed_pins(PINS, PI)) + 1
+    assert len(payload.wheels) == len(needed_pins(PINS, PI))
+    assert not any("zenoh" in wheel.file for wheel in payload.wheels)
     assert payload.lock.count("--hash=sha256:") == len(payload.wheels)
     assert all(describe_wheel(payload.path(wheel)) == wheel for wheel in payload.wheels)
     again = WheelCache(tmp_path / "cache")
     assert collect(again).environment == payload.environment
     assert index.asked == 1
     again.close()
+
+
+def test_robots_in_a_fabric_get_its_package_too(monkeypatch, cache, tmp_path):
+    monkeypatch.setattr(wheel_cache, "run_pip", Index().download)
+    payload = collect(cache)
+    in_fabric = WheelCache(tmp_path / "fabric", has_zenoh=True)
+    more = {wheel.file for wheel in collect(in_fabric).wheels} - {wheel.file for wheel in payload.wheels}
+    assert [file.partition("-")[0] for file in more] == ["eclipse_zenoh"]
+    in_fabric.close()
 
 
 def test_a_damaged_wheel_is_collected_again(cache, monkeypatch, tmp_path):

@@ -75,7 +75,8 @@ def run(args: argparse.Namespace) -> int:
     names = list(dict.fromkeys(args.hosts or inventory.hosts))
     keys = _keys(args, names)
     started = time.monotonic()
-    cache = WheelCache(cache_dir(), args.wheels)
+    has_zenoh = inventory.zenoh is not None or bool(inventory.own_sections)
+    cache = WheelCache(cache_dir(), args.wheels, has_zenoh=has_zenoh)
     try:
         with ProvisionView(names, as_json=args.json) as view:
             robots = [_robot(inventory, inventory.hosts[name]) for name in names]
