@@ -59,7 +59,8 @@ simulate: $(VENV)/.tested
 SECONDS ?= 120
 SEED ?= 1
 chaos: $(VENV)/.tested
-	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED)
+	$$(unshare -Urm true 2>/dev/null && echo unshare -Urm) $(BIN)/python tests/chaos/run.py --seconds $(SECONDS) --seed $(SEED) \
+		$(if $(filter zenoh,$(OVER)),--zenoh)
 
 # What a refactoring must not change (tests/oracles), written anew: `git diff tests/oracles` shows what did change.
 oracles: $(VENV)/.tested

@@ -5,10 +5,11 @@ from __future__ import annotations
 import asyncio
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 from host_process import HostProcess
 from link_proxy import LinkProxy
+from networks import RouterNetwork, RouterProcess, TcpNetwork
 from small_disk import Disk
 
 #: Seconds between two faults, and for how long each lasts.
@@ -19,6 +20,8 @@ LONG = (4.0, 12.0)
 SHORT_KINDS = {"kill": 6, "kill all": 1, "stop": 3, "cut": 4, "silent": 2, "full disk": 2}
 LONG_KINDS = {"kill for good": 2, "stop the holder": 2, "cut off": 2}
 KINDS = {**SHORT_KINDS, **LONG_KINDS}
+#: Only over routers.
+ROUTER_KINDS = {"kill router": 3}
 
 
 class FaultStorm:
@@ -32,11 +35,12 @@ class FaultStorm:
         rng: random.Random,
         hosts: Sequence[HostProcess],
         disks: Sequence[Disk],
-        links: Mapping[tuple[int, int], LinkProxy],
+        network: TcpNetwork | RouterNetwork,
         holder: Callable[[], int],
     ) -> None:
-        self._rng, self._hosts, self._disks, self._links = rng, hosts, disks, links
+        self._rng, self._hosts, self._disks, self._network = rng, hosts, disks, network
         self._holder = holder
+        self._kinds = {**KINDS, **(ROUTER_KINDS if network.routers else {})}
         self.faults: Counter[str] = Counter()
         self._tasks: set[asyncio.Task[None]] = set()
 
@@ -44,7 +48,7 @@ class FaultStorm:
         """One fault after the other, until this is cancelled."""
         while True:
             await asyncio.sleep(self._rng.uniform(*BETWEEN))
-            kind = self._rng.choices(list(KINDS), list(KINDS.values()))[0]
+            kind = self._rng.choices(list(self._kinds), list(self._kinds.values()))[0]
             first, second = self._rng.sample(range(len(self._hosts)), 2)
             seconds = self._rng.uniform(*(LONG if kind in LONG_KINDS else LASTS))
             if kind in LONG_KINDS:
@@ -59,8 +63,10 @@ class FaultStorm:
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
-        for link in self._links.values():
+        for link in self._network.links:
             link.heal()
+        for router in self._network.routers:
+            router.start()
         for disk in self._disks:
             disk.free()
         for host in self._hosts:
@@ -80,13 +86,13 @@ class FaultStorm:
             case "stop the holder":
                 await self._stop(self._hosts[first], kind, seconds)
             case "cut off":
-                theirs = [link for pair, link in self._links.items() if first in pair]
-                await self._sever(theirs, kind, seconds)
+                await self._sever(self._network.links_of(first), kind, seconds)
             case "full disk":
                 await self._fill(self._disks[first], seconds)
             case "cut" | "silent":
-                both = [self._links[first, second], self._links[second, first]]
-                await self._sever(both, f"link {kind}", seconds)
+                await self._sever(self._network.links_between(first, second), f"link {kind}", seconds)
+            case "kill router":
+                await self._kill_router(self._network.routers[first % 2], seconds)
 
     async def _kill(self, hosts: Sequence[HostProcess], seconds: float, kind: str = "kill") -> None:
         killed = [host for host in hosts if host.runs]
@@ -102,6 +108,12 @@ class FaultStorm:
             host.stop()
             await asyncio.sleep(seconds)
             host.go_on()
+
+    async def _kill_router(self, router: RouterProcess, seconds: float) -> None:
+        self.faults["kill router"] += 1
+        router.kill()
+        await asyncio.sleep(seconds / 2)
+        router.start()
 
     async def _fill(self, disk: Disk, seconds: float) -> None:
         if disk.can_be_full:

@@ -1,6 +1,7 @@
 """Real processes in bad weather, judged by what the resources themselves have served.
 
     make chaos SECONDS=120            python tests/chaos/run.py --seconds 120 --seed 7
+    make chaos OVER=zenoh             the same over two linked routers, which are killed too
 
 Rounds, each a team of four hosts with a journal each and four walkers (walkers.L), two of which go on without
 their host when a majority agrees. Hosts are killed, stopped and cut off, some for longer than that takes, and
@@ -15,7 +16,6 @@ import argparse
 import asyncio
 import os
 import random
-import socket
 import statistics
 import subprocess
 import sys
@@ -29,7 +29,7 @@ from pathlib import Path
 from call_verdict import CallVerdict
 from fault_storm import FaultStorm
 from host_process import HostProcess
-from link_proxy import LinkProxy
+from networks import RouterNetwork, TcpNetwork
 from small_disk import Disk
 
 from lfield.testing.keyring import Keyring
@@ -47,7 +47,8 @@ STORM, BOUND = 30.0, 60.0
 class Round:
     """One team, from its first start to its end."""
 
-    def __init__(self, bundle: Path, folder: Path, seed: int) -> None:
+    def __init__(self, bundle: Path, folder: Path, seed: int, *, over_zenoh: bool) -> None:
+        self._over_zenoh = over_zenoh
         self._bundle, self._folder = folder / bundle.name, folder
         self.verdict = CallVerdict(dict.fromkeys((*WALKERS, *FENCED), NUMBERS))
         self._rng = random.Random(seed)
@@ -64,12 +65,10 @@ class Round:
 
     async def run(self) -> None:
         """All of it; what is wrong is in `wrong`."""
-        ports = free_ports(HOSTS)
-        pairs = [(a, b) for a in range(HOSTS) for b in range(HOSTS) if a != b]
-        links = {pair: LinkProxy(ports[pair[1]]) for pair in pairs}
-        calls = {pair: await link.open() for pair, link in links.items()}
-        self.hosts = [self._host(number, ports[number], calls) for number in range(HOSTS)]
-        storm = FaultStorm(self._rng, self.hosts, self.disks, links, self._holder)
+        network = RouterNetwork(HOSTS, self._folder) if self._over_zenoh else TcpNetwork(HOSTS)
+        await network.open()
+        self.hosts = [self._host(number, network.options(number)) for number in range(HOSTS)]
+        storm = FaultStorm(self._rng, self.hosts, self.disks, network, self._holder)
         try:
             for host in self.hosts:
                 host.start()
@@ -78,17 +77,14 @@ class Round:
         finally:
             for host in self.hosts:
                 await host.kill()
-            for link in links.values():
-                await link.close()
+            await network.close()
             for disk in self.disks:
                 disk.close()
 
-    def _host(self, number: int, port: int, calls: dict[tuple[int, int], int]) -> HostProcess:
+    def _host(self, number: int, where: list[str]) -> HostProcess:
         name = f"h{number}"
-        maps = [f"--map={name}=127.0.0.1:{port}"]
-        maps += [f"--map=h{b}=127.0.0.1:{at}" for (a, b), at in calls.items() if a == number]
         state = str(self.disks[number].folder)
-        words = ("up", str(self._bundle), "--host", name, *maps, "--state", state, *IMPATIENT)
+        words = ("up", str(self._bundle), "--host", name, *where, "--state", state, *IMPATIENT)
         words = (*words, "--keys", self._keys)
         hear = partial(self._on_line, name)
         return HostProcess(name, words, self._folder / f"{name}.log", hear)
@@ -131,17 +127,6 @@ class Round:
         self.wrong += [f"{who} is not complete {BOUND:.0f} s after the last fault" for who in missing]
         self.wrong += [f"{host} did not end with 0 when it was told to" for host in unruly]
         self.wrong += ["a traceback of Python"] * verdict.tracebacks
-
-
-def free_ports(count: int) -> list[int]:
-    """Ports of loopback that nobody listens at, below those that the system gives to callers."""
-    found: list[int] = []
-    while len(found) < count:
-        port = random.SystemRandom().randrange(20000, 32000)
-        with socket.socket() as probe:
-            if port not in found and probe.connect_ex(("127.0.0.1", port)) != 0:
-                found.append(port)
-    return found
 
 
 def built(folder: Path) -> Path:
@@ -195,14 +180,14 @@ def say_times(title: str, what: str, seconds: Sequence[float]) -> None:
         print(f"{title} {len(seconds)} {what}: {told}")
 
 
-async def rounds_for(seconds: float, seed: int, folder: Path) -> list[Round]:
+async def rounds_for(seconds: float, seed: int, folder: Path, *, over_zenoh: bool) -> list[Round]:
     """One round after the other, until so many seconds are over."""
     bundle, end, rounds = built(folder), time.monotonic() + seconds, []
     while not rounds or time.monotonic() < end:
         number = len(rounds)
         place = folder / f"round{number}"
         place.mkdir()
-        rounds.append(Round(bundle, place, seed + number))
+        rounds.append(Round(bundle, place, seed + number, over_zenoh=over_zenoh))
         await rounds[number].run()
         print(f"round {number}, seed {seed + number}: {rounds[number].wrong or 'well'}", flush=True)
     return rounds
@@ -213,11 +198,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Real processes in bad weather, judged.")
     parser.add_argument("--seconds", type=float, default=120.0, help="the last round begins before (120)")
     parser.add_argument("--seed", type=int, default=1, help="of the first round; each next has one more (1)")
+    parser.add_argument("--zenoh", action="store_true", help="over two routers of Zenoh instead of TCP")
     args = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="lfield-chaos-"))
     # Runs of others are not found, nor do commands of others find these.
     os.environ |= {"LFIELD_RUNS": "here", "XDG_RUNTIME_DIR": str(folder)}
-    return report(asyncio.run(rounds_for(args.seconds, args.seed, folder)), folder)
+    rounds = asyncio.run(rounds_for(args.seconds, args.seed, folder, over_zenoh=args.zenoh))
+    return report(rounds, folder)
 
 
 if __name__ == "__main__":
