@@ -55,6 +55,7 @@ FIGURES = {
     "watch": "page.watched",
     "exports": "page.exports",
     "radio": "radio.poor_radio",
+    "zenoh": "radio.zenoh_hops",
     "push": "radio.pushes",
 }
 

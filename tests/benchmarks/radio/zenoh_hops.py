@@ -1,0 +1,55 @@
+"""A remote portal call over a router of Zenoh, beside the same over TCP, both on loopback and in turn.
+
+The router is that of the wheel, as a process. The hosts and the bytes between them are the same: TLS runs
+from host to host.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from harness.checkout import Checkout, paced_mission
+from harness.figure import Figure
+from harness.processes import Processes, free_port
+from harness.samples import Contender
+from hops.hop import CALLS, SIZES, WARM_UP, hops
+
+#: The program of a router, of the tests of the transport, and that of the hops.
+ROUTER = Path(__file__).parents[2] / "net" / "zenoh" / "router_process.py"
+PROGRAM = Path(__file__).parents[1] / "hops" / "hop.L"
+
+
+def hops_over_zenoh(checkout: Checkout, processes: Processes) -> Contender:
+    """The coordinator of hop.L, on two hosts that reach each other by their names in a fabric."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    router = processes.start(
+        sys.executable, str(ROUTER), endpoint, environment=checkout.environment, folder=checkout.root
+    )
+    assert router.line() == "ready"
+    inventory = processes.folder() / "inventory.yaml"
+    inventory.write_text(
+        f"zenoh: {{connect: [{endpoint}]}}\n"
+        'hosts: {a: {addresses: ["zenoh:a"]}, b: {addresses: ["zenoh:b"]}}\n',
+        encoding="utf-8",
+    )
+    words = "&".join(str(word) for word in (CALLS, WARM_UP, *SIZES))
+    kept = CALLS // 2
+    agents = (f"//Post:near@a?{kept}", f"//Post:far@b?{kept}", f"//Traveller:traveller@a?{words}")
+    maps = ("--inventory", str(inventory), "--map", "a=zenoh:a:8181", "--map", "b=zenoh:b:8181")
+    return paced_mission(checkout, processes, PROGRAM, agents, options=maps)
+
+
+FIGURE = Figure(
+    "A remote portal call over a router of Zenoh, beside TCP",
+    {"lfield: a hop": hops, "lfield: a hop over Zenoh": hops_over_zenoh},
+    base=("lfield: a hop",),
+    rounds=8,
+    sizes={f"{count} B": count for count in SIZES},
+    ratios=(("lfield: a hop over Zenoh", "lfield: a hop", ""),),
+    notes=(
+        f"rounds of {CALLS} calls; a portal call is one hop; TLS 1.3 from host to host in both",
+        "the router is a process of its own, and stopped with neither",
+    ),
+    between=("lfield: a hop",),
+)
