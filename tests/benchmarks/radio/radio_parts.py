@@ -68,7 +68,8 @@ Starter = Callable[[Processes, Sequence[int]], Sequence[Lane]]
 
 def hops(checkout: Checkout, samples: int, tick: Tick, cell: str) -> Iterator[Row]:
     """Two hops of a coordinator beside requests of the same size."""
-    starters: dict[str, Starter] = {"lfield": partial(travellers, checkout)}
+    over_zenoh = partial(travellers, checkout, over_zenoh=True)
+    starters: dict[str, Starter] = {"lfield": partial(travellers, checkout), "lfield over Zenoh": over_zenoh}
     starters |= {name: peers(checkout, called, SIZE) for name, called in PEERS.items()}
     yield from _compared(f"hops, {cell}", starters, samples, tick, cell)
     tick(f"hops, {cell}, bytes")
@@ -216,12 +217,14 @@ def _seeds(cell: str, samples: int, most: int) -> range:
     return range(1, 1 + max(1, min(most, samples // SAMPLES_OF_A_LANE)))
 
 
-def travellers(checkout: Checkout, processes: Processes, seeds: Sequence[int]) -> list[Lane]:
+def travellers(
+    checkout: Checkout, processes: Processes, seeds: Sequence[int], *, over_zenoh: bool = False
+) -> list[Lane]:
     """Teams of two hosts, and a coordinator that hops from the one to the other."""
     program = (_HERE / "radio_hops.L").read_text(encoding="utf-8")
     agents = f"//Post:near@{NEAR}", f"//Post:far@{FAR}", f"//Traveller:one@{NEAR}"
     prepared = Prepared(checkout, processes, program, agents)
-    teams = [RadioTeam(prepared, seed, kept=False) for seed in seeds]
+    teams = [RadioTeam(prepared, seed, kept=False, over_zenoh=over_zenoh) for seed in seeds]
     return [Lane(team.radio, team.children[NEAR], "hops") for team in teams]
 
 

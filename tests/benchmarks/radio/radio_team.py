@@ -13,6 +13,8 @@ from lfield.testing.keyring import Keyring
 
 DESK = "desk"
 PORT = 8181
+#: The port at which peers of a fabric connect.
+FABRIC_PORT = 7447
 #: Seconds that a host has to end.
 PATIENCE = 10.0
 _CONFIG = Path("lfield") / "keys"
@@ -41,11 +43,12 @@ class Prepared:
 class RadioTeam:
     """The hosts of a mission and the desk; on a perfect radio at first.
 
-    A host that is not `kept` writes no journal: then nothing waits for a disk.
+    A host that is not `kept` writes no journal: then nothing waits for a disk. With `over_zenoh` the hosts
+    are peers in a fabric without a router, so that their packets cross the radio once, as those of TCP.
     """
 
-    def __init__(self, prepared: Prepared, seed: int, *, kept: bool) -> None:
-        self._prepared, self._kept = prepared, kept
+    def __init__(self, prepared: Prepared, seed: int, *, kept: bool, over_zenoh: bool = False) -> None:
+        self._prepared, self._kept, self._over_zenoh = prepared, kept, over_zenoh
         self.radio = prepared.processes.keep(Radio(*prepared.hosts, DESK, seed=seed))
         self._folder = prepared.processes.folder()
         self.children = {host: self._up(host) for host in prepared.hosts}
@@ -57,6 +60,20 @@ class RadioTeam:
         addresses = {host: self.radio[host].address for host in self._prepared.hosts}
         maps = [word for host, at in addresses.items() for word in ("--map", f"{host}={at}:{PORT}")]
         return [str(self._prepared.bundle), *maps]
+
+    def _network(self, host: str) -> list[str]:
+        """The options of a host that say how it reaches the others."""
+        if not self._over_zenoh:
+            return self.mission[1:]
+        hosts = self._prepared.hosts
+        others = [other for other in hosts if hosts.index(other) < hosts.index(host)]
+        connect = ", ".join(f"tcp/{self.radio[other].address}:{FABRIC_PORT}" for other in others)
+        rows = "".join(f'  {each}: {{addresses: ["zenoh:{each}"]}}\n' for each in hosts)
+        inventory = self._folder / f"{host}.inventory.yaml"
+        listen = f"tcp/{self.radio[host].address}:{FABRIC_PORT}"
+        text = f"zenoh: {{connect: [{connect}], listen: [{listen}]}}\nhosts:\n{rows}"
+        inventory.write_text(text, encoding="utf-8")
+        return ["--inventory", str(inventory)]
 
     def desk(self, *words: str) -> Child:
         """Start a Python command at the desk, which has the keys of a person who may do everything."""
@@ -77,7 +94,8 @@ class RadioTeam:
         journal = "--state", str(self._folder / host / "kept")
         memory = journal if self._kept else self._prepared.checkout.keeping_nothing
         simulated = ("--sim",) if self._prepared.simulated else ()
-        return self._start(host, "-m", "lfield", "up", *self.mission, "--host", host, *memory, *simulated)
+        words = str(self._prepared.bundle), *self._network(host), "--host", host, *memory, *simulated
+        return self._start(host, "-m", "lfield", "up", *words)
 
     def _start(self, name: str, *words: str) -> Child:
         own = self._folder / name
