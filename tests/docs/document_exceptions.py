@@ -9,6 +9,7 @@ from __future__ import annotations
 SUITE = "it would run these tests, or hours of them"
 HARDWARE = "hardware: a port or a bus of the robot"
 INSTALLS = "installs software on the system"
+NETWORK = "changes the network of the computer: tried in two network namespaces"
 SIMULATOR = "needs the autopilots' own simulators: tests/sitl runs them where they are given"
 SERVICE = "needs systemd, and a robot that is set up"
 LONG = "runs for minutes: "
@@ -30,6 +31,20 @@ KIT = "serves on a fixed port: tests/kits runs every kit against every fake"
 
 #: By page: command lines, and first lines of outputs.
 EXCEPTIONS: dict[str, dict[str, str]] = {
+    "lfield/docs/networks.md": {
+        "sudo apt-get install wireguard-tools wireguard-go": INSTALLS,
+        "sudo wireguard-go -f wg0": NETWORK,
+        "sudo wg set wg0 private-key wg.key listen-port 51820": NETWORK,
+        "sudo wg set wg0 peer ROBOT_PUB allowed-ips 10.50.0.2/32": NETWORK,
+        "sudo ip addr add 10.50.0.1/24 dev wg0": NETWORK,
+        "sudo ip link set wg0 up": NETWORK,
+        "sudo wg set wg0 private-key wg.key": NETWORK,
+        "sudo wg set wg0 peer SERVER_PUB allowed-ips 10.50.0.0/24 endpoint 192.0.2.1:51820": NETWORK,
+        "sudo wg set wg0 peer SERVER_PUB persistent-keepalive 25": NETWORK,
+        "sudo ip addr add 10.50.0.2/24 dev wg0": NETWORK,
+        "ping -c 3 10.50.0.1": NETWORK,
+        "sudo wg show wg0": NETWORK,
+    },
     "tests/oracles/README.md": {
         ".venv/bin/pytest tests/oracles": SUITE,
         ".venv/bin/pytest -n 0 tests/oracles --every-case": SUITE,
