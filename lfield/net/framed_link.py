@@ -178,7 +178,7 @@ class FramedLink:
         whole = b"".join((encode_transfer(header, block), block))
         kind, payload = self._history.encode(header.agent, memoryview(whole)[HEADER_SIZE:], self._round_trip)
         data = whole if kind == TRANSFER else frame(kind, payload)
-        self.traffic.add(TrafficKind.HOP, len(data))
+        self.traffic.counts[TrafficKind.HOP] += len(data)
         if self._withheld is not None:
             self._withheld.append(data)
         else:
@@ -229,7 +229,7 @@ class FramedLink:
 
     def _on_frame(self, kind: int, payload: memoryview) -> None:
         if kind in (TRANSFER, TRANSFER_DELTA):
-            self.traffic.add(TrafficKind.HOP, HEADER_SIZE + len(payload))
+            self.traffic.counts[TrafficKind.HOP] += HEADER_SIZE + len(payload)
         if kind == TRANSFER:
             # Copied: the payload may be a small part of a large buffer.
             self._on_transfer(bytes(payload))

@@ -12,6 +12,7 @@ from lfield.net.framed_link import FramedLink
 from lfield.net.health.tcp_options import delay_acknowledgements, read_counts, set_options, set_time_outs
 from lfield.net.peer_credentials import identity_of_caller, identity_of_listener, socket_address
 from lfield.net.scheduling.send_queue import HIGH_WATER, SendQueue
+from lfield.net.transport import is_this_computer
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -195,6 +196,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
         else:
             set_options(made)
             self._socket = made
+            if is_this_computer(self.peer):
+                super().set_round_trip(0.0)
             self.who = self._identify(self.peer)
         self._transport.set_write_buffer_limits(high=HIGH_WATER)
         self.handler = self._on_link(self)

@@ -194,6 +194,14 @@ def is_lasting(host: str) -> bool:
         return False
 
 
+def is_this_computer(address: str) -> bool:
+    """Whether the peer at an IP address with a port is on this computer."""
+    try:
+        return ip_address(split_address(address)[0]).is_loopback
+    except (AddressError, ValueError):
+        return False
+
+
 def is_number(address: str) -> bool:
     """Whether it has only IP addresses, which need no lookup."""
     try:

@@ -80,18 +80,15 @@ class TransferHistory:
 
     def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> None:
         """Keep a transfer that was sent or has arrived; `payload` must not change."""
-        self.drop(agent)
+        if (before := self._kept.pop(agent, None)) is not None:
+            self._size -= len(before[0])
         if len(payload) > MAX_KEPT:
             return
         self._kept[agent] = payload, is_sent
         self._size += len(payload)
         while self._size > MAX_KEPT:
-            self.drop(next(iter(self._kept)))
-
-    def drop(self, agent: str) -> None:
-        """Forget a coordinator; ignored if unknown."""
-        if (kept := self._kept.pop(agent, None)) is not None:
-            self._size -= len(kept[0])
+            evicted, _ = self._kept.pop(next(iter(self._kept)))
+            self._size -= len(evicted)
 
     def decode(self, payload: memoryview) -> Delta | MissingReference:
         """The delta of a frame. Raises WireError."""
