@@ -12,13 +12,14 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import EntryPoint
 
 from msgspec import structs
 
 from lfield import exit_status
 from lfield.authority.identity import ALL_RIGHTS, Identity
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.driver_index import DriverIndex
+from lfield.driver.driver_index import GROUP, DriverIndex
 from lfield.errors import JournalError, LfieldError
 from lfield.host.core import HostCore
 from lfield.host.environment import HostOptions
@@ -29,7 +30,7 @@ from lfield.host.process.shutdown_signals import ShutdownSignals
 from lfield.host.recording.recording_session import replayed_form
 from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.records import Record
-from lfield.mission.mission import Mission
+from lfield.mission.mission import Mission, with_installed_drivers
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import split_address
 from lfield.simulate.computers.event_queue import EventQueue
@@ -126,7 +127,14 @@ class Fleet:
         self.hardware: dict[str, Hardware] = {}
         plugged = (plug or plug_any_hardware)(self, mission, rng)
         at_simulation = plugged.at(mission.team.at({name: f"{name}:{PORT}" for name in names}))
-        self.mission = at_simulation if self.options.record is None else replayed_form(at_simulation)
+        is_recorded = self.options.record is not None
+        self.mission = replayed_form(at_simulation) if is_recorded else at_simulation
+        #: The mission as each host has it.
+        self._missions = {
+            name: replayed_form(found) if is_recorded else found
+            for name in names
+            for found in [_mission_of(at_simulation, name)]
+        }
         #: Running hosts; exit statuses of those that have exited.
         self.lives: dict[str, HostLife] = {}
         self.left: dict[str, int] = {}
@@ -241,7 +249,7 @@ class Fleet:
         if not self.options.keeps:
             self._known.add(name)
         transport = TcpTransport(self.mission.max_block, identify=host_at_address, busy=float)
-        host = Host(self.mission, name, transport, Logbook(book, book), options)
+        host = Host(self._missions[name], name, transport, Logbook(book, book), options)
         life = self.lives[name] = HostLife(process, host, ShutdownSignals(host.clock))
         host.machine.hooks.attach_meter(
             lambda n: process.loop.compute(self.options.slowness * (TURN + n * INSTRUCTION))
@@ -322,6 +330,14 @@ def plug_any_hardware(fleet: Fleet, mission: Mission, rng: random.Random) -> Mis
         name: replace(driver, reference=REFERENCE) for name, driver in mission.drivers.by_driver.items()
     }
     return replace(at_endpoints(mission, endpoints), drivers=DriverIndex(simulated))
+
+
+def _mission_of(mission: Mission, host: str) -> Mission:
+    """The mission as `lfield up` gives it to a host, with the drivers of its devices installed."""
+    entries = [
+        EntryPoint(driver.name, driver.reference, GROUP) for driver in mission.drivers.by_driver.values()
+    ]
+    return with_installed_drivers(mission, host, entries)
 
 
 def host_at_address(address: str) -> Identity:

@@ -40,3 +40,13 @@ def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, en
     assert found.differences == []
     assert found.digests > 100
     assert found.checkpoints >= len(team.hosts)
+
+
+@pytest.mark.parametrize("name", MISSIONS)
+def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
+    """A host has the drivers of its own devices only, but knows the devices of all hosts."""
+    mission = load_mission(EXAMPLES / name, simulate=name in SIMULATED)
+    team = run_recorded(mission, 3.0)
+    assert len(team.bundles) >= len(mission.team.hosts)
+    for host in team.with_own_bundles():
+        assert compare(host, at_checkpoints=False).differences == []
