@@ -68,14 +68,17 @@ class HostRecording:
         return self.start.host
 
     @property
-    def run(self) -> str:
-        """The run id, as of the last change."""
-        found = self.start.run
+    def runs(self) -> list[str]:
+        """The run ids that the host has had, the last one last."""
+        found = dict.fromkeys([self.start.run])
         for number in range(len(self.frames)):
             for record in self._decode(number):
-                if isinstance(record, RunIdRecord):
-                    found = record.run
-        return found
+                match record:
+                    case CheckpointRecord(runs=known):
+                        found.update(dict.fromkeys(known))
+                    case RunIdRecord(run=run):
+                        found[run] = None
+        return list(found)
 
     @property
     def started_at(self) -> float:

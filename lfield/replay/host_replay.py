@@ -101,7 +101,10 @@ class HostReplay:
         self._bytes.extend(drawn)
 
     def _number_of(self, reading: object) -> int:
-        return next(n for n, each in enumerate(self.environment.readings) if each is reading)
+        for number, each in enumerate(self.environment.readings):
+            if each is reading:
+                return number
+        raise RecordingError("a checkpoint cannot contain a reading that was not recorded")
 
     def _restore(self, checkpoint: CheckpointRecord) -> None:
         self.environment.restore(checkpoint.answers, checkpoint.readings)

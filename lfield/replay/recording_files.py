@@ -42,7 +42,7 @@ class Incarnation:
     @property
     def run(self) -> str:
         """The run id."""
-        return self.parts[-1].run
+        return self.parts[-1].runs[-1]
 
     @property
     def started_at(self) -> float:
@@ -166,7 +166,8 @@ def _runs(loaded: Sequence[Incarnation]) -> list[list[Incarnation]]:
     """Recordings that belong together: by run id, and by links between their incarnations."""
     groups: list[tuple[set[object], list[Incarnation]]] = []
     for each in loaded:
-        keys: set[object] = {each.run, *(part.start.incarnation for part in each.parts)}
+        keys: set[object] = {part.start.incarnation for part in each.parts}
+        keys.update(run for part in each.parts for run in part.runs)
         keys.update(number for part in each.parts for number in _peers(part))
         joined = [group for group in groups if group[0] & keys]
         groups = [group for group in groups if not group[0] & keys]

@@ -88,6 +88,19 @@ def test_without_its_first_file_a_replay_begins_at_the_checkpoint(team, tmp_path
     assert any("core-000002.lfrec" in problem for problem in found["problems"])
 
 
+def test_hosts_without_their_first_files_are_still_of_one_run(teams, tmp_path, capsys):
+    for number in range(2):
+        for at, team in enumerate(teams):
+            cuts = checkpoints_of(team, number)[1:3]
+            folder = write_folder(tmp_path, team, number, 1.8e9 + 1e3 * at, cuts=cuts)
+            (folder / "core-000001.lfrec").unlink()
+    found = load_team([tmp_path])
+    assert [each.host for each in found.incarnations] == ["north", "south"]
+    assert found.missing == ()
+    assert len(found.others) == 2
+    assert len({each.run for each in found.incarnations}) == 1
+
+
 def test_a_missing_file_in_the_middle_leaves_two_parts(team, tmp_path, capsys):
     places = checkpoints_of(team)
     folder = write_folder(tmp_path, team, 0, cuts=places[:2])

@@ -66,7 +66,7 @@ class FlightRecorder:
         drawn: list[bytes],
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
-        self._start, self._drawn = start, drawn
+        self._start, self._drawn, self._runs = start, drawn, [start.run]
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
@@ -132,6 +132,7 @@ class FlightRecorder:
 
     def note_run(self, run: str) -> None:
         """The run id of this host has changed."""
+        self._runs.append(run)
         self._records.append(RunIdRecord(run))
 
     def close(self, at: float) -> None:
@@ -167,6 +168,7 @@ class FlightRecorder:
             self._snapshots.capture(),
             environment.answers,
             environment.readings,
+            self._runs.copy(),
         )
         self._bytes, self._checkpoint_due = 0, now + CHECKPOINT_INTERVAL
         data = _frame([record], b"C", now)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
+from collections import Counter, OrderedDict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cached_property, partial
 from itertools import count
-from sys import modules
 from types import BuiltinMethodType, FunctionType, MethodType
 from typing import Any
 
@@ -16,14 +15,22 @@ import msgspec
 from msgspec.structs import force_setattr
 
 from lfield.errors import RecordingError
+from lfield.host.recording.snapshot_classes import (
+    class_named,
+    new_instance,
+    reference_to,
+    require_instantiable,
+)
 from lfield.vm.engine_interface import Reading
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.block_allocator import BlockAllocator
 
-#: Values that are encoded as they are; an int of more than 64 bits does not occur.
+#: Values that are encoded as they are.
 PLAIN = (bool, int, float, str, bytes, type(None))
-_CONTAINERS = (dict, list, set, deque)
-_FUNCTIONS = (FunctionType, MethodType, BuiltinMethodType, partial)
+#: Containers by the names of their classes in a snapshot.
+_CONTAINERS: dict[str, type[Any]] = {
+    each.__name__: each for each in (dict, OrderedDict, Counter, list, set, deque)
+}
 _OURS = "lfield."
 #: The memory of all blocks of a snapshot, in bytes.
 _MAX_BLOCKS = 1 << 31
@@ -33,6 +40,12 @@ def is_instance(value: object) -> bool:
     """Whether it is an object of a class of lfield, whose attributes are its state."""
     made = type(value)
     return made.__module__.startswith(_OURS) and not isinstance(value, (type, Enum, tuple, str, dict))
+
+
+def is_container(value: object) -> bool:
+    """Whether it is a container that is encoded by its elements."""
+    unbounded = not isinstance(value, deque) or value.maxlen is None
+    return unbounded and _CONTAINERS.get(type(value).__name__) is type(value)
 
 
 def is_frozen(value: object) -> bool:
@@ -52,6 +65,8 @@ def attributes(value: object) -> Iterator[tuple[str, object]]:
         slots = base.__dict__.get("__slots__", ())
         names.update((slots,) if isinstance(slots, str) else slots)
     names.update(getattr(made, "__struct_fields__", ()))
+    if isinstance(value, BaseException):
+        names.add("args")
     for name in sorted(names):
         # Such as __orig_class__, which `typing` sets.
         if name.startswith("__"):
@@ -107,6 +122,8 @@ class GraphWriter:
         #: The objects that are not known, by id, with their positions among `objects`.
         self._places: dict[int, int] = {}
         self._found: list[object] = []
+        #: The bytes of all blocks.
+        self._size = 0
 
     def state_of(self, value: object) -> Any:
         """The state of a known object; None if it cannot change."""
@@ -142,58 +159,61 @@ class GraphWriter:
 
     def _object(self, value: object) -> list[Any]:
         if isinstance(value, Block):
-            return [
-                "block",
-                bytes(memoryview(value.data)[: 8 * value.top]),
-                len(value.w),
-                value.limit,
-                value.packed,
-            ]
-        if isinstance(value, _CONTAINERS):
+            return self._block(value)
+        if is_container(value):
             return [type(value).__name__, self.state_of(value)]
-        state = [x for name, each in attributes(value) for x in (name, self.encode(each))]
-        return ["instance", class_name(type(value)), state]
+        return ["instance", require_instantiable(type(value)), self._state(value)]
+
+    def _block(self, block: Block) -> list[Any]:
+        capacity = len(block.w)
+        self._size += 8 * capacity
+        if not _has_valid_sizes(capacity, block.limit) or self._size > _MAX_BLOCKS:
+            raise RecordingError("a checkpoint cannot contain a block of this size")
+        used = bytes(memoryview(block.data)[: 8 * block.top])
+        return ["block", used, capacity, block.limit, block.packed]
 
     def encode(self, value: object) -> Any:
         """A value as plain data. Raises RecordingError if it has no encoding."""
-        if isinstance(value, PLAIN) and type(value) in PLAIN:
+        if type(value) in PLAIN:
+            if type(value) is int and not -(1 << 63) <= value < 1 << 64:
+                raise RecordingError("a checkpoint cannot contain an integer of more than 64 bits")
             return value
         if (reference := self._known.get(id(value))) is not None:
             return reference
         if isinstance(value, Enum):
-            return ["enum", class_name(type(value)), value.name]
+            return ["enum", reference_to(type(value)), _member_name(value)]
         if isinstance(value, (tuple, frozenset)):
-            kind = (
-                class_name(type(value)) if type(value).__module__.startswith(_OURS) else type(value).__name__
-            )
+            made = type(value)
+            kind = made.__name__ if made in (tuple, frozenset) else reference_to(made)
             return ["tuple", kind, [self.encode(each) for each in value]]
         if isinstance(value, Reading):
             return ["reading", self._number_of(value)]
         return self._encode_rare(value)
 
     def _encode_rare(self, value: object) -> Any:
-        if isinstance(value, (Block, *_CONTAINERS)) or is_instance(value):
+        if isinstance(value, Block) or is_container(value) or is_instance(value):
             if id(value) not in self._places:
                 self._places[id(value)] = len(self._found)
                 self._found.append(value)
             return ["object", self._places[id(value)]]
         match value:
             case type():
-                return ["type", class_name(value)]
-            case count():
+                return ["type", reference_to(value)]
+            case count() if len(value.__reduce__()[1]) == 1:
                 return ["count", next(iter(value.__reduce__()[1]))]
-            case memoryview() | bytearray():
+            case memoryview() | bytearray() | array():
                 view = memoryview(value)
-                return ["bytes", view.format, view.tobytes()]
-            case array():
-                return ["bytes", value.typecode, value.tobytes()]
-            case MethodType():
+                return [type(value).__name__, view.format, view.tobytes()]
+            case MethodType() if getattr(value.__self__, value.__func__.__name__, None) == value:
                 return ["method", self.encode(value.__self__), value.__func__.__name__]
-            case partial():
+            case partial() if not value.keywords:
                 return ["partial", self.encode(value.func), [self.encode(each) for each in value.args]]
             case str():
-                return str(value)
-        raise RecordingError(f"a checkpoint cannot contain {value!r}")
+                return ["text", reference_to(type(value)), str(value), self._state(value)]
+        raise RecordingError(f"a checkpoint cannot contain a {type(value).__name__}")
+
+    def _state(self, value: object) -> list[Any]:
+        return [x for name, each in attributes(value) for x in (name, self.encode(each))]
 
 
 class GraphReader:
@@ -243,20 +263,14 @@ class GraphReader:
                 return self._block(*row[1:])
             case "instance":
                 made: Any = class_named(row[1])
-                return None if issubclass(made, msgspec.Struct) else object.__new__(made)
-            case "dict" | "OrderedDict" | "defaultdict":
-                return {}
-            case "list":
-                return []
-            case "set":
-                return set()
-            case "deque":
-                return deque()
+                return None if issubclass(made, msgspec.Struct) else new_instance(made)
+            case str(kind) if kind in _CONTAINERS:
+                return _CONTAINERS[kind]()
         raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
 
     def _block(self, data: bytes, capacity: int, limit: int, packed: int) -> Block:
         self._free -= 8 * capacity
-        if capacity > limit + (1 << 16) or len(data) > 8 * capacity or self._free < 0:
+        if not _has_valid_sizes(capacity, limit) or len(data) > 8 * capacity or self._free < 0:
             raise RecordingError("a checkpoint has a block with wrong sizes")
         buffer = self._space.allocate(8 * capacity)
         buffer[: len(data)] = data
@@ -267,7 +281,9 @@ class GraphReader:
         if isinstance(made, dict):
             items = [self.decode(each) for each in state]
             made.clear()
-            made.update(zip(items[::2], items[1::2], strict=True))
+            # Not `update`, which counts the items of a Counter.
+            for name, value in zip(items[::2], items[1::2], strict=True):
+                made[name] = value
         elif isinstance(made, set):
             made.clear()
             made.update(self.decode(each) for each in state)
@@ -306,9 +322,15 @@ class GraphReader:
                 return self._readings[number]
             case ["count", int(start)]:
                 return count(start)
-            case ["bytes", str(kind), bytes(data)]:
+            case ["memoryview", str(format), bytes(data)]:
                 plain: Any = memoryview(bytearray(data))
-                return plain.cast(kind) if kind != "B" else data
+                return plain.cast(format) if format != "B" else data
+            case ["bytearray", _, bytes(data)]:
+                return bytearray(data)
+            case ["array", str(format), bytes(data)]:
+                return array(format, data)
+            case ["text", str(kind), str(text), list(state)]:
+                return self._text(kind, text, state)
             case ["method", owner, str(name)]:
                 return self._method(self.decode(owner), name)
             case ["partial", function, list(items)]:
@@ -320,6 +342,14 @@ class GraphReader:
             return frozenset(items)
         return tuple(items) if kind == "tuple" else tuple.__new__(class_named(kind), items)
 
+    def _text(self, kind: str, text: str, state: list[Any]) -> str:
+        made = class_named(kind)
+        if not issubclass(made, str):
+            raise RecordingError(f"a checkpoint names a class that is no text: {kind}")
+        found = str.__new__(made, text)
+        self._set_attributes(found, state)
+        return found
+
     def _method(self, owner: object, name: str) -> Any:
         found = getattr(owner, name)
         if not isinstance(found, MethodType) or not is_instance(owner):
@@ -327,17 +357,12 @@ class GraphReader:
         return found
 
 
-def class_name(made: type) -> str:
-    """The name of a class of lfield, as of `class_named`."""
-    return f"{made.__module__}:{made.__qualname__}"
+def _has_valid_sizes(capacity: int, limit: int) -> bool:
+    return capacity <= limit + (1 << 16)
 
 
-def class_named(name: str) -> type:
-    """The class of lfield with that name, of a module that is loaded. Raises RecordingError."""
-    module, _, path = name.partition(":")
-    found: Any = modules.get(module) if module.startswith(_OURS) else None
-    for part in path.split("."):
-        found = getattr(found, part, None)
-    if not isinstance(found, type) or not found.__module__.startswith(_OURS):
-        raise RecordingError(f"a checkpoint names an unknown class: {name}")
-    return found
+def _member_name(value: Enum) -> str:
+    """The name of a member of an enumeration. Raises RecordingError for a combination of flags."""
+    if value.name not in type(value).__members__:
+        raise RecordingError(f"a checkpoint cannot contain {value!r}")
+    return str(value.name)

@@ -11,7 +11,7 @@ from typing import TypeVar, cast
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
-from lfield.errors import DeviceError
+from lfield.errors import DeviceError, RecordingError
 from lfield.host.effects import Environment
 from lfield.host.recording.host_records import ReadingChange, RecordedAnswer
 from lfield.manifest import DeviceValue, Observation
@@ -87,8 +87,11 @@ class RecordedEnvironment:
         return [ReadingChange(number, *known) for number, known in enumerate(self._recorded)]
 
     def number_of(self, reading: Reading) -> int:
-        """The number of a reading that was given out."""
-        return next(number for number, each in enumerate(self._readings) if each is reading)
+        """The number of a reading that was given out. Raises RecordingError for another one."""
+        for number, each in enumerate(self._readings):
+            if each is reading:
+                return number
+        raise RecordingError("a checkpoint cannot contain a reading that was not recorded")
 
     # --- questions ------------------------------------------------------------------------------------
 
