@@ -1,7 +1,7 @@
 """The events and telemetry of a recording, in the order of their times, for exports.
 
-Events are those that the cores emit while they are replayed, log lines included. The events of devices are
-not among them: guards report them, and their telemetry is in the recordings of the guards.
+Events are those that the cores emit while they are replayed, log lines included. Those of devices and their
+telemetry are in the recordings of the guards.
 """
 
 from __future__ import annotations
@@ -19,11 +19,13 @@ from lfield.guard.recording.guard_segments import rings_in, telemetry_in
 from lfield.host.effects import WriteLog
 from lfield.host.events.portal_events import PortalEvents
 from lfield.operator.dashboard.timeline.event_timeline import Cause, DatedEvent
+from lfield.replay.device_events import device_events
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.host_replay import HostReplay
 from lfield.replay.recording_files import Incarnation, TeamRecording
 from lfield.replay.team_check import PROGRESS_TURNS, OnProgress
 from lfield.replay.team_order import TeamOrder
+from lfield.wire.events import Event
 from lfield.wire.fields import Telemetry
 
 #: Events of one turn.
@@ -40,7 +42,9 @@ def event_stream(recording: TeamRecording, on_progress: OnProgress = lambda turn
     items: list[StreamItem] = list(_events(recording, order, shifts, on_progress))
     number = 0
     for incarnation in recording.incarnations:
-        items += _telemetry(incarnation, shifts[number])
+        for paths in rings_in(incarnation.folder).values():
+            items += _samples(incarnation.host, paths, shifts[number])
+            items += _device_events(incarnation, paths, shifts[number])
         items += (
             StreamNotice(incarnation.started_at, incarnation.host, text) for text in incarnation.problems
         )
@@ -92,10 +96,12 @@ class _EventSource:
             yield DatedEvent(start.host, start.incarnation, dated, cause)
 
 
-def _telemetry(incarnation: Incarnation, shift: float) -> Iterator[TelemetrySample]:
-    """The telemetry of all guards of an incarnation."""
-    for paths in rings_in(incarnation.folder).values():
-        yield from _samples(incarnation.host, paths, shift)
+def _device_events(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[DatedEvent]:
+    start = incarnation.parts[0].start
+    for found in device_events(paths):
+        at, up = found.wall_time + shift, max(0.0, found.time - start.at)
+        # The log of the host numbers its own events from 1 on.
+        yield DatedEvent(incarnation.host, start.incarnation, Event(0, at, up, 0, found.what), None)
 
 
 def _samples(host: str, paths: Iterable[Path], shift: float) -> Iterator[TelemetrySample]:

@@ -56,6 +56,7 @@ FIGURES = {
     "exports": "page.exports",
     "radio": "radio.poor_radio",
     "push": "radio.pushes",
+    "record": "recorder.recorded",
 }
 
 #: What the picture of the README shows, in this order.

@@ -17,9 +17,11 @@ from lfield.errors import BundleError, InputFileError, RecordingError
 from lfield.host.process import host_process
 from lfield.host.recording import flight_recorder, recording_session
 from lfield.host.recording.core_snapshot import CoreSnapshots
+from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.object_graph import walk
 from lfield.host.recording.recording_target import RecordingDirectory, RecordingMemory
 from lfield.mission import bundle
+from lfield.mission.loader import load_mission
 from lfield.recording.segments import MAGIC
 from lfield.replay.recording_files import load_team
 from lfield.replay.team_check import check_team
@@ -276,4 +278,27 @@ def test_a_checkpoint_has_no_function_that_was_set_later_except_for_a_method(tmp
     core.observer = lambda: None
     with pytest.raises(RecordingError, match=r"HostCore\.observer"):
         snapshots.capture()
+    fleet.close()
+
+
+def test_what_a_host_did_is_written_although_no_turn_follows(tmp_path, monkeypatch):
+    """A killed host must not lose more than a second, also if it was idle."""
+    (tmp_path / "mission.L").write_text("resource Post { init(string[] arg) { } }")
+    (tmp_path / "mission.dL").write_text("//Post:one@north\n")
+    turns: list[float] = []
+    end_turn = FlightRecorder.end_turn
+
+    def counted(flight, effects):
+        end_turn(flight, effects)
+        turns.append(fleet.now)
+
+    monkeypatch.setattr(FlightRecorder, "end_turn", counted)
+    monkeypatch.setattr(RecordingMemory, "flush_interval", RecordingDirectory.flush_interval)
+    memory = RecordingMemory()
+    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 1, options=FleetOptions(record=memory))
+    fleet.run(30.0)
+    while not turns or fleet.now < turns[-1] + 0.5:
+        fleet.run(0.1)
+    (recording,) = recorded(fleet.mission, memory).recordings()
+    assert recording.turns == len(turns) > 0
     fleet.close()

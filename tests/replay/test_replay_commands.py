@@ -12,59 +12,20 @@ import sys
 from pathlib import Path
 
 import pytest
+from flight_of_two import PROGRAM, record_flight, write_mission
 from mcap.reader import make_reader
 
-from lfield.host.recording.recording_target import RecordingDirectory
-from lfield.mission.loader import load_mission
-from lfield.simulate.host_fleet import Fleet, FleetOptions
-
-PROGRAM = """
-resource Post {
-    Mavlink fc;
-    init(string[] arg) { }
-    portal climb(real height) emit real {
-        fc.arm();
-        fc.takeoff(height);
-        return height;
-    }
-}
-coordinator Boss {
-    init(string[] arg) {
-        real sum = 0.0;
-        sleep(2.0);
-        sum = sum + findPost("one").climb(2.0);
-        sum = sum + findPost("two").climb(3.0);
-        print("climbed " + f2s(sum, 1));
-    }
-}
-"""
 ROOT = Path(__file__).parents[2]
 #: Options for commands that would read from a terminal.
 PLAIN = {"debug flight": ("-c", "where")}
-DEPLOYMENT = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with the mission and its recordings in `records`."""
     folder = tmp_path_factory.mktemp("recorded")
-    write_mission(folder, PROGRAM)
-    mission = load_mission(folder / "mission.dL", simulate=True)
-    target = RecordingDirectory(folder / "records", 64 << 20)
-    fleet = Fleet(mission, 1, options=FleetOptions(record=target))
-    fleet.run(30.0)
-    for name in list(fleet.lives):
-        fleet.stop(name)
-    fleet.run(10.0)
-    assert any("climbed 5.0" in text for _, _, text in fleet.log)
-    fleet.close()
+    record_flight(folder, 30.0)
     return folder
-
-
-def write_mission(folder: Path, program: str) -> Path:
-    (folder / "mission.L").write_text(program)
-    (folder / "mission.dL").write_text(DEPLOYMENT)
-    return folder / "mission.dL"
 
 
 def lfield(*args: object, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -6,7 +6,7 @@ the disk or the recorder itself fails, recording ends with a log line.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from zlib import crc32
 
 from msgspec.structs import replace
@@ -19,10 +19,12 @@ from lfield.host.recording.effect_summary import encode_effects
 from lfield.host.recording.host_records import (
     BlockDigest,
     CheckpointRecord,
+    ClockState,
     EndRecord,
     FrameHeader,
     HostRecord,
     IdleTurn,
+    ReadingChange,
     RunIdRecord,
     StartRecord,
     TurnRecord,
@@ -32,10 +34,10 @@ from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordSink
 from lfield.recording.segments import frame
 from lfield.vm.memory.block import Block
-from lfield.vm.turns.run_limit import RunLimit
+from lfield.vm.turns.run_limit import UNCUT, RunLimit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 #: Seconds between two digests of the blocks, and the bytes of blocks that lengthen it by one second.
 DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
@@ -43,6 +45,10 @@ DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
 CHECKPOINT_INTERVAL, CHECKPOINT_BYTES = 60.0, 1 << 20
 #: Seconds for which records are collected, and the turns after which they are written earlier.
 BATCH_INTERVAL, BATCH_TURNS = 0.25, 256
+
+#: An empty list that is never changed.
+_NOTHING: list[Any] = []
+_NO_ENTRY: HostInput | None = None
 
 
 class TurnTime(Protocol):
@@ -54,7 +60,10 @@ class TurnTime(Protocol):
 
 
 class FlightRecorder:
-    """Records `core` into `sink`; `start` describes the incarnation."""
+    """Records `core` into `sink`; `start` describes the incarnation.
+
+    `on_pending` is called when a record waits for `write_due` or `flush` and none did before.
+    """
 
     def __init__(
         self,
@@ -64,9 +73,11 @@ class FlightRecorder:
         start: StartRecord,
         sink: RecordSink,
         drawn: list[bytes],
+        on_pending: Callable[[], None],
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
-        self._start, self._drawn, self._runs = start, drawn, [start.run]
+        self._start, self._drawn, self._on_pending = start, drawn, on_pending
+        self._runs = [start.run]
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
@@ -78,35 +89,45 @@ class FlightRecorder:
         self._batch_due = self._digest_due = 0.0
         self._checkpoint_due = start.at + CHECKPOINT_INTERVAL
         self._clock_state = self._hybrid.state
-        #: What began with the present turn.
-        self._turn = TurnRecord(0.0)
+        #: The present turn: its time, its input, whether the core is run, and what has changed before it.
+        self._at, self._entry, self._runs = 0.0, _NO_ENTRY, True
+        self._clock_change: ClockState | None = None
+        self._readings: list[ReadingChange] = []
 
     # --- turns ----------------------------------------------------------------------------------------
 
     def start_turn(self, at: float, entry: HostInput | None, *, runs: bool = True) -> None:
         """A turn begins at that time, with that input; without `runs` the core is not run."""
-        readings = self._environment.start_turn()
+        self._at, self._entry, self._runs = at, entry, runs
+        self._readings = self._environment.start_turn()
         if not self._records:
             self._batch_at = at
         state = self._hybrid.state
-        clock = None if state == self._clock_state else state
-        self._turn = TurnRecord(at, entry, None, clock, readings=readings, run=runs)  # type: ignore[arg-type]
+        self._clock_change = None if state == self._clock_state else state
 
     def end_turn(self, effects: Sequence[Effect]) -> None:
         """The turn has ended, with these effects; they are not executed yet."""
-        turn, at = self._turn, self._turn.at
+        at, entry, clock, readings = self._at, self._entry, self._clock_change, self._readings
         answers = self._environment.end_turn()
         self._clock_state = self._hybrid.state
         cuts = self._limit.drain_cuts()
         summary = encode_effects(effects) if effects else b""
-        digests = self._digests(at) if at >= self._digest_due else []
-        drawn = self._drawn.copy()
-        self._drawn.clear()
-        changes = (self._clock.wall_time, turn.clock, answers, turn.readings, drawn, cuts, summary, digests)
-        times, self._times = self._times, []
-        record = TurnRecord(at, turn.entry, *changes, turn.run, times)
+        digests = self._digests(at) if at >= self._digest_due else _NOTHING
+        drawn, times, wall = _NOTHING, _NOTHING, self._clock.wall_time
+        if self._drawn:
+            drawn = self._drawn.copy()
+            self._drawn.clear()
+        if self._times:
+            times, self._times = self._times, []
         self._turns += 1
-        self._records.append(IdleTurn(at) if record == TurnRecord(at) else record)
+        if not self._records:
+            self._on_pending()
+        is_idle = entry is None and not (answers or readings or drawn or summary or digests or times)
+        if is_idle and self._runs and cuts is UNCUT and wall is None and clock is None:
+            self._records.append(IdleTurn(at))
+            return
+        changes = wall, clock, answers, readings, drawn, cuts, summary, digests, self._runs, times
+        self._records.append(TurnRecord(at, entry, *changes))  # type: ignore[arg-type]
 
     def note_time(self, at: float) -> None:
         """The core has read the real time within the turn."""
@@ -130,9 +151,15 @@ class FlightRecorder:
         if now >= self._checkpoint_due or self._bytes >= CHECKPOINT_BYTES or self._sink.is_full:
             self._write_checkpoint(now)
 
+    def flush(self) -> None:
+        """Write what is pending."""
+        self._write_batch()
+
     def note_run(self, run: str) -> None:
         """The run id of this host has changed."""
         self._runs.append(run)
+        if not self._records:
+            self._on_pending()
         self._records.append(RunIdRecord(run))
 
     def close(self, at: float) -> None:

@@ -58,7 +58,9 @@ class RecordedEnvironment:
     def start_turn(self) -> list[ReadingChange]:
         """A turn begins; returns the readings that have changed since the last one."""
         self._in_turn = True
-        changed = []
+        changed: list[ReadingChange] = []
+        if not self._readings:
+            return changed
         for number, (reading, known) in enumerate(zip(self._readings, self._recorded, strict=True)):
             now = reading.word, reading.until
             if now != known:

@@ -72,6 +72,7 @@ class RecordingSession:
     ) -> None:
         self._target, self._mission, self.run = target, mission, run
         self._note, self._loop = note, asyncio.get_running_loop()
+        self._timer: asyncio.TimerHandle | None = None
         #: The recorder, None without a recording.
         self.flight: FlightRecorder | None = None
         self._environment: RecordedEnvironment | None = None
@@ -115,17 +116,17 @@ class RecordingSession:
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle = encode(self._mission)
+        bundle, wall_time = encode(self._mission), clock.time()
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
+        at = core.name, core.incarnation, wall_time
         try:
-            sink = self._target.open_sink(
-                core.name, core.incarnation, clock.time(), bundle, self._on_failure_elsewhere
-            )
+            sink = self._target.open_sink(*at, bundle, self._on_failure_elsewhere)
         except LfieldError as error:
             self._on_failure(str(error))
             return
-        self.flight = FlightRecorder(core, clock, self._environment, start, sink, self._drawn)
+        given = self._environment, start, sink, self._drawn, self._on_pending
+        self.flight = FlightRecorder(core, clock, *given)
 
     def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
         context, release = core.context, self._mission.release
@@ -157,13 +158,33 @@ class RecordingSession:
         try:
             self.flight.write_due(now)
         except Exception as error:
-            # A fault of the recorder must not end the host.
-            self._on_failure(f"{type(error).__name__}: {error}")
+            self._on_fault(error)
 
     def close(self, now: float) -> None:
         """The host ends in order."""
+        if self._timer is not None:
+            self._timer.cancel()
         if self.flight is not None:
             self.flight.close(now)
+
+    def _on_pending(self) -> None:
+        # The next turn that calls `write_due` may be minutes away.
+        interval = None if self._target is None else self._target.flush_interval
+        if self._timer is None and interval is not None:
+            self._timer = self._loop.call_later(interval, self._flush)
+
+    def _flush(self) -> None:
+        self._timer = None
+        if self.flight is None:
+            return
+        try:
+            self.flight.flush()
+        except Exception as error:
+            self._on_fault(error)
+
+    def _on_fault(self, error: Exception) -> None:
+        """A fault of the recorder, which must not end the host."""
+        self._on_failure(f"{type(error).__name__}: {error}")
 
     def _on_failure_elsewhere(self, reason: str) -> None:
         with suppress(RuntimeError):  # the loop has ended

@@ -56,6 +56,10 @@ class MemorySink:
 class RecordingTarget(Protocol):
     """Opens the recordings of incarnations."""
 
+    @property
+    def flush_interval(self) -> float | None:
+        """Seconds after which records are written although no turn follows; None for no such limit."""
+
     def open_sink(
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
     ) -> RecordSink:
@@ -71,6 +75,8 @@ class RecordingTarget(Protocol):
 
 class RecordingDirectory:
     """Recordings as folders in `parent`, each with at most `limit` bytes."""
+
+    flush_interval = 0.25
 
     def __init__(self, parent: Path, limit: int) -> None:
         self._parent, self._limit = parent, limit
@@ -96,7 +102,12 @@ class RecordingDirectory:
 
 
 class RecordingMemory:
-    """Recordings in memory, by host and incarnation, in the order of their starts."""
+    """Recordings in memory, by host and incarnation, in the order of their starts.
+
+    They wake no host, so that a simulation runs as without them.
+    """
+
+    flush_interval = None
 
     def __init__(self) -> None:
         self.sinks: list[tuple[str, int, MemorySink]] = []

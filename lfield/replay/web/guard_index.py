@@ -8,20 +8,17 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import msgspec
-
 from lfield.errors import RecordingError
-from lfield.guard.messages import MESSAGES, Latched, Moving, Released
-from lfield.guard.recording.guard_records import NOTIFY, InputRecord, NoteRecord
-from lfield.guard.recording.guard_segments import TelemetryValue, read_segments, rings_in, telemetry_in
+from lfield.guard.recording.guard_segments import TelemetryValue, rings_in, telemetry_in
 from lfield.manifest import DeviceValue
 from lfield.operator.team_model.team_contents import TeamContents
 from lfield.operator.team_model.team_state import agent_of
 from lfield.replay.debugger.team_timeline import TeamTimeline
+from lfield.replay.device_events import DeviceEvent, device_events
 from lfield.replay.recording_files import TeamRecording
 from lfield.replay.web.recorded_events import EventIndex
 from lfield.replay.web.vehicle_tracks import VehicleTracks
-from lfield.wire import events
+from lfield.wire.events import Event
 
 #: The meanings of quantities that the page shows; others are not kept.
 _SHOWN = ("place", "earth", "heading", "speed", "height", "battery", "mode", "armed")
@@ -73,15 +70,9 @@ class GuardIndex:
         for value in telemetry_in(paths):
             self._add_value(numbers, value)
             yield
-        for segment in read_segments(paths):
-            for record in segment.records:
-                match record:
-                    case InputRecord(at, _, decisions):
-                        for what in _safe_state_events(decisions):
-                            self._add_event(numbers, at, what)
-                    case NoteRecord(at, _, text, code, level):
-                        self._add_event(numbers, at, events.LineLogged(text, code, level))
-                yield
+        for event in device_events(paths):
+            self._add_event(numbers, event)
+            yield
 
     def values_at(self, device: str, time: float) -> tuple[dict[str, DeviceValue], float] | None:
         """The values of a device at a time, and the age of the newest; None without any."""
@@ -112,12 +103,12 @@ class GuardIndex:
         if value.quantity in (instruments.place, instruments.earth):
             self.tracks.add(agent_of(value.device), value.device, value.quantity, time, value.value)
 
-    def _add_event(self, numbers: list[int], at: float, what: events.StateEvent) -> None:
-        number, time = self._team_time(numbers, at)
+    def _add_event(self, numbers: list[int], event: DeviceEvent) -> None:
+        number, time = self._team_time(numbers, event.time)
         start = self._team.hosts[number].recording.start
-        wall, up = start.wall + at - start.at, max(0.0, at - start.at)
+        up = max(0.0, event.time - start.at)
         # Events of a number up to 0 would be those before a snapshot.
-        self._index.add(time, number, events.Event(1, wall, up, 0, what))
+        self._index.add(time, number, Event(1, start.wall + event.time - start.at, up, 0, event.what))
 
     def _team_time(self, numbers: list[int], at: float) -> tuple[int, float]:
         """The recording that was made at a time of the host's clock, and the time of the team."""
@@ -125,19 +116,3 @@ class GuardIndex:
         number = max((n for n in numbers if hosts[n].ats[0] <= at), default=numbers[0])
         turn = max(0, bisect_right(hosts[number].ats, at) - 1)
         return number, times[number][turn] + at - hosts[number].ats[turn]
-
-
-_LATCHED, _RELEASED, _MOVING = (NOTIFY + MESSAGES.index(kind) for kind in (Latched, Released, Moving))
-
-
-def _safe_state_events(decisions: msgspec.Raw) -> Iterator[events.StateEvent]:
-    """The events of devices in the decisions of a guard."""
-    decoded = msgspec.msgpack.decode(decisions)
-    for kind, *fields in decoded if isinstance(decoded, list) else ():
-        if kind == _LATCHED:
-            device, reason, is_confirmed = fields[:3]
-            yield (events.SafeStateConfirmed if is_confirmed else events.DeviceLatched)(device, "", reason)
-        elif kind == _RELEASED:
-            yield events.DeviceReleased(fields[0])
-        elif kind == _MOVING:
-            yield events.DeviceMoving(fields[0], fields[1])

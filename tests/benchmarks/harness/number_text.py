@@ -11,7 +11,7 @@ def number_text(number: float, unit: str) -> str:
     if unit == SECONDS:
         return _seconds(number)
     if unit == BYTES:
-        return f"{number / 1e6:.1f} MB"
+        return f"{number / 1e6:.1f} MB" if number >= 1e6 else f"{number / 1e3:.1f} kB"
     if unit == TIMES:
         return times(number)
     return f"{number:g}" if unit == COUNT else f"{number:.2f} {unit}"

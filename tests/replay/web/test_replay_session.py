@@ -65,10 +65,10 @@ def test_a_latch_and_a_note_of_a_guard_are_shown(shown):
     shown.go("time", seconds=5.0)
     (device,) = shown.state.vehicles["one"].devices
     assert (device.latched, device.confirmed) == ("the battery is empty", True)
-    assert "battery at 3 %" in [line.text for line in shown.state.log]
+    assert "one.fc: battery at 3 %" in [line.text for line in shown.state.log]
     shown.go("time", seconds=3.5)
     assert not shown.state.vehicles["one"].latched
-    assert "battery at 3 %" not in [line.text for line in shown.state.log]
+    assert "one.fc: battery at 3 %" not in [line.text for line in shown.state.log]
 
 
 def test_a_log_has_another_epoch_after_a_move_back(shown):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from flight_of_two import record_flight
 
 from lfield.clock import ManualClock
 from lfield.guard.core import GuardCore
@@ -21,35 +22,11 @@ from lfield.guard.recording.guard_records import (
     framed,
     recorded_device,
 )
-from lfield.host.recording.recording_target import RecordingDirectory
-from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
 from lfield.recording.folders import SUFFIX, guard_folder
 from lfield.recording.segments import MAGIC
 from lfield.replay.recording_files import TeamRecording, load_team
-from lfield.simulate.host_fleet import Fleet, FleetOptions
 
-PROGRAM = """
-resource Post {
-    Mavlink fc;
-    init(string[] arg) { }
-    portal climb(real height) emit real {
-        fc.arm();
-        fc.takeoff(height);
-        return height;
-    }
-}
-coordinator Boss {
-    init(string[] arg) {
-        real sum = 0.0;
-        sleep(2.0);
-        sum = sum + findPost("one").climb(2.0);
-        sum = sum + findPost("two").climb(3.0);
-        print("climbed " + f2s(sum, 1));
-    }
-}
-"""
-DEPLOYMENT = "//Post:one@alpha\n//Post:two@bravo\n//Boss:boss@alpha\n"
 #: Seconds after the start at which the guard's recording has positions (north), and where its device latches.
 NORTH = {1.0: 0.0, 2.0: 4.0, 3.0: 8.0}
 LATCHED_AT = 4.0
@@ -59,16 +36,7 @@ LATCHED_AT = 4.0
 def records(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with the recordings of two hosts, and of the guard of one.fc."""
     folder = tmp_path_factory.mktemp("replayed")
-    (folder / "mission.L").write_text(PROGRAM)
-    (folder / "mission.dL").write_text(DEPLOYMENT)
-    mission = load_mission(folder / "mission.dL", simulate=True)
-    target = RecordingDirectory(folder / "records", 64 << 20)
-    fleet = Fleet(mission, 1, options=FleetOptions(time_of_day=1.8e9, record=target))
-    fleet.run(8.0)
-    for name in list(fleet.lives):
-        fleet.stop(name)
-    fleet.run(4.0)
-    fleet.close()
+    mission = record_flight(folder, 8.0, time_of_day=1.8e9)
     for path in (folder / "records").glob(f"*/guard-*/*{SUFFIX}"):
         path.unlink()
     (alpha,) = (folder / "records").glob("alpha-*")
