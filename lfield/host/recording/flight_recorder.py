@@ -77,7 +77,7 @@ class FlightRecorder:
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
         self._start, self._drawn, self._on_pending = start, drawn, on_pending
-        self._runs = [start.run]
+        self._run_ids = [start.run]
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
@@ -157,7 +157,7 @@ class FlightRecorder:
 
     def note_run(self, run: str) -> None:
         """The run id of this host has changed."""
-        self._runs.append(run)
+        self._run_ids.append(run)
         if not self._records:
             self._on_pending()
         self._records.append(RunIdRecord(run))
@@ -195,7 +195,7 @@ class FlightRecorder:
             self._snapshots.capture(),
             environment.answers,
             environment.readings,
-            self._runs.copy(),
+            self._run_ids.copy(),
         )
         self._bytes, self._checkpoint_due = 0, now + CHECKPOINT_INTERVAL
         data = _frame([record], b"C", now)

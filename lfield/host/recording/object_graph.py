@@ -183,7 +183,7 @@ class GraphWriter:
         if isinstance(value, Enum):
             return ["enum", reference_to(type(value)), _member_name(value)]
         if isinstance(value, (tuple, frozenset)):
-            made = type(value)
+            made: type[Any] = type(value)
             kind = made.__name__ if made in (tuple, frozenset) else reference_to(made)
             return ["tuple", kind, [self.encode(each) for each in value]]
         if isinstance(value, Reading):
