@@ -162,7 +162,8 @@ class GraphWriter:
             return self._block(value)
         if is_container(value):
             return [type(value).__name__, self.state_of(value)]
-        return ["instance", require_instantiable(type(value)), self._state(value)]
+        made: Any = type(value)
+        return ["instance", require_instantiable(made), self._state(value)]
 
     def _block(self, block: Block) -> list[Any]:
         capacity = len(block.w)
@@ -183,7 +184,7 @@ class GraphWriter:
         if isinstance(value, Enum):
             return ["enum", reference_to(type(value)), _member_name(value)]
         if isinstance(value, (tuple, frozenset)):
-            made: type[Any] = type(value)
+            made: Any = type(value)
             kind = made.__name__ if made in (tuple, frozenset) else reference_to(made)
             return ["tuple", kind, [self.encode(each) for each in value]]
         if isinstance(value, Reading):
