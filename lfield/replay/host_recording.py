@@ -7,6 +7,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 from lfield.errors import RecordingError
+from lfield.host.recording.effect_summary import decode_effects
 from lfield.host.recording.host_records import (
     AnyRecord,
     CheckpointRecord,
@@ -151,3 +152,15 @@ class HostRecording:
 
     def _raise_empty(self) -> StartRecord:
         raise RecordingError("its first record is neither the start of a host nor a checkpoint")
+
+
+def require_valid(data: bytes) -> None:
+    """Raise RecordingError if the content of a frame cannot be used: no part of it is decoded later."""
+    header = header_of(data)
+    records = decode_frame(data)
+    turns = [record for record in records if isinstance(record, Turn)]
+    if len(turns) != header.turns:
+        raise RecordingError("its header counts other turns than it has")
+    for record in turns:
+        if isinstance(record, TurnRecord):
+            decode_effects(record.effects)

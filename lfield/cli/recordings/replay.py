@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.recordings.program_check import check_program
+from lfield.cli.recordings.program_check import check_program, gap_lines
 
 if TYPE_CHECKING:
     from lfield.replay.recording_files import TeamRecording
@@ -63,15 +63,14 @@ def run(args: argparse.Namespace) -> int:
 
     recording = load_team(args.paths, args.bundle)
     if args.program is not None:
-        if not args.json:
-            print("\n".join(gap_lines(recording)), end="\n" * bool(gap_lines(recording)))
         return check_program(recording, args.program, named_engine(args.engine), as_json=args.json)
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
     with replay_progress(turns, quiet=args.json) as on_progress:
         result = check_team(recording, named_engine(args.engine), on_progress)
     guards, problems = check_guards(recording)
     result = ReplaySummary([*result.parts, *guards])
-    recording = replace(recording, problems=(*recording.problems, *problems))
+    # Reading a guard's ring finds what loading it has found, and more.
+    recording = replace(recording, problems=tuple(dict.fromkeys((*recording.problems, *problems))))
     if args.json:
         print(json.dumps(_as_data(recording, result)))
     else:
@@ -134,7 +133,7 @@ def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, objec
 
 def _print(recording: TeamRecording, result: ReplaySummary) -> None:
     for part in result.parts:
-        state = "differs" if part.differences else "equal"
+        state = "differs" if part.differences else "equal" if part.digests else "nothing to compare"
         if part.guard:
             print(f"{part.host}: guard of {part.guard}: {part.digests} decisions: {state}")
             continue
@@ -143,16 +142,6 @@ def _print(recording: TeamRecording, result: ReplaySummary) -> None:
         print(line)
     if result.first is not None:
         print("\n".join(difference_lines(result.first)))
-
-
-def gap_lines(recording: TeamRecording) -> list[str]:
-    """What is missing of a recording, a line each."""
-    lines = [f"incomplete: {problem}" for problem in recording.problems]
-    if recording.missing:
-        lines.append(f"no recording of: {', '.join(recording.missing)}")
-    if recording.others:
-        lines.append(f"not used, of other runs: {', '.join(path.name for path in recording.others)}")
-    return lines
 
 
 def difference_lines(first: FirstDifference) -> list[str]:
