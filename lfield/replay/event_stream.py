@@ -112,7 +112,7 @@ class _EventSource:
         for event in found:
             self._latest = event.number
             cause = Cause(start.host, start.incarnation, event.cause) if event.cause else None
-            yield DatedEvent(start.host, start.incarnation, replace(event, at=time), cause)
+            yield DatedEvent(start.host, start.incarnation, replace(event, at=time, ahead=0, tick=0), cause)
 
 
 def _device_events(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[DatedEvent]:

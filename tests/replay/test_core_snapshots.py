@@ -77,6 +77,7 @@ def copy_of(value: object) -> Any:
         Counter(a=2, b=1),
         OrderedDict(b=1, a=2),
         {"b": [1, 2.5, None], (1, "x"): {1, 2}},
+        defaultdict(list, {"a": [1]}),
         deque([1, 2]),
         frozenset({1, 2}),
         bytearray(b"ab"),
@@ -94,6 +95,7 @@ def test_a_value_is_restored_with_its_class(value: Any) -> None:
     found = copy_of(value)
     assert type(found) is type(value)
     assert found == value
+    assert getattr(found, "default_factory", None) is getattr(value, "default_factory", None)
     if isinstance(value, OrderedDict):
         found.move_to_end("b")
         assert list(found) == ["a", "b"]
@@ -120,7 +122,7 @@ def local_object() -> object:
 @pytest.mark.parametrize(
     "value",
     [
-        defaultdict(list),
+        defaultdict(int),
         deque([1], maxlen=2),
         ThreadPlaces(),
         local_object(),

@@ -14,7 +14,10 @@ from pathlib import Path
 
 import pytest
 
+from lfield.recording.folders import CORE_SHARE
 from lfield.replay.recording_files import load_team
+from lfield.replay.team_check import check_guards, check_team
+from lfield.testing.driver_bench import running_fake
 
 pytestmark = pytest.mark.process
 
@@ -35,16 +38,55 @@ coordinator Walker {
     }
 }
 """
+#: A coordinator with 8 kB of new random numbers in each hop, which compression does not make small.
+CARRIER = """
+resource Post {
+    init(string[] arg) { }
+    portal visit() { }
+}
+coordinator Walker {
+    init(string[] arg) {
+        int[] load = new int[1000];
+        int word = 12345;
+        for (int hop = 0; hop < 400; hop = hop + 1) {
+            for (int i = 0; i < load.length(); i = i + 1) {
+                word = word * 16807 % 2147483647;
+                load[i] = word;
+            }
+            if (hop % 2 == 0) findPost("south").visit(); else findPost("north").visit();
+        }
+        print(load[0]);
+    }
+}
+"""
+AXIS = """
+resource Winch {
+    CanAxis axis;
+    init(string[] arg) { }
+    portal start() {
+        axis.enable();
+        print("enabled");
+    }
+}
+coordinator Boss {
+    init(string[] arg) { findWinch("winch").start(); }
+}
+"""
 DEPLOYMENT = "//Post:north@north\n//Post:south@south\n//Walker:walker@north\n"
 #: A killed process loses at most so many seconds.
 MAX_LOSS = 1.0
 
 
-def start(folder: Path, rounds: int, *options: str) -> subprocess.Popen[str]:
-    (folder / "mission.L").write_text(WALKER.replace("//rounds", str(rounds)))
+def start(folder: Path, rounds: int, *options: str, program: str = WALKER) -> subprocess.Popen[str]:
+    (folder / "mission.L").write_text(program.replace("//rounds", str(rounds)))
     (folder / "mission.dL").write_text(DEPLOYMENT)
     command = [sys.executable, "-m", "lfield", "up", "mission.dL", "--all", *options]
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+
+
+def run(*words: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "lfield", *words]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=60)
 
 
 def host_process(parent: int, host: str) -> int:
@@ -77,10 +119,7 @@ def test_a_killed_host_loses_at_most_a_second(tmp_path: Path) -> None:
             if path.is_file():
                 assert b"PRIVATE KEY" not in path.read_bytes()
     assert at - MAX_LOSS <= ends["south"] <= at + 0.1
-    ran = subprocess.run(
-        [sys.executable, "-m", "lfield", "replay", "records", "--json"],
-        cwd=tmp_path, capture_output=True, text=True, timeout=60,
-    )  # fmt: skip
+    ran = run("replay", "records", "--json", cwd=tmp_path)
     found = json.loads(ran.stdout)
     assert (ran.returncode, found["differences"]) == (0, 0)
     assert found["digests"] > 20
@@ -93,3 +132,47 @@ def test_a_mission_goes_on_without_the_folder_of_its_recording(tmp_path: Path) -
     output, _ = running.communicate(timeout=60)
     assert running.returncode == 0, output
     assert len(re.findall(r"the recording of (north|south) ended: ", output)) == 2
+
+
+def test_a_recording_stays_within_its_limit_and_what_is_left_is_replayed(tmp_path: Path) -> None:
+    running = start(
+        tmp_path, 0, "--record", "records", "--record-limit", "1", "--until-done", program=CARRIER
+    )
+    output, _ = running.communicate(timeout=60)
+    assert running.returncode == 0, output
+    team = load_team([tmp_path / "records"])
+    assert len(team.incarnations) == 2
+    for each in team.incarnations:
+        files = sorted(each.folder.glob("core-*.lfrec"))
+        assert files[0].name != "core-000001.lfrec"
+        assert sum(path.stat().st_size for path in files) <= CORE_SHARE * (1 << 20)
+        assert not each.parts[0].is_from_start
+    found = check_team(team)
+    assert (found.differences, found.first) == (0, None)
+    assert found.digests > 20
+
+
+@pytest.mark.parametrize("options", [(), ("--no-record",)])
+def test_on_hardware_a_recording_is_the_default(tmp_path: Path, options: tuple[str, ...]) -> None:
+    """The device is simulated, but lfield does not know: the driver reaches it over a real wire."""
+    (tmp_path / "mission.L").write_text(AXIS)
+    (tmp_path / "mission.dL").write_text("//Winch:winch@here\n//Boss:boss@here\n")
+    words = ("up", "mission.dL", "--all", "--state", "state", "--until-done", *options)
+    with running_fake("can", "--device", "odrive:3") as fake:
+        (tmp_path / "mission.devices.yaml").write_text(
+            "agents: {winch: {devices: {axis: {driver: can, protocol: odrive, node: 3, "
+            f'endpoint: "{fake.endpoint}", waivers: [no_homing, device_watchdog]}}}}}}}}\n'
+        )
+        ran = run(*words, cwd=tmp_path)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "enabled" in ran.stderr
+    records = tmp_path / "state/recordings"
+    assert records.exists() is not bool(options)
+    if options:
+        return
+    team = load_team([records])
+    (results, problems) = check_guards(team)
+    assert ([each.differences for each in results], problems) == ([0], [])
+    assert check_team(team).differences == 0
+    (folder,) = (each.folder for each in team.incarnations)
+    assert list(folder.glob("guard-winch.axis/wire-*.candump.log"))

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 
 from lfield.host.core import HostCore
 from lfield.host.effects import Effect
-from lfield.host.inputs import HostInput
+from lfield.host.inputs import HostInput, TransferArrived
 from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import encode_effects
 from lfield.host.recording.host_records import (
@@ -43,8 +43,9 @@ if TYPE_CHECKING:
 DIGEST_INTERVAL, BYTES_PER_SECOND = 0.1, 5e6
 #: Seconds between two checkpoints, and the bytes of records after which one is made earlier.
 CHECKPOINT_INTERVAL, CHECKPOINT_BYTES = 60.0, 1 << 20
-#: Seconds for which records are collected, and the turns after which they are written earlier.
-BATCH_INTERVAL, BATCH_TURNS = 0.25, 256
+#: Seconds for which records are collected; the turns, and the bytes of arrived blocks, after which they are
+#: written earlier: a file ends between two batches.
+BATCH_INTERVAL, BATCH_TURNS, BATCH_BYTES = 0.25, 256, 1 << 16
 
 #: An empty list that is never changed.
 _NOTHING: list[Any] = []
@@ -81,7 +82,8 @@ class FlightRecorder:
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
-        self._bytes = self._turns = 0
+        #: The bytes since the last checkpoint, and those of the blocks in `_records`.
+        self._bytes = self._block_bytes = self._turns = 0
         #: The time of the first turn of this batch.
         self._batch_at = start.at
         self._times: list[float] = []
@@ -122,6 +124,8 @@ class FlightRecorder:
         self._turns += 1
         if not self._records:
             self._on_pending()
+        if isinstance(entry, TransferArrived):
+            self._block_bytes += len(entry.block)
         is_idle = entry is None and not (answers or readings or drawn or summary or digests or times)
         if is_idle and self._runs and cuts is UNCUT and wall is None and clock is None:
             self._records.append(IdleTurn(at))
@@ -144,7 +148,7 @@ class FlightRecorder:
 
     def write_due(self, now: float) -> None:
         """Between two turns: write what is due."""
-        if now < self._batch_due and len(self._records) < BATCH_TURNS:
+        if now < self._batch_due and len(self._records) < BATCH_TURNS and self._block_bytes < BATCH_BYTES:
             return
         self._batch_due = now + BATCH_INTERVAL
         self._write_batch()
@@ -175,6 +179,7 @@ class FlightRecorder:
         if not self._records:
             return
         records, self._records = self._records, []
+        self._block_bytes = 0
         if not self._is_started:
             self._is_started = True
             metered = self._core.machine.hooks.meter is not None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from array import array
-from collections import Counter, OrderedDict, deque
+from collections import Counter, OrderedDict, defaultdict, deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cached_property, partial
@@ -27,9 +27,10 @@ from lfield.vm.memory.block_allocator import BlockAllocator
 
 #: Values that are encoded as they are.
 PLAIN = (bool, int, float, str, bytes, type(None))
-#: Containers by the names of their classes in a snapshot.
-_CONTAINERS: dict[str, type[Any]] = {
-    each.__name__: each for each in (dict, OrderedDict, Counter, list, set, deque)
+#: Makes an empty container of each kind.
+_CONTAINERS: Mapping[str, Callable[[], Any]] = {
+    **{kind.__name__: kind for kind in (dict, OrderedDict, Counter, list, set, deque)},
+    "defaultdict": partial(defaultdict, list),
 }
 _OURS = "lfield."
 #: The memory of all blocks of a snapshot, in bytes.
@@ -44,8 +45,12 @@ def is_instance(value: object) -> bool:
 
 def is_container(value: object) -> bool:
     """Whether it is a container that is encoded by its elements."""
-    unbounded = not isinstance(value, deque) or value.maxlen is None
-    return unbounded and _CONTAINERS.get(type(value).__name__) is type(value)
+    make = _CONTAINERS.get(type(value).__name__)
+    if make is None or type(made := make()) is not type(value):
+        return False
+    return all(
+        getattr(value, name, None) is getattr(made, name, None) for name in ("maxlen", "default_factory")
+    )
 
 
 def is_frozen(value: object) -> bool:
