@@ -100,9 +100,9 @@ class _EventSource:
             text = f"the recording cannot be replayed from turn {number} on: {reason}"
             yield StreamNotice(time, start.host, text)
             return
-        yield from self._events_of(turn, time)
+        yield from self._events_of(turn)
 
-    def _events_of(self, turn: ReplayedTurn, time: float) -> Iterator[DatedEvent]:
+    def _events_of(self, turn: ReplayedTurn) -> Iterator[DatedEvent]:
         start, recorder = self._recording.start, self._replay.core.recorder
         for effect in turn.effects:
             if isinstance(effect, WriteLog) and not effect.is_recorded:
@@ -112,6 +112,7 @@ class _EventSource:
         for event in found:
             self._latest = event.number
             cause = Cause(start.host, start.incarnation, event.cause) if event.cause else None
+            time = start.wall + event.up + self._shift
             yield DatedEvent(start.host, start.incarnation, replace(event, at=time, ahead=0, tick=0), cause)
 
 

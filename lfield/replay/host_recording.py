@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
+from operator import attrgetter
 from typing import NamedTuple
 
 from lfield.errors import RecordingError
@@ -15,11 +16,13 @@ from lfield.host.recording.host_records import (
     FrameHeader,
     IdleTurn,
     RunIdRecord,
+    ShellEventRecord,
     StartRecord,
     TurnRecord,
     decode_frame,
     header_of,
 )
+from lfield.wire.events import StateEvent
 
 Turn = IdleTurn | TurnRecord
 #: Decoded frames that are kept.
@@ -32,6 +35,13 @@ class IndexedFrame(NamedTuple):
     header: FrameHeader
     data: bytes
     turn: int
+
+
+class OutsideEvent(NamedTuple):
+    """An event that the core did not make, and its time on the monotonic clock of the host."""
+
+    at: float
+    what: StateEvent
 
 
 class HostRecording:
@@ -61,12 +71,23 @@ class HostRecording:
         #: Whether it has the start of the incarnation.
         self.is_from_start = isinstance(first[0], StartRecord)
         last = self._decode(len(self.frames) - 1)
+        #: The events that a replay of the core does not make.
+        self.outside_events = [
+            OutsideEvent(record.at, record.what)
+            for number in range(len(self.frames))
+            for record in self._decode(number)
+            if isinstance(record, ShellEventRecord)
+        ]
         self.gap = "" if last and isinstance(last[-1], EndRecord) else gap or "its end is missing"
 
     @property
     def host(self) -> str:
         """The name of the host."""
         return self.start.host
+
+    def add_outside_events(self, found: Iterable[OutsideEvent]) -> None:
+        """Add events of the host from another recording, as that of a guard."""
+        self.outside_events = sorted([*self.outside_events, *found], key=attrgetter("at"))
 
     @property
     def runs(self) -> list[str]:

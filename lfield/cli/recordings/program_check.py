@@ -59,6 +59,14 @@ def _unknown_reason(recording: TeamRecording, recorded: CallLog) -> str:
     return "" if recorded.count else "the recorded program makes no portal or device call"
 
 
+def utc_time(at: float, digits: int) -> str:
+    """The time of day of seconds since 1970, with digits of the second."""
+    try:
+        return time.strftime("%H:%M:%S", time.gmtime(at)) + f"{at % 1:.{digits}f}"[1:]
+    except (OverflowError, ValueError, OSError):  # a damaged recording
+        return f"{at:g} s"
+
+
 def gap_lines(recording: TeamRecording) -> list[str]:
     """What is missing of a recording, a line each."""
     lines = [f"incomplete: {problem}" for problem in recording.problems]
@@ -129,7 +137,7 @@ def _lines(
     if difference is None:
         whole = ", which is incomplete" if recording.problems else ""
         return [f"{path}: the same {recorded.count} calls as in the recording{whole}"]
-    at = time.strftime("%H:%M:%S", time.gmtime(difference.at)) + f"{difference.at % 1:.3f}"[1:]
+    at = utc_time(difference.at, 3)
     return [
         f"{path}: other calls than in the recording, from call {difference.number} of {difference.agent} on, "
         f"at {at} UTC",

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.recordings.program_check import check_program, gap_lines
+from lfield.cli.recordings.program_check import check_program, gap_lines, utc_time
 
 if TYPE_CHECKING:
     from lfield.replay.recording_files import TeamRecording
@@ -146,11 +146,9 @@ def _print(recording: TeamRecording, result: ReplaySummary) -> None:
 
 def difference_lines(first: FirstDifference) -> list[str]:
     """The lines that show a difference."""
-    import time
-
     from lfield.replay.team_check import plain
 
-    at = time.strftime("%H:%M:%S", time.gmtime(first.at)) + f"{first.at % 1:.6f}"[1:]
+    at = utc_time(first.at, 6)
     who = f", {first.agent} at {first.place}" if first.place else ""
     return [
         f"first difference: {first.host} at {at} UTC, turn {first.turn}{who}: {first.what}",

@@ -46,6 +46,10 @@ class CoreTurns:
             self.wall_time = self._clock.time()
         return self.wall_time
 
+    def now(self) -> float:
+        """The time of the present turn, or the real time between two turns."""
+        return self.monotonic() if self.in_turn else self._real()
+
     def start_turn(self) -> float:
         """A turn begins; returns its time."""
         self._times[0] = at = self._real()
@@ -114,11 +118,10 @@ class CoreTurns:
 class HostEventClock:
     """The time of the present turn, and the real time between two turns: for events of core and shell."""
 
-    def __init__(self, turns: CoreTurns, clock: Clock) -> None:
-        self._turns, self._clock = turns, clock
+    def __init__(self, turns: CoreTurns) -> None:
+        self._turns = turns
         self.time = turns.time
 
     def monotonic(self) -> float:
         """Monotonic seconds."""
-        turns = self._turns
-        return turns.monotonic() if turns.in_turn else self._clock.monotonic()
+        return self._turns.now()

@@ -19,6 +19,7 @@ from lfield.host.inputs import RecordedInput
 from lfield.journal.records import Record, RecordKey
 from lfield.manifest import DeviceValue
 from lfield.vm.turns.run_limit import UNCUT, RunCuts
+from lfield.wire.events import StateEvent
 
 #: The version of these records. A file of a newer version is not read.
 VERSION = 1
@@ -160,7 +161,16 @@ class EndRecord(HostRecord, frozen=True, tag=6):
     at: float
 
 
-AnyRecord = StartRecord | IdleTurn | TurnRecord | CheckpointRecord | RunIdRecord | EndRecord
+class ShellEventRecord(HostRecord, frozen=True, tag=7):
+    """An event that the core did not make: an order of an operator, or a log line of the shell."""
+
+    at: float
+    what: StateEvent
+
+
+AnyRecord = (
+    StartRecord | IdleTurn | TurnRecord | CheckpointRecord | RunIdRecord | EndRecord | ShellEventRecord
+)
 #: A list of records of bounded length.
 _Batch = Annotated[list[AnyRecord], Meta(max_length=1 << 20)]
 _HEADER = Layout("<cdI")

@@ -23,6 +23,7 @@ from lfield.mission.bundle import decode, encode
 from lfield.mission.mission import Mission
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
+from lfield.wire.events import StateEvent
 
 
 class RunIdentity:
@@ -127,6 +128,7 @@ class RecordingSession:
             return
         given = self._environment, start, sink, self._drawn, self._on_pending
         self.flight = FlightRecorder(core, clock, *given)
+        core.recorder.watch_shell(self._note_event)
 
     def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
         context, release = core.context, self._mission.release
@@ -144,6 +146,10 @@ class RecordingSession:
         """Another host has this run id."""
         if self.run.on_hello(run) and self.flight is not None:
             self.flight.note_run(self.run.id)
+
+    def _note_event(self, what: StateEvent) -> None:
+        if self.flight is not None:
+            self.flight.note_event(what)
 
     def for_guards(self) -> GuardRecording:
         """What the guards of this host record."""

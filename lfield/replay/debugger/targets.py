@@ -129,10 +129,13 @@ class EventTarget:
 
     def start(self, moment: Moment) -> None:
         """See `Target`."""
+        moment.core.recorder.drain()
         self._last = moment.core.recorder.event_log.latest
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
+        # Events of hops are made later.
+        moment.core.recorder.drain()
         log = moment.core.recorder.event_log
         if log.latest == self._last:
             return False
