@@ -20,7 +20,7 @@ from lfield.host.effects import WriteLog
 from lfield.host.events.portal_events import PortalEvents
 from lfield.mission.mission import Mission
 from lfield.operator.dashboard.timeline.event_timeline import Cause, DatedEvent
-from lfield.replay.device_events import device_events
+from lfield.replay.device_events import device_events, outside_events
 from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.host_replay import HostReplay, ReplayedTurn
 from lfield.replay.recording_files import Incarnation, TeamRecording
@@ -118,7 +118,7 @@ class _EventSource:
 
 def _device_events(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[DatedEvent]:
     start = incarnation.parts[0].start
-    for found in device_events(paths):
+    for found in device_events(paths, outside_events(incarnation.parts)):
         at, up = found.wall_time + shift, max(0.0, found.time - start.at)
         # The log of the host numbers its own events from 1 on.
         yield DatedEvent(incarnation.host, start.incarnation, Event(0, at, up, 0, found.what), None)

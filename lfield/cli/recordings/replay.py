@@ -98,6 +98,8 @@ def replay_progress(turns: int, *, quiet: bool) -> Iterator[OnProgress]:
 
 
 def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, object]:
+    from lfield.replay.device_events import safety_stops
+
     first = result.first
     return {
         "digests": result.digests,
@@ -128,16 +130,25 @@ def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, objec
         "missing": list(recording.missing),
         "problems": list(recording.problems),
         "run": recording.incarnations[-1].run,
+        "stops": [
+            {"host": stop.host, "time": stop.at, "device": stop.device, "by": stop.by, "reason": stop.reason}
+            for stop in safety_stops(recording)
+        ],
     }
 
 
 def _print(recording: TeamRecording, result: ReplaySummary) -> None:
+    from lfield.replay.device_events import safety_stops
+    from lfield.text.terminal_escape import escape_line
+
     for part in result.parts:
         state = "differs" if part.differences else "equal" if part.digests else "nothing to compare"
         if part.guard:
             print(f"{part.host}: guard of {part.guard}: {part.digests} decisions: {state}")
             continue
         print(f"{part.host}: {part.turns} turns, {part.seconds:.1f} s, {part.digests} digests: {state}")
+    for stop in safety_stops(recording):
+        print(f"{stop.host}: {utc_time(stop.at, 3)} UTC: {escape_line(stop.line)}")
     for line in gap_lines(recording):
         print(line)
     if result.first is not None:
