@@ -135,6 +135,9 @@ def _execute(commands: DebuggerCommands, texts: Sequence[str]) -> int:
 
 def _read_commands(commands: DebuggerCommands) -> int:
     """Commands from stdin, line by line; a mistake in one is reported and the next one is read."""
+    from lfield.cli.debugging.search_watch import interruptible, show_on_terminal
+    from lfield.replay.debugger.host_timeline import SearchCancelled
+
     is_terminal = sys.stdin.isatty()
     for line in commands.execute("where"):
         print(line)
@@ -145,11 +148,13 @@ def _read_commands(commands: DebuggerCommands) -> int:
         if not text:
             break
         try:
-            for line in commands.execute(text):
+            with interruptible(commands.debugger.team, show_on_terminal):
+                lines = commands.execute(text)
+            for line in lines:
                 print(line)
         except LfieldError as error:
             print(f"lfield: {error}", file=sys.stderr)
-        except KeyboardInterrupt:
+        except (SearchCancelled, KeyboardInterrupt):
             # A search may last long. It has moved nothing yet.
             print("interrupted", file=sys.stderr)
     return exit_status.DONE

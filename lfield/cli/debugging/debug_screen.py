@@ -5,9 +5,7 @@ Keys: F10 next, F11 step, F12 out, F5 continue; with Shift backward.
 
 from __future__ import annotations
 
-import signal
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 from prompt_toolkit.application import Application
 from prompt_toolkit.buffer import Buffer
@@ -28,7 +26,9 @@ from prompt_toolkit.output import Output
 
 from lfield.cli.debugging import text_views
 from lfield.cli.debugging.command_line import DebuggerCommands
+from lfield.cli.debugging.search_watch import interruptible
 from lfield.errors import LfieldError
+from lfield.replay.debugger.host_timeline import SearchCancelled
 
 #: Keys of moves, with their commands.
 KEYS = {
@@ -67,27 +67,17 @@ class DebugScreen:
     def execute(self, text: str) -> None:
         """Execute a command and show its output."""
         try:
-            with self._interruptible():
+            with self.application.input.cooked_mode(), interruptible(self._commands.debugger.team):
                 lines = self._commands.execute(text)
         except LfieldError as error:
             lines = [str(error)]
-        except KeyboardInterrupt:
+        except (SearchCancelled, KeyboardInterrupt):
+            # It has moved nothing until it has found something.
             lines = ["interrupted"]
         self._output = [*self._output, f"> {text}", *lines][-KEPT_LINES:]
         self._refresh()
         if self._commands.is_done:
             self.application.exit()
-
-    @contextmanager
-    def _interruptible(self) -> Iterator[None]:
-        """A search may last long: Ctrl-C ends it. It has moved nothing until it has found something."""
-        before = signal.getsignal(signal.SIGINT)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
-        try:
-            with self.application.input.cooked_mode():
-                yield
-        finally:
-            signal.signal(signal.SIGINT, before)
 
     def lines(self, window: str) -> list[str]:
         """What a window shows: 'source', 'stack', 'variables', 'threads', 'output' or 'timeline'."""

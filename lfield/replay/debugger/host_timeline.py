@@ -26,11 +26,17 @@ from lfield.vm.reference import ReferenceEngine
 
 #: Seconds of replaying after which a checkpoint is made in memory, and the bytes of all of them.
 CHECKPOINT_EVERY, MAX_CHECKPOINT_BYTES = 0.1, 128 << 20
+#: Seconds of replaying between two reports of progress.
+REPORT_EVERY = 0.05
 #: Replays that are kept for use again: a rewind costs a quarter of a new one.
 MAX_USED = 3
 
 #: A turn, and the number of a moment in it: 0 after its input, then its statements, then its end.
 Step = tuple[int, int]
+
+
+class SearchCancelled(Exception):
+    """A search has ended early: a function of `watch_progress` raised this. Nothing has moved."""
 
 
 class HostTimeline:
@@ -61,6 +67,15 @@ class HostTimeline:
         self._stopped: _Run | None = None
         #: The first turn whose replay differs from the recording, and how.
         self.divergence: tuple[int, Divergence] | None = None
+        self._on_progress: Callable[[int], None] = lambda turn: None
+        self._report_due = 0.0
+
+    def watch_progress(self, on_progress: Callable[[int], None]) -> None:
+        """Set the function that is called with the number of the turn that a replay has reached.
+
+        It may raise SearchCancelled.
+        """
+        self._on_progress = on_progress
 
     @property
     def turns(self) -> int:
@@ -190,6 +205,9 @@ class HostTimeline:
         if now >= run.checkpoint_due:
             self._store_checkpoint(run)
             run.checkpoint_due = self._stopwatch() + CHECKPOINT_EVERY
+        if now >= self._report_due:
+            self._report_due = now + REPORT_EVERY
+            self._on_progress(run.turn)
 
     def _store_checkpoint(self, run: _Run) -> None:
         if run.turn in self._checkpoints or run.turn >= self.turns:

@@ -10,7 +10,8 @@ import math
 from array import array
 from bisect import bisect_left, bisect_right
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import NamedTuple
 
 from lfield.bytecode.program import Program
@@ -60,6 +61,14 @@ class TeamTimeline:
     def program(self) -> Program:
         """The program of the mission."""
         return self.mission.program
+
+    def watch_progress(self, on_progress: Callable[[float], None]) -> None:
+        """Set the function that is called with the time that a search or another move has reached.
+
+        It may raise SearchCancelled: nothing has moved then.
+        """
+        for host, times in zip(self.hosts, self.times, strict=True):
+            host.watch_progress(partial(_report, on_progress, times))
 
     # --- order ----------------------------------------------------------------------------------------
 
@@ -173,6 +182,10 @@ class TeamTimeline:
                 found.append(Place(number, *step))
         choose = max if backward else min
         return choose(found, key=self.order_of, default=None)
+
+
+def _report(on_progress: Callable[[float], None], times: Sequence[float], turn: int) -> None:
+    on_progress(times[min(turn, len(times) - 1)])
 
 
 # --- clocks -----------------------------------------------------------------------------------------------

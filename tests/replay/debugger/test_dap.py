@@ -5,14 +5,16 @@ from __future__ import annotations
 import json
 import socket
 import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 from debugger_recordings import EXAMPLES
 
 from lfield.cli.debugging.dap.dap_session import DapSession, OpenedDebugger
-from lfield.cli.debugging.dap.dap_wire import DapStream
+from lfield.cli.debugging.dap.dap_wire import DapStream, RequestQueue
 from lfield.errors import UsageError
+from lfield.replay.debugger import host_timeline
 from lfield.replay.debugger.debugger import Debugger
 
 FOLDER = EXAMPLES / "01-first-flight"
@@ -140,6 +142,32 @@ def test_a_conditional_breakpoint_and_an_evaluation(editor):
     assert editor.body("evaluate", expression="first", frameId=frame)["variablesReference"] > 0
     assert not editor.request("evaluate", expression="nothing", frameId=frame)["success"]
     assert editor.move("continue")["reason"] == "pause"
+
+
+@pytest.mark.parametrize("command", ["pause", "cancel"])
+def test_a_search_is_cancelled(editor, monkeypatch, command):
+    _started(editor, [])
+    editor.event("stopped")
+    place = editor.move("gotoTime", seconds=3.0)["description"]
+    has_waiting = RequestQueue.has_waiting
+
+    def wait_for_request(queue, commands):
+        while not has_waiting(queue, commands):
+            time.sleep(0.001)
+        return True
+
+    monkeypatch.setattr(host_timeline, "REPORT_EVERY", 0.0)
+    monkeypatch.setattr(RequestQueue, "has_waiting", wait_for_request)
+    editor.events.clear()
+    editor.body("search", kind="condition", text="1 == 2")
+    editor.send(command)
+    stopped = editor.event("stopped")
+    assert (stopped["reason"], stopped["description"]) == ("pause", place)
+    assert editor.read()["success"]
+    if command == "pause":
+        editor.event("stopped")
+    monkeypatch.undo()
+    assert editor.move("search", kind="portal")["reason"] == "goto"
 
 
 def test_times_and_searches(editor):

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import signal
+
 import pytest
 
+from lfield.cli.debugging import search_watch
 from lfield.cli.debugging.command_line import DebuggerCommands
+from lfield.cli.debugging.search_watch import interruptible
 from lfield.errors import UsageError
+from lfield.replay.debugger import host_timeline
+from lfield.replay.debugger.host_timeline import SearchCancelled
 
 
 @pytest.fixture
@@ -86,3 +92,21 @@ def test_the_windows_show_the_position(commands):
     assert any(line.startswith("int leg") for line in screen.lines("variables"))
     screen.execute("dance")
     assert "dance" in screen.lines("output")[-1]
+
+
+def test_an_interrupt_ends_a_search_and_not_the_debugger(debugger, monkeypatch):
+    monkeypatch.setattr(host_timeline, "REPORT_EVERY", 0.0)
+    monkeypatch.setattr(search_watch, "SHOWN_AFTER", 0.0)
+    debugger.enter()
+    place, shown = debugger.place, []
+    target = debugger.condition_target("1 == 2")
+    with interruptible(debugger.team, shown.append):
+        signal.raise_signal(signal.SIGINT)
+        with pytest.raises(SearchCancelled):
+            debugger.search(target)
+    assert debugger.place == place
+    with interruptible(debugger.team, shown.append):
+        assert not debugger.search(debugger.condition_target("1 == 2"))
+    assert any("searching" in text for text in shown)
+    assert shown[-1] == ""
+    assert debugger.search(debugger.portal_target())

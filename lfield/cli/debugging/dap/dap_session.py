@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 
 from lfield.cli.debugging.command_line import DebuggerCommands
 from lfield.cli.debugging.dap.dap_values import DapValues, Row
-from lfield.cli.debugging.dap.dap_wire import DapStream, Message
+from lfield.cli.debugging.dap.dap_wire import DapStream, Message, RequestQueue
 from lfield.errors import LfieldError, UsageError
 from lfield.replay.debugger.debugger import Breakpoint, Debugger
 from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
+from lfield.replay.debugger.host_timeline import SearchCancelled
 from lfield.replay.debugger.moment import Target
 from lfield.replay.debugger.targets import AnyTarget, StatementTarget
 
@@ -21,6 +22,7 @@ CAPABILITIES = {
     "supportsStepBack": True,
     "supportsEvaluateForHovers": True,
     "supportsTerminateRequest": True,
+    "supportsCancelRequest": True,
     "exceptionBreakpointFilters": [
         {"filter": "portal", "label": "Portal calls"},
         {"filter": "hop", "label": "Hops"},
@@ -30,6 +32,8 @@ CAPABILITIES = {
 }
 #: What begins a command of the terminal in an expression to evaluate: `:time 12.5`.
 COMMAND = ":"
+#: Requests that end a search.
+ENDING = frozenset({"cancel", "pause", "disconnect", "terminate"})
 
 
 class OpenedDebugger(NamedTuple):
@@ -48,11 +52,12 @@ class DapSession:
 
     def __init__(self, stream: DapStream, open_debugger: OpenDebugger) -> None:
         self._stream, self._open = stream, open_debugger
+        self._requests = RequestQueue(stream)
         self._debugger: Debugger | None = None
         self._values: DapValues | None = None
         self._commands: DebuggerCommands | None = None
         self._stops_at_entry = True
-        self._is_done = False
+        self._is_done = self._is_moving = False
         self._breakpoints: dict[str, list[Breakpoint]] = {}
         self._filters: list[str] = []
         self._handlers: Mapping[str, Callable[[Row], Row | None]] = {
@@ -69,6 +74,7 @@ class DapSession:
             "evaluate": self._evaluate,
             "source": self._source,
             "pause": lambda given: None,
+            "cancel": lambda given: None,
             "search": self._check_search,
             "gotoTime": lambda given: None,
             "disconnect": self._end,
@@ -84,7 +90,7 @@ class DapSession:
 
     def serve(self) -> None:
         """Handle requests until the client disconnects."""
-        while not self._is_done and (message := self._stream.read()) is not None:
+        while not self._is_done and (message := self._requests.next()) is not None:
             if message.get("type") == "request":
                 self._handle(message)
 
@@ -100,6 +106,8 @@ class DapSession:
             else:
                 raise UsageError(f"the request {command} is not supported")
             self._after(command, given)
+        except SearchCancelled:
+            self._stopped("pause", "the search was cancelled")
         except (LfieldError, ValueUnknown, ValueError, TypeError) as error:
             self._stream.write({**_reply(request), "success": False, "message": str(error)})
 
@@ -112,7 +120,14 @@ class DapSession:
     # --- moves ----------------------------------------------------------------------------------------
 
     def _after(self, command: str, given: Row) -> None:
-        """What follows a response: events, and moves."""
+        """What follows a response: events, and moves. Raises SearchCancelled."""
+        self._is_moving = True
+        try:
+            self._follow(command, given)
+        finally:
+            self._is_moving = False
+
+    def _follow(self, command: str, given: Row) -> None:
         if command in self._moves:
             found = self._moves[command](self._ready)
             self._stopped("step", "" if found else "there is no further statement")
@@ -214,7 +229,12 @@ class DapSession:
         debugger, folder = self._open(given)
         self._debugger, self._values = debugger, DapValues(debugger, folder)
         self._commands = DebuggerCommands(debugger)
+        debugger.team.watch_progress(lambda seconds: self._check_cancelled())
         self._stops_at_entry = given.get("stopOnEntry") is not False
+
+    def _check_cancelled(self) -> None:
+        if self._is_moving and self._requests.has_waiting(ENDING):
+            raise SearchCancelled
 
     def _set_breakpoints(self, given: Row) -> Row:
         path = str(given.get("source", {}).get("path") or given.get("source", {}).get("name", ""))

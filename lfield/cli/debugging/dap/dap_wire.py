@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 import json
+import threading
+from collections import deque
+from collections.abc import Collection
 from typing import Any, BinaryIO
 
 from lfield.errors import UsageError
 
 #: The largest message that is read, in bytes, and the longest header.
 MAX_MESSAGE, MAX_HEADER = 16 << 20, 4096
+#: Requests after which a client sends no other.
+LAST = frozenset({"disconnect", "terminate"})
 Message = dict[str, Any]
 
 
@@ -50,3 +55,43 @@ class DapStream:
         data = json.dumps({"seq": self._number, **message}).encode()
         self._sink.write(b"Content-Length: %d\r\n\r\n" % len(data) + data)
         self._sink.flush()
+
+
+class RequestQueue:
+    """The messages of a client, which a thread reads while the session works on an earlier one."""
+
+    def __init__(self, stream: DapStream) -> None:
+        self._stream = stream
+        self._read: deque[Message | UsageError | None] = deque()
+        self._changed = threading.Condition()
+        threading.Thread(target=self._run, name="requests of the editor", daemon=True).start()
+
+    def next(self) -> Message | None:
+        """The next message; None at the end of the stream. Raises UsageError for another protocol."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._read)
+            found = self._read.popleft()
+        if isinstance(found, UsageError):
+            raise found
+        return found
+
+    def has_waiting(self, commands: Collection[str]) -> bool:
+        """Whether a request of some commands, or the end of the stream, waits."""
+        with self._changed:
+            return any(not isinstance(m, dict) or m.get("command") in commands for m in self._read)
+
+    def _run(self) -> None:
+        is_open = True
+        while is_open:
+            message: Message | UsageError | None
+            try:
+                message = self._stream.read()
+            except UsageError as error:
+                message = error
+            except (OSError, ValueError):  # closed while it is read
+                message = None
+            # After the last request the stream may be closed, which no thread must be reading then.
+            is_open = isinstance(message, dict) and message.get("command") not in LAST
+            with self._changed:
+                self._read.append(message)
+                self._changed.notify()
