@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 
@@ -134,7 +135,9 @@ class DebuggerCommands:
         try:
             seconds = float(text)
         except ValueError:
-            raise UsageError(f"'{text}' is not a time in seconds") from None
+            seconds = math.nan
+        if math.isnan(seconds):
+            raise UsageError(f"'{text}' is not a time in seconds")
         return self._go_to(seconds)
 
     def _go_to(self, seconds: float | None) -> list[str]:

@@ -101,11 +101,8 @@ def effect_lines(debugger: Debugger) -> list[str]:
 
 def event_lines(debugger: Debugger) -> list[str]:
     """The last events of the host of the position, with the seconds since its start."""
-    debugger.moment.core.recorder.drain()
-    log = debugger.moment.core.recorder.event_log
-    found, _ = log.after(max(0, log.latest - LAST_EVENTS), LAST_EVENTS, 1 << 20)
     lines = []
-    for event in found:
+    for event in debugger.events(LAST_EVENTS):
         fields = {k: v for k, v in as_fields(event).items() if k not in ("at", "up", "cause", "number")}
         kind = fields.pop("kind")
         shown = " ".join(f"{name}={value}" for name, value in fields.items())
