@@ -138,6 +138,17 @@ def test_another_bundle_is_refused(command: str, recorded: Path, tmp_path: Path)
     assert "Traceback" not in ran.stderr
 
 
+@pytest.mark.process
+@pytest.mark.parametrize("seconds", ["0.001", "0.05", "1.0", "20.0"])
+def test_a_pause_changes_no_call(seconds: str, recorded: Path, tmp_path: Path) -> None:
+    for place in ('sum = sum + findPost("two")', "fc.takeoff(height);", 'print("climbed'):
+        later = write_mission(tmp_path, PROGRAM.replace(place, f"sleep({seconds}); {place}"))
+        ran = lfield("test", "--from", recorded / "records", later, cwd=tmp_path)
+        assert (ran.returncode, ran.stderr) == (0, ""), ran.stdout
+    fewer = write_mission(tmp_path, PROGRAM.replace("fc.takeoff(height);", f"sleep({seconds});"))
+    assert lfield("test", "--from", recorded / "records", fewer, cwd=tmp_path).returncode == 1
+
+
 def one_host(recorded: Path, folder: Path, host: str) -> Path:
     """A copy of the recording of one host."""
     (found,) = (recorded / "records").glob(f"{host}-*")

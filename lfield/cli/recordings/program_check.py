@@ -33,7 +33,7 @@ def check_program(
     mission = mission_with(recording, _load(path))
     order = TeamOrder([part for each in recording.incarnations for part in each.parts])
     recorded = run_program(recording, order, recording.mission, engines)
-    replayed = run_program(recording, order, mission, engines)
+    replayed = run_program(recording, order, mission, engines, recorded)
     difference = recorded.first_difference(replayed)
     unknown = _unknown_reason(recording, recorded) if difference is None else ""
     if as_json:
