@@ -41,9 +41,10 @@ from lfield.guard.messages import (
 from lfield.guard.recording import guard_inputs
 from lfield.guard.recording.guard_recorder import GuardRecorder
 from lfield.guard.recording.guard_rings import open_recorder
-from lfield.guard.recording.recorded_core import EventClock, RecordedCore
+from lfield.guard.recording.recorded_core import RecordedCore
 from lfield.guard.standstill import UNFINISHED
 from lfield.guard.telemetry import Telemetry
+from lfield.recording.turn_clocks import TurnClock
 from lfield.text import log_messages
 from lfield.text.log_messages import report_fields
 
@@ -250,8 +251,7 @@ class Shell(asyncio.Protocol):
             self._send(OpenFailed(problems))
             self._finish(1)
             return
-        devices = [self._driver.devices[name] for name in identities]
-        clock = EventClock(self._clock)
+        devices, clock = [self._driver.devices[name] for name in identities], TurnClock(self._clock)
         given = [(d.binding.name, d.manifest.device, d.binding.ttl, d.binding.rest_within) for d in devices]
         self._core = RecordedCore(GuardCore(given, clock, silence=message.silence), clock, self._recorder)
         # Flush telemetry first: a query right after opening must find it.

@@ -23,8 +23,9 @@ from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, Id
 from lfield.hybrid_clock import timestamp_of
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
+from lfield.recording.turn_clocks import ReplayClock, ReplayedTimes
 from lfield.replay.host_recording import HostRecording, Turn
-from lfield.replay.replay_environment import ReplayedBytes, ReplayedTimes, ReplayEnvironment, TurnReplayClock
+from lfield.replay.replay_environment import ReplayedBytes, ReplayEnvironment
 from lfield.replication.membership.overlay import Overlay
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
@@ -74,7 +75,7 @@ class HostReplay:
         start = self._start = recording.start if checkpoint is None else checkpoint.start
         mission = replace(mission, release=BundleId(*structs.astuple(start.release)))
         self.mission, team, program = mission, mission.team, mission.program
-        self.clock = TurnReplayClock(start.at, start.wall)
+        self.clock = ReplayClock(start.at, start.wall)
         self.environment = ReplayEnvironment({each: n for n, each in enumerate(program.core.device_calls)})
         self._times = ReplayedTimes(self.clock)
         self._limit, self._bytes = ReplayedRunLimit(), ReplayedBytes()

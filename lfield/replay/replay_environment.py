@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from msgspec.structs import replace
@@ -16,43 +16,6 @@ from lfield.host.recording.recorded_environment import PENDING_ANSWER, Question
 from lfield.manifest import DeviceValue, Observation
 from lfield.vm.engine_interface import Reading
 from lfield.vm.host_interface import PENDING, Pending
-
-
-class TurnReplayClock:
-    """The recorded times of a turn. `divergence` is set when the core reads a time that was not recorded."""
-
-    def __init__(self, at: float, wall: float) -> None:
-        self.at, self.wall = at, wall
-        #: Monotonic seconds. One object, as in `CoreTurns`: a checkpoint refers to it.
-        self.monotonic: Callable[[], float] = self._monotonic
-
-    def set(self, at: float, wall: float | None) -> None:
-        """Set the times of the next turn; the wall-clock time stays if it was not read."""
-        self.at = at
-        if wall is not None:
-            self.wall = wall
-
-    def _monotonic(self) -> float:
-        return self.at
-
-    def time(self) -> float:
-        return self.wall
-
-
-class ReplayedTimes:
-    """Real times as they were read within turns; without one, the time of the turn."""
-
-    def __init__(self, clock: TurnReplayClock) -> None:
-        self._clock = clock
-        self._times: deque[float] = deque()
-
-    def set(self, times: Iterable[float]) -> None:
-        """Set the times of the next turn."""
-        self._times = deque(times)
-
-    def __call__(self) -> float:
-        # Another program may read more of them.
-        return self._times.popleft() if self._times else self._clock.monotonic()
 
 
 class ReplayedBytes:

@@ -76,6 +76,7 @@ EXCEPTIONS: dict[str, dict[str, str]] = {
         "make bench ONLY=hop": SUITE,
         "make bench ONLY=first": SUITE,
         "make bench ONLY=deaths": SUITE,
+        "make bench ONLY=record": SUITE,
         "make bench ONLY=radio ROUNDS=100": SUITE,
         "make bench AGAINST=../older": SUITE,
     },

@@ -27,28 +27,10 @@ from lfield.guard.recording.guard_records import (
 )
 from lfield.guard.recording.guard_segments import GuardSegment, read_segments
 from lfield.guard.recording.heartbeat_pulses import pulses_in
+from lfield.recording.turn_clocks import ReplayClock
 
 #: No decisions, as they are recorded.
 _NOTHING = b"\x90"
-
-
-class ReplayClock:
-    """The clock of a core that is replayed: the recorded times."""
-
-    def __init__(self) -> None:
-        self._now = 0.0
-
-    def set(self, now: float) -> None:
-        """Sets the time of the next input."""
-        self._now = now
-
-    def monotonic(self) -> float:
-        """The time of the present input."""
-        return self._now
-
-    def time(self) -> float:
-        """No decision depends on the wall clock."""
-        return 0.0
 
 
 @dataclass(frozen=True, slots=True)

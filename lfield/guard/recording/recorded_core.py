@@ -6,42 +6,22 @@ like the others, and a replay is bit-exact.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from operator import getitem
-from typing import cast
-
-from lfield.clock import Clock
 from lfield.guard.core import GuardCore
 from lfield.guard.effects import Effect, Execute, Interrupt
 from lfield.guard.messages import GuardCall
 from lfield.guard.recording.guard_inputs import CallStarting, GuardInput, apply_input
 from lfield.guard.recording.guard_recorder import GuardRecorder
-
-
-class EventClock:
-    """A clock that stands still during an event: `latch` reads the time at its start."""
-
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._times = [clock.monotonic()]
-        #: The time of the present event. Not a method of this class: a core reads it several times.
-        self.monotonic: Callable[[], float] = cast("Callable[[], float]", partial(getitem, self._times, 0))
-
-    def latch(self) -> float:
-        """Reads the time for the next event, and returns it."""
-        self._times[0] = now = self._clock.monotonic()
-        return now
-
-    def time(self) -> float:
-        """The wall-clock time, which no event depends on."""
-        return self._clock.time()
+from lfield.recording.turn_clocks import TurnClock
 
 
 class RecordedCore:
-    """The core of a guard; `clock` is that of the core. Nothing is recorded without a `recorder`."""
+    """The core of a guard; `clock` is that of the core. Nothing is recorded without a `recorder`.
 
-    def __init__(self, core: GuardCore, clock: EventClock, recorder: GuardRecorder | None) -> None:
+    Each input reads the clock once. A recording is a sequence of segments, each of which begins with the
+    state of the core and the accepted calls that the driver has not started.
+    """
+
+    def __init__(self, core: GuardCore, clock: TurnClock, recorder: GuardRecorder | None) -> None:
         self._core, self._clock, self._recorder = core, clock, recorder
         #: When the next timer must expire; None without a deadline.
         self.due = core.due

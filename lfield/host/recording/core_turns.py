@@ -6,12 +6,10 @@ turn; the guard checks the deadline of each actuation again, on its own clock.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from operator import getitem
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 from lfield.clock import Clock
+from lfield.recording.turn_clocks import TurnClock
 
 if TYPE_CHECKING:
     from lfield.host.core import HostCore
@@ -20,17 +18,15 @@ if TYPE_CHECKING:
     from lfield.host.recording.flight_recorder import FlightRecorder
 
 
-class CoreTurns:
+class CoreTurns(TurnClock):
     """The turns of a core, and the clock of the core: the time of the present turn, or of the last one.
 
     The core is constructed between `start_turn` and `end_turn`, then attached.
     """
 
     def __init__(self, clock: Clock) -> None:
-        self._clock, self._real = clock, clock.monotonic
-        self._times = [clock.monotonic()]
-        #: Monotonic seconds. Not a method of this class: a core reads the time a dozen times in a hop.
-        self.monotonic: Callable[[], float] = cast("Callable[[], float]", partial(getitem, self._times, 0))
+        super().__init__(clock)
+        self._real = clock.monotonic
         #: Whether a turn is under way, and its wall-clock time, None until it is read.
         self.in_turn = False
         self.wall_time: float | None = None
@@ -52,9 +48,8 @@ class CoreTurns:
 
     def start_turn(self) -> float:
         """A turn begins; returns its time."""
-        self._times[0] = at = self._real()
         self.in_turn, self.wall_time = True, None
-        return at
+        return self.latch()
 
     def end_turn(self) -> None:
         """The turn has ended."""

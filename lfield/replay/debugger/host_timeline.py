@@ -132,6 +132,7 @@ class HostTimeline:
 
     def find(self, target: Target, after: Step, before: Step, *, last: bool = False) -> Step | None:
         """The first, or `last`, moment between two positions (exclusive) that meets a target."""
+        self._report_due = 0.0
         run = self._run_at(min(after[0], self.turns))
         target.start(run.rest())
         found: list[tuple[int, Step | None]] = []

@@ -16,9 +16,10 @@ from lfield.guard.messages import GuardCall, GuardRecording, OpenDevices
 from lfield.guard.recording import guard_inputs as inputs
 from lfield.guard.recording.guard_recorder import GuardRecorder
 from lfield.guard.recording.guard_records import decode_record
-from lfield.guard.recording.recorded_core import EventClock, RecordedCore
+from lfield.guard.recording.recorded_core import RecordedCore
 from lfield.manifest import NEVER, DeviceManifest, Instruction, Parameter, Quantity
 from lfield.recording.segments import SegmentReader
+from lfield.recording.turn_clocks import TurnClock
 
 ARM = DeviceManifest(
     "Arm",
@@ -67,7 +68,7 @@ class RecordedGuard:
             self.open()
 
     def open(self):
-        clock = EventClock(self.clock)
+        clock = TurnClock(self.clock)
         given = [("a.arm", ARM, 0.5, 30.0), ("a.eye", EYE, 0.5, 30.0)]
         self.core = RecordedCore(GuardCore(given, clock, silence=SILENCE), clock, self.recorder)
         self.handle(inputs.BusOpened(""))
