@@ -45,6 +45,8 @@ class CallLog:
 
     def __init__(self) -> None:
         self.by_agent: dict[str, list[LoggedCall]] = {}
+        #: How many recorded device calls were not made until then.
+        self.missed_calls = 0
         #: When the first host halted its agents, or the recording ended.
         self.ended_at = math.inf
 

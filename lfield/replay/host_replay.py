@@ -19,7 +19,7 @@ from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import decode_effects, encode_effects
 from lfield.host.recording.flight_recorder import block_digest
-from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn
+from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn, TurnRecord
 from lfield.hybrid_clock import timestamp_of
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
@@ -102,9 +102,17 @@ class HostReplay:
         """Set the function that is called in each turn after its input and before the core runs."""
         self._on_input = on_input
 
-    def draw(self, drawn: list[bytes]) -> None:
-        """Add random bytes that the next turn may draw."""
-        self._bytes.extend(drawn)
+    def prepare(self, record: Turn) -> None:
+        """Set times, answers and all else that the core gets from outside in a turn, besides its input."""
+        if isinstance(record, IdleTurn):
+            record = TurnRecord(record.at)
+        self.clock.set(record.at, record.wall)
+        self.environment.apply(record.answers, record.readings)
+        self._bytes.extend(record.drawn)
+        self._times.set(record.times)
+        self._limit.repeat(record.cuts)
+        if record.clock is not None:
+            self.core.recorder.hybrid_clock.restore(record.clock)
 
     def _number_of(self, reading: object) -> int:
         for number, each in enumerate(self.environment.readings):
@@ -172,8 +180,8 @@ class HostReplay:
     def _replay(self, number: int, record: Turn) -> ReplayedTurn:
         core = self.core
         self._add_outside_events(number, record.at)
+        self.prepare(record)
         if isinstance(record, IdleTurn):
-            self.clock.set(record.at, None)
             if self._on_input is not None:
                 self._on_input()
             core.run()
@@ -181,13 +189,6 @@ class HostReplay:
             self.turn = number + 1
             found = Divergence("effects", [], _plain(effects)) if effects else None
             return ReplayedTurn(number, record, effects, found, 1)
-        self.clock.set(record.at, record.wall)
-        self.environment.apply(record.answers, record.readings)
-        self._bytes.extend(record.drawn)
-        self._times.set(record.times)
-        self._limit.repeat(record.cuts)
-        if record.clock is not None:
-            core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
             record.entry.enter(core)
         if self._on_input is not None:

@@ -2,7 +2,8 @@
 
 The recorded program makes the recorded calls. Another program gets the same answers as long as it makes the
 same calls: the answer to an agent's n-th device call is that of the recorded n-th one, and a coordinator
-arrives with the block that this program has sent. Records count as durable at once, since the batches differ.
+arrives with the block that this program has sent. A batch of records is durable when the recorded one of
+that number was, or at once after that.
 
 Another program may pause where the recorded one did not. So a coordinator arrives after this program has sent
 it, also if the recorded one was earlier, a confirmation of a hop waits for the hop, and the program gets time
@@ -83,20 +84,19 @@ class ProgramRun:
         self._early: dict[tuple[str, int], DeviceAnswered] = {}
         #: Inputs about a coordinator, by sender and coordinator, that wait for what this program does.
         self._held: dict[tuple[str, str], deque[TurnRecord]] = {}
+        #: The last batch of this program; of the recorded one the last durable batch until now, and of all.
+        self._issued, self._durable, self._last_durable = 0, 0, _last_durable(recording)
         #: When the recorded host halted its agents, at a common time of the team; infinite before.
         self.halted_at = math.inf
 
     def turn(self, record: Turn, at: float) -> None:
         """Replay a turn, at a common time of the team."""
         self._at = at
-        replay = self._replay
-        replay.clock.set(record.at, None if isinstance(record, IdleTurn) else record.wall)
+        self._replay.prepare(record)
         entry: HostInput | None = None
         if isinstance(record, TurnRecord):
-            replay.environment.apply(record.answers, record.readings)
-            replay.draw(record.drawn)
             entry = None if self._hold(record) else self._entry(record)
-        self._run(entry)
+        self._run(entry, runs=isinstance(record, IdleTurn) or record.run)
         self._release()
         if isinstance(record, TurnRecord):
             self._number_recorded(record)
@@ -107,11 +107,12 @@ class ProgramRun:
         self._run(None)
         self._release()
 
-    def _run(self, entry: HostInput | None) -> None:
+    def _run(self, entry: HostInput | None, *, runs: bool = True) -> None:
         if entry is not None:
             entry.enter(self._core)
-        self._core.run()
-        self._execute(self._core.drain_effects())
+        if runs:
+            self._core.run()
+            self._execute(self._core.drain_effects())
 
     def _hold(self, record: TurnRecord) -> bool:
         """Keep an input that is early for this program, or that follows such a one; false for any other."""
@@ -140,6 +141,11 @@ class ProgramRun:
             if not waiting:
                 del self._held[about]
 
+    @property
+    def missed_calls(self) -> int:
+        """How many recorded device calls were not made."""
+        return len(self._recorded) - len(self._made)
+
     def on_portal_call(self, resource: Agent, method: int, caller: str) -> None:
         """A portal has started for a coordinator."""
         self._log.add_portal_call(self._core, caller, resource, method, self._at)
@@ -149,7 +155,8 @@ class ProgramRun:
         entry: HostInput | None = record.entry
         match entry:
             case BatchDurable():
-                return None
+                self._durable = entry.number
+                return BatchDurable(min(entry.number, self._issued)) if self._issued else None
             case AgentsHalt():
                 self.halted_at = min(self.halted_at, self._at)
                 return None if self._is_other else entry
@@ -178,9 +185,9 @@ class ProgramRun:
                     block = memoryview(bytes(effect.block))
                     self._sent[hop] = TransferArrived(self._host, header, block)
                 case PersistRecords():
-                    BatchDurable(effect.number).enter(self._core)
-                    self._core.run()
-                    self._execute(self._core.drain_effects())
+                    self._issued = effect.number
+                    if effect.number <= self._durable or effect.number > self._last_durable:
+                        self._run(BatchDurable(effect.number))
 
     def _on_device_call(self, command: CallDevice) -> None:
         self._log.add_device_call(self._core, command, self._at)
@@ -188,9 +195,7 @@ class ProgramRun:
         key = agent, next(self._made_counts.setdefault(agent, count()))
         self._made[key] = command.number
         if (answer := self._early.pop(key, None)) is not None:
-            DeviceAnswered(command.number, answer.value, answer.error).enter(self._core)
-            self._core.run()
-            self._execute(self._core.drain_effects())
+            self._run(DeviceAnswered(command.number, answer.value, answer.error))
 
     def _number_recorded(self, record: TurnRecord) -> None:
         """Remember which device calls the recorded program made in this turn."""
@@ -200,6 +205,12 @@ class ProgramRun:
             if effect[0] == "CallDevice":
                 agent = effect[1]
                 self._recorded[effect[-1]] = agent, next(self._counts.setdefault(agent, count()))
+
+
+def _last_durable(recording: HostRecording) -> int:
+    """The number of the last batch of records that was durable."""
+    turns = (turn for _, turn in recording.turns_from(0) if isinstance(turn, TurnRecord))
+    return max((turn.entry.number for turn in turns if isinstance(turn.entry, BatchDurable)), default=0)
 
 
 def _first_answers(recording: HostRecording) -> Iterator[RecordedAnswer]:
@@ -247,6 +258,7 @@ def run_program(
         runs[turn.part].turn(turn.record, turn.at)
         log.ended_at = turn.at
     log.ended_at = min([log.ended_at, *(run.halted_at for run in runs)])
+    log.missed_calls = sum(run.missed_calls for run in runs)
     seconds = 0.0
     while recorded is not None and seconds < EXTRA_TIME and log.lacks_calls_of(recorded):
         seconds += EXTRA_TURN

@@ -56,6 +56,8 @@ def _unknown_reason(recording: TeamRecording, recorded: CallLog) -> str:
         return f"no recording of {listed(recording.missing)}"
     if recording.losses:
         return recording.losses[0]
+    if recorded.missed_calls:
+        return f"{recorded.missed_calls} recorded device calls cannot be repeated"
     return "" if recorded.count else "the recorded program makes no portal or device call"
 
 
