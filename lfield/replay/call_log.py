@@ -55,6 +55,10 @@ class CallLog:
         """The number of calls."""
         return sum(len(calls) for calls in self.by_agent.values())
 
+    def end(self, at: float, missed_calls: int) -> None:
+        """The recording has ended."""
+        self.ended_at, self.missed_calls = at, missed_calls
+
     def lacks_calls_of(self, other: CallLog) -> bool:
         """Whether an agent has made fewer calls than in another log."""
         own = self.by_agent

@@ -254,11 +254,11 @@ def run_program(
     log, sent = CallLog(), SentBlocks()
     given = mission, recording.mission.program, engines, log, sent
     runs = [ProgramRun(part, *given, is_other=recorded is not None) for part in order.parts]
+    last = 0.0
     for turn in order:
         runs[turn.part].turn(turn.record, turn.at)
-        log.ended_at = turn.at
-    log.ended_at = min([log.ended_at, *(run.halted_at for run in runs)])
-    log.missed_calls = sum(run.missed_calls for run in runs)
+        last = turn.at
+    log.end(min([last, *(run.halted_at for run in runs)]), sum(run.missed_calls for run in runs))
     seconds = 0.0
     while recorded is not None and seconds < EXTRA_TIME and log.lacks_calls_of(recorded):
         seconds += EXTRA_TURN
