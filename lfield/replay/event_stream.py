@@ -47,10 +47,11 @@ def event_stream(recording: TeamRecording, on_progress: OnProgress = lambda turn
     number = 0
     for incarnation in recording.incarnations:
         for paths in rings_in(incarnation.folder).values():
-            items += _samples(incarnation.host, paths, shifts[number])
+            items += _samples(incarnation, paths, shifts[number])
             items += _device_events(incarnation, paths, shifts[number])
         items += (
-            StreamNotice(incarnation.started_at, incarnation.host, text) for text in incarnation.problems
+            StreamNotice(incarnation.started_at + shifts[number], incarnation.host, text)
+            for text in incarnation.problems
         )
         number += len(incarnation.parts)
     items.sort(key=lambda item: item.time)
@@ -119,13 +120,13 @@ class _EventSource:
 def _device_events(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[DatedEvent]:
     start = incarnation.parts[0].start
     for found in device_events(paths, outside_events(incarnation.parts)):
-        at, up = found.wall_time + shift, max(0.0, found.time - start.at)
+        at, up = found.time - start.at + start.wall + shift, max(0.0, found.time - start.at)
         # The log of the host numbers its own events from 1 on.
         yield DatedEvent(incarnation.host, start.incarnation, Event(0, at, up, 0, found.what), None)
 
 
-def _samples(host: str, paths: Iterable[Path], shift: float) -> Iterator[TelemetrySample]:
-    values = telemetry_in(paths)
-    for (device, at), group in groupby(values, key=lambda value: (value.device, value.wall_time)):
+def _samples(incarnation: Incarnation, paths: Iterable[Path], shift: float) -> Iterator[TelemetrySample]:
+    start = incarnation.parts[0].start
+    for (device, at), group in groupby(telemetry_in(paths), key=lambda value: (value.device, value.time)):
         found = {value.quantity: cast(Telemetry, value.value) for value in group}
-        yield TelemetrySample(at + shift, host, device, found)
+        yield TelemetrySample(at - start.at + start.wall + shift, incarnation.host, device, found)

@@ -102,6 +102,9 @@ def test_a_changed_input_is_a_difference(recorded: Path, tmp_path: Path) -> None
     assert found["first"]["host"] == "alpha"
     assert found["first"]["recorded"] != found["first"]["replayed"]
     assert "first difference: " in lfield("replay", copied, cwd=tmp_path).stdout
+    back = ["-c", "back event"] * 8
+    ran = lfield("debug", copied, "-c", "end", *back, cwd=tmp_path)
+    assert "the replay differs from the recording from turn" in ran.stdout
     tables = tmp_path / "tables"
     ran = lfield("export", copied, "--csv", tables, cwd=tmp_path)
     assert ran.returncode == 0

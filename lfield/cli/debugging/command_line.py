@@ -122,6 +122,8 @@ class DebuggerCommands:
     def _position(self) -> list[str]:
         frame = self.frame
         lines = [text_views.position_line(self.debugger)]
+        if (turn := self.debugger.first_difference) is not None:
+            lines.append(f"the replay differs from the recording from turn {turn} on: see 'lfield replay'")
         if frame is not None and frame.line is not None:
             lines += text_views.source_lines(self.debugger, frame.line, 0, 0)
         return lines

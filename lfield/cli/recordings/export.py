@@ -69,6 +69,11 @@ def _write_mcap(items: list[StreamItem], info: MissionInfo, path: Path) -> None:
     try:
         made = export_mcap(items, info, out=file)
         file.finish()
+    except OutputFileError:
+        # As of a full disk: a part of an export is of no use.
+        if path.is_file():
+            path.unlink()
+        raise
     finally:
         file.close()
     print(f"{path}: {made.messages} messages in {made.channels} channels, {made.size} bytes")

@@ -100,7 +100,7 @@ def replay_progress(turns: int, *, quiet: bool) -> Iterator[OnProgress]:
 def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, object]:
     from lfield.replay.device_events import safety_stops
 
-    first = result.first
+    first, release = result.first, recording.incarnations[-1].parts[0].start.release
     return {
         "digests": result.digests,
         "differences": result.differences,
@@ -130,6 +130,7 @@ def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, objec
         "missing": list(recording.missing),
         "problems": list(recording.problems),
         "run": recording.incarnations[-1].run,
+        "bundle": {"digest": release.digest.hex(), "by": release.by},
         "stops": [
             {"host": stop.host, "time": stop.at, "device": stop.device, "by": stop.by, "reason": stop.reason}
             for stop in safety_stops(recording)

@@ -19,7 +19,7 @@ from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.host_records import VERSION, Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordingTarget
-from lfield.mission.bundle import decode, encode
+from lfield.mission.bundle import contents, decode, encode, with_signature
 from lfield.mission.mission import Mission
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
@@ -56,6 +56,17 @@ def replayed_form(mission: Mission) -> Mission:
         return replace(decode(encode(mission)), release=mission.release)
     except LfieldError as error:
         raise RecordingError(f"its bundle cannot be read again: {error}") from None
+
+
+def _bundle_of(mission: Mission) -> bytes:
+    """The bundle of the mission as it runs, with its signature if that is of the same bytes.
+
+    Other bindings, as those of simulated devices, and other addresses make another bundle.
+    """
+    data = encode(mission)
+    release = mission.release
+    is_same = release.signature and contents(data).digest == release.digest
+    return with_signature(data, release.signature) if is_same else data
 
 
 class RecordingSession:
@@ -117,7 +128,7 @@ class RecordingSession:
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle, wall_time = encode(self._mission), clock.time()
+        bundle, wall_time = _bundle_of(self._mission), clock.time()
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
         at = core.name, core.incarnation, wall_time

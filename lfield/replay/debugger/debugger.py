@@ -95,6 +95,12 @@ class Debugger:
         return self.team.hosts[self.place.recording].recording.host
 
     @property
+    def first_difference(self) -> int | None:
+        """The turn from which on the state of this host is not that of the recording; None before it."""
+        found = self.team.hosts[self.place.recording].divergence
+        return None if found is None or self.place.turn < found[0] else found[0]
+
+    @property
     def moment(self) -> Moment:
         """The state of the host of the position."""
         if self._moment is None or self._moment_place != self.place:
