@@ -127,14 +127,7 @@ class Fleet:
         self.hardware: dict[str, Hardware] = {}
         plugged = (plug or plug_any_hardware)(self, mission, rng)
         at_simulation = plugged.at(mission.team.at({name: f"{name}:{PORT}" for name in names}))
-        is_recorded = self.options.record is not None
-        self.mission = replayed_form(at_simulation) if is_recorded else at_simulation
-        #: The mission as each host has it.
-        self._missions = {
-            name: replayed_form(found) if is_recorded else found
-            for name in names
-            for found in [_mission_of(at_simulation, name)]
-        }
+        self.mission = at_simulation if self.options.record is None else replayed_form(at_simulation)
         #: Running hosts; exit statuses of those that have exited.
         self.lives: dict[str, HostLife] = {}
         self.left: dict[str, int] = {}
@@ -249,7 +242,7 @@ class Fleet:
         if not self.options.keeps:
             self._known.add(name)
         transport = TcpTransport(self.mission.max_block, identify=host_at_address, busy=float)
-        host = Host(self._missions[name], name, transport, Logbook(book, book), options)
+        host = Host(self._mission_on(name), name, transport, Logbook(book, book), options)
         life = self.lives[name] = HostLife(process, host, ShutdownSignals(host.clock))
         host.machine.hooks.attach_meter(
             lambda n: process.loop.compute(self.options.slowness * (TURN + n * INSTRUCTION))
@@ -257,6 +250,11 @@ class Fleet:
         self._on_start(name, life)
         # Slightly later: the creator of the fleet has all hosts before any of them acts.
         process.loop.soon(lambda: process.loop.create_task(self._live(name, life)))
+
+    def _mission_on(self, host: str) -> Mission:
+        """The mission as the process of a host has it."""
+        found = _mission_of(self.mission, host)
+        return found if self.options.record is None else replayed_form(found)
 
     async def _live(self, name: str, life: HostLife) -> None:
         try:
