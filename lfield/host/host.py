@@ -81,7 +81,7 @@ class Host:
         self.started = self.clock.monotonic()
         self._turns = CoreTurns(self.clock)
         self._turns.start_turn()
-        self.recorder = EventRecorder(HostEventClock(self._turns, self.clock), self.note)
+        self.recorder = EventRecorder(HostEventClock(self._turns), self.note)
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
         overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)

@@ -5,19 +5,22 @@ On the ground computer `load` builds it from files; a robot reads it from a bund
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from lfield.bytecode.program import Program
 from lfield.bytecode.side_effects import fenced_classes
 from lfield.capability.model import Registry, Value
 from lfield.driver.binding import SIMULATED, DeviceBinding
-from lfield.driver.driver_index import DriverIndex, DriverLookup
+from lfield.driver.driver_index import DriverIndex, DriverLookup, installed_drivers
 from lfield.mission.access.access_rules import NO_RULES, Access, CallPermissions
 from lfield.mission.access.signed_bundle import FROM_FILES, BundleId
 from lfield.mission.bindings import Bindings, Frames, NeededDevices, RecoverySettings, chosen_fakes, on_fakes
 from lfield.mission.team import Team
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 #: The attributes that give an agent's position in the team's frame.
 POSITION_ATTRIBUTES = frozenset({"north", "east", "down"})
@@ -162,6 +165,19 @@ def drivers_for(drivers: DriverLookup, types: Collection[str]) -> DriverIndex:
     """The drivers for some device types."""
     limited = ((name, driver.for_types(types)) for name, driver in sorted(drivers.by_driver.items()))
     return DriverIndex({name: driver for name, driver in limited if driver.manifests})
+
+
+def with_installed_drivers(
+    mission: Mission, host: str, entries: Iterable[EntryPoint] | None = None
+) -> Mission:
+    """The mission as a host runs it: with the installed drivers of its own devices.
+
+    The drivers of other devices stay: the host knows from them which hosts have vehicles. Raises PluginError
+    for a driver of its own devices that is not installed.
+    """
+    own = {device.driver for device in mission.devices_of(host)}
+    installed = installed_drivers(mission.drivers, own, entries).by_driver
+    return replace(mission, drivers=DriverIndex({**mission.drivers.by_driver, **installed}))
 
 
 def duplicate_statements(mission: Mission) -> list[str]:

@@ -18,13 +18,18 @@ MAGIC = b"LFREC\x00\x00\x01"
 #: The largest record, in bytes: a checkpoint of a host with many large blocks.
 MAX_RECORD = 1 << 28
 _HEADER = Struct("<II")
+_CUT = "it ends within a record"
 
 
 class SegmentEnd(NamedTuple):
-    """Where the readable part of a segment ends, in bytes, and why: '' if it is complete."""
+    """Where the readable part of a segment ends, in bytes, and why: '' if it is complete.
+
+    `is_cut`: nothing follows, as after a crash.
+    """
 
     offset: int
     reason: str
+    is_cut: bool = False
 
 
 def frame(record: bytes) -> bytes:
@@ -51,14 +56,14 @@ class SegmentReader:
         while offset < len(data):
             start = offset + _HEADER.size
             if start > len(data):
-                self.end = SegmentEnd(offset, "it ends within a record")
+                self.end = SegmentEnd(offset, _CUT, is_cut=True)
                 return
             size, checksum = _HEADER.unpack_from(data, offset)
             if size > MAX_RECORD:
                 self.end = SegmentEnd(offset, "the length of a record is damaged")
                 return
             if start + size > len(data):
-                self.end = SegmentEnd(offset, "it ends within a record")
+                self.end = SegmentEnd(offset, _CUT, is_cut=True)
                 return
             record = bytes(data[start : start + size])
             if crc32(record) != checksum:

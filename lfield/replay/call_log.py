@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -44,11 +45,24 @@ class CallLog:
 
     def __init__(self) -> None:
         self.by_agent: dict[str, list[LoggedCall]] = {}
+        #: How many recorded device calls were not made until then.
+        self.missed_calls = 0
+        #: When the first host halted its agents, or the recording ended.
+        self.ended_at = math.inf
 
     @property
     def count(self) -> int:
         """The number of calls."""
         return sum(len(calls) for calls in self.by_agent.values())
+
+    def end(self, at: float, missed_calls: int) -> None:
+        """The recording has ended."""
+        self.ended_at, self.missed_calls = at, missed_calls
+
+    def lacks_calls_of(self, other: CallLog) -> bool:
+        """Whether an agent has made fewer calls than in another log."""
+        own = self.by_agent
+        return any(len(own.get(agent, ())) < len(calls) for agent, calls in other.by_agent.items())
 
     def add_device_call(self, core: HostCore, command: CallDevice, at: float) -> None:
         """A resource has given an instruction to a device."""
@@ -85,6 +99,9 @@ class CallLog:
         for number in range(max(len(recorded), len(replayed))):
             one = recorded[number] if number < len(recorded) else None
             two = replayed[number] if number < len(replayed) else None
+            if one is None and two is not None and two.at >= self.ended_at:
+                # The recorded agent was halted then.
+                return None
             if one is None or two is None or one.text != two.text:
                 return CallDifference(agent, number + 1, one, two)
         return None

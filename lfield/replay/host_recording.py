@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import lru_cache
+from operator import attrgetter
 from typing import NamedTuple
 
 from lfield.errors import RecordingError
+from lfield.host.recording.effect_summary import decode_effects
 from lfield.host.recording.host_records import (
     AnyRecord,
     CheckpointRecord,
@@ -14,11 +16,13 @@ from lfield.host.recording.host_records import (
     FrameHeader,
     IdleTurn,
     RunIdRecord,
+    ShellEventRecord,
     StartRecord,
     TurnRecord,
     decode_frame,
     header_of,
 )
+from lfield.wire.events import StateEvent
 
 Turn = IdleTurn | TurnRecord
 #: Decoded frames that are kept.
@@ -31,6 +35,13 @@ class IndexedFrame(NamedTuple):
     header: FrameHeader
     data: bytes
     turn: int
+
+
+class OutsideEvent(NamedTuple):
+    """An event that the core did not make, and its time on the monotonic clock of the host."""
+
+    at: float
+    what: StateEvent
 
 
 class HostRecording:
@@ -60,6 +71,13 @@ class HostRecording:
         #: Whether it has the start of the incarnation.
         self.is_from_start = isinstance(first[0], StartRecord)
         last = self._decode(len(self.frames) - 1)
+        #: The events that a replay of the core does not make.
+        self.outside_events = [
+            OutsideEvent(record.at, record.what)
+            for number in range(len(self.frames))
+            for record in self._decode(number)
+            if isinstance(record, ShellEventRecord)
+        ]
         self.gap = "" if last and isinstance(last[-1], EndRecord) else gap or "its end is missing"
 
     @property
@@ -67,15 +85,22 @@ class HostRecording:
         """The name of the host."""
         return self.start.host
 
+    def add_outside_events(self, found: Iterable[OutsideEvent]) -> None:
+        """Add events of the host from another recording, as that of a guard."""
+        self.outside_events = sorted([*self.outside_events, *found], key=attrgetter("at"))
+
     @property
-    def run(self) -> str:
-        """The run id, as of the last change."""
-        found = self.start.run
+    def runs(self) -> list[str]:
+        """The run ids that the host has had, the last one last."""
+        found = dict.fromkeys([self.start.run])
         for number in range(len(self.frames)):
             for record in self._decode(number):
-                if isinstance(record, RunIdRecord):
-                    found = record.run
-        return found
+                match record:
+                    case CheckpointRecord(runs=known):
+                        found.update(dict.fromkeys(known))
+                    case RunIdRecord(run=run):
+                        found[run] = None
+        return list(found)
 
     @property
     def started_at(self) -> float:
@@ -148,3 +173,15 @@ class HostRecording:
 
     def _raise_empty(self) -> StartRecord:
         raise RecordingError("its first record is neither the start of a host nor a checkpoint")
+
+
+def require_valid(data: bytes) -> None:
+    """Raise RecordingError if the content of a frame cannot be used: no part of it is decoded later."""
+    header = header_of(data)
+    records = decode_frame(data)
+    turns = [record for record in records if isinstance(record, Turn)]
+    if len(turns) != header.turns:
+        raise RecordingError("its header counts other turns than it has")
+    for record in turns:
+        if isinstance(record, TurnRecord):
+            decode_effects(record.effects)

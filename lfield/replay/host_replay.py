@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import random
+from bisect import bisect_right
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 from msgspec import structs
@@ -17,7 +19,8 @@ from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import decode_effects, encode_effects
 from lfield.host.recording.flight_recorder import block_digest
-from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn
+from lfield.host.recording.host_records import BlockDigest, CheckpointRecord, IdleTurn, TurnRecord
+from lfield.hybrid_clock import timestamp_of
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.mission import Mission
 from lfield.recording.turn_clocks import ReplayClock, ReplayedTimes
@@ -92,17 +95,30 @@ class HostReplay:
         if checkpoint is not None:
             self._restore(checkpoint)
         self._turns = recording.turns_from(self.turn)
+        #: The number of the next event that the core does not make.
+        self._outside = self._outside_after(checkpoint)
 
     def watch_inputs(self, on_input: Callable[[], None] | None) -> None:
         """Set the function that is called in each turn after its input and before the core runs."""
         self._on_input = on_input
 
-    def draw(self, drawn: list[bytes]) -> None:
-        """Add random bytes that the next turn may draw."""
-        self._bytes.extend(drawn)
+    def prepare(self, record: Turn) -> None:
+        """Set times, answers and all else that the core gets from outside in a turn, besides its input."""
+        if isinstance(record, IdleTurn):
+            record = TurnRecord(record.at)
+        self.clock.set(record.at, record.wall)
+        self.environment.apply(record.answers, record.readings)
+        self._bytes.extend(record.drawn)
+        self._times.set(record.times)
+        self._limit.repeat(record.cuts)
+        if record.clock is not None:
+            self.core.recorder.hybrid_clock.restore(record.clock)
 
     def _number_of(self, reading: object) -> int:
-        return next(n for n, each in enumerate(self.environment.readings) if each is reading)
+        for number, each in enumerate(self.environment.readings):
+            if each is reading:
+                return number
+        raise RecordingError("a checkpoint cannot contain a reading that was not recorded")
 
     def _restore(self, checkpoint: CheckpointRecord) -> None:
         self.environment.restore(checkpoint.answers, checkpoint.readings)
@@ -117,7 +133,9 @@ class HostReplay:
         self._bytes.clear()
         self.clock.set(checkpoint.at, checkpoint.start.wall)
         self._restore(checkpoint)
+        self.core.recorder.restart()
         self._turns = self.recording.turns_from(turn)
+        self._outside = self._outside_after(checkpoint)
 
     def checkpoint(self) -> CheckpointRecord:
         """The present state, between two turns: a replay can begin at `turn` with it."""
@@ -128,6 +146,22 @@ class HostReplay:
         return CheckpointRecord(
             self.clock.at, start, self._snapshots.capture(), environment.answers, environment.reading_changes
         )
+
+    def _outside_after(self, checkpoint: CheckpointRecord | None) -> int:
+        found = self.recording.outside_events
+        return 0 if checkpoint is None else bisect_right(found, checkpoint.at, key=attrgetter("at"))
+
+    def _add_outside_events(self, number: int, at: float) -> None:
+        """Log what happened outside of the core up to a turn; with the last turn all that followed."""
+        found, start = self.recording.outside_events, self._start
+        is_last = number + 1 >= self.recording.turns
+        while self._outside < len(found) and (is_last or found[self._outside].at <= at):
+            event = found[self._outside]
+            up = event.at - start.at
+            wall = start.wall + up
+            stamp = timestamp_of(max(0, int(wall * 1000.0)), 0)
+            self.core.recorder.event_log.append(event.what, wall, max(0.0, up), 0, stamp)
+            self._outside += 1
 
     def __iter__(self) -> Iterator[ReplayedTurn]:
         for number, record in self._turns:
@@ -145,8 +179,9 @@ class HostReplay:
 
     def _replay(self, number: int, record: Turn) -> ReplayedTurn:
         core = self.core
+        self._add_outside_events(number, record.at)
+        self.prepare(record)
         if isinstance(record, IdleTurn):
-            self.clock.set(record.at, None)
             if self._on_input is not None:
                 self._on_input()
             core.run()
@@ -154,13 +189,6 @@ class HostReplay:
             self.turn = number + 1
             found = Divergence("effects", [], _plain(effects)) if effects else None
             return ReplayedTurn(number, record, effects, found, 1)
-        self.clock.set(record.at, record.wall)
-        self.environment.apply(record.answers, record.readings)
-        self._bytes.extend(record.drawn)
-        self._times.set(record.times)
-        self._limit.repeat(record.cuts)
-        if record.clock is not None:
-            core.recorder.hybrid_clock.restore(record.clock)
         if record.entry is not None:
             record.entry.enter(core)
         if self._on_input is not None:

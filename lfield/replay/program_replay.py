@@ -2,11 +2,18 @@
 
 The recorded program makes the recorded calls. Another program gets the same answers as long as it makes the
 same calls: the answer to an agent's n-th device call is that of the recorded n-th one, and a coordinator
-arrives with the block that this program has sent. Records count as durable at once, since the batches differ.
+arrives with the block that this program has sent. A batch of records is durable when the recorded one of
+that number was, or at once after that.
+
+Another program may pause where the recorded one did not. So a coordinator arrives after this program has sent
+it, also if the recorded one was earlier, a confirmation of a hop waits for the hop, and the program gets time
+after the end of the recording.
 """
 
 from __future__ import annotations
 
+import math
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import count
@@ -14,7 +21,14 @@ from itertools import count
 from lfield.bytecode.program import DeviceCallRecord, Program
 from lfield.errors import RecordingError
 from lfield.host.effects import CallDevice, Effect, PersistRecords
-from lfield.host.inputs import BatchDurable, DeviceAnswered, HostInput, TransferArrived
+from lfield.host.inputs import (
+    AgentsHalt,
+    BatchDurable,
+    DeviceAnswered,
+    HostInput,
+    MessageArrived,
+    TransferArrived,
+)
 from lfield.host.recording.effect_summary import decode_effects
 from lfield.host.recording.host_records import IdleTurn, RecordedAnswer, TurnRecord
 from lfield.host.recording.recorded_environment import Question
@@ -28,13 +42,19 @@ from lfield.replication.transfer.effects import SendTransfer
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
+from lfield.wire.coordinator_messages import TransferAccepted
 
 #: The blocks that were sent, with their headers as the receiver gets them.
 SentBlocks = dict[TransferKey, TransferArrived]
+#: Seconds that another program has after the end of the recording, and between two turns there.
+EXTRA_TIME, EXTRA_TURN = 60.0, 0.05
 
 
 class ProgramRun:
-    """One host that runs a program on a recording; `log` gets its calls, `sent` its departures."""
+    """One host that runs a program on a recording; `log` gets its calls, `sent` its departures.
+
+    The program `is_other` than the recorded one: the end of the recorded host does not end it.
+    """
 
     def __init__(
         self,
@@ -44,7 +64,10 @@ class ProgramRun:
         engines: Engines,
         log: CallLog,
         sent: SentBlocks,
+        *,
+        is_other: bool,
     ) -> None:
+        self._is_other = is_other
         self._replay = HostReplay(recording, mission, engines)
         self._core, self._host = self._replay.core, recording.host
         self._log, self._sent = log, sent
@@ -59,23 +82,69 @@ class ProgramRun:
         self._made: dict[tuple[str, int], int] = {}
         self._made_counts: dict[str, count[int]] = {}
         self._early: dict[tuple[str, int], DeviceAnswered] = {}
+        #: Inputs about a coordinator, by sender and coordinator, that wait for what this program does.
+        self._held: dict[tuple[str, str], deque[TurnRecord]] = {}
+        #: The last batch of this program; of the recorded one the last durable batch until now, and of all.
+        self._issued, self._durable, self._last_durable = 0, 0, _last_durable(recording)
+        #: When the recorded host halted its agents, at a common time of the team; infinite before.
+        self.halted_at = math.inf
 
     def turn(self, record: Turn, at: float) -> None:
         """Replay a turn, at a common time of the team."""
         self._at = at
-        replay, core = self._replay, self._core
-        replay.clock.set(record.at, None if isinstance(record, IdleTurn) else record.wall)
+        self._replay.prepare(record)
         entry: HostInput | None = None
         if isinstance(record, TurnRecord):
-            replay.environment.apply(record.answers, record.readings)
-            replay.draw(record.drawn)
-            entry = self._entry(record)
-        if entry is not None:
-            entry.enter(core)
-        core.run()
-        self._execute(core.drain_effects())
+            entry = None if self._hold(record) else self._entry(record)
+        self._run(entry, runs=isinstance(record, IdleTurn) or record.run)
+        self._release()
         if isinstance(record, TurnRecord):
             self._number_recorded(record)
+
+    def extra_turn(self, seconds: float) -> None:
+        """A turn at so many seconds after the last recorded one."""
+        self._replay.clock.set(self._replay.recording.ended_at + seconds, None)
+        self._run(None)
+        self._release()
+
+    def _run(self, entry: HostInput | None, *, runs: bool = True) -> None:
+        if entry is not None:
+            entry.enter(self._core)
+        if runs:
+            self._core.run()
+            self._execute(self._core.drain_effects())
+
+    def _hold(self, record: TurnRecord) -> bool:
+        """Keep an input that is early for this program, or that follows such a one; false for any other."""
+        about = _about(record.entry)
+        if about is None or not (about in self._held or self._is_early(record)):
+            return False
+        self._held.setdefault(about, deque()).append(record)
+        return True
+
+    def _is_early(self, record: TurnRecord) -> bool:
+        """Whether an input concerns a hop that this program has not made yet."""
+        entry = record.entry
+        if isinstance(entry, TransferArrived):
+            hop = arrival_in(self._host, record)
+            return hop is not None and hop not in self._sent
+        if isinstance(entry, MessageArrived) and isinstance(entry.message, TransferAccepted):
+            found = entry.message
+            return TransferKey(found.agent, found.generation, found.sequence, entry.host) not in self._sent
+        return False
+
+    def _release(self) -> None:
+        """Pass on what is not early any more."""
+        for about, waiting in list(self._held.items()):
+            while waiting and not self._is_early(waiting[0]):
+                self._run(self._entry(waiting.popleft()))
+            if not waiting:
+                del self._held[about]
+
+    @property
+    def missed_calls(self) -> int:
+        """How many recorded device calls were not made."""
+        return len(self._recorded) - len(self._made)
 
     def on_portal_call(self, resource: Agent, method: int, caller: str) -> None:
         """A portal has started for a coordinator."""
@@ -86,7 +155,11 @@ class ProgramRun:
         entry: HostInput | None = record.entry
         match entry:
             case BatchDurable():
-                return None
+                self._durable = entry.number
+                return BatchDurable(min(entry.number, self._issued)) if self._issued else None
+            case AgentsHalt():
+                self.halted_at = min(self.halted_at, self._at)
+                return None if self._is_other else entry
             case TransferArrived():
                 hop = arrival_in(self._host, record)
                 return None if hop is None else self._sent.get(hop)
@@ -112,9 +185,9 @@ class ProgramRun:
                     block = memoryview(bytes(effect.block))
                     self._sent[hop] = TransferArrived(self._host, header, block)
                 case PersistRecords():
-                    BatchDurable(effect.number).enter(self._core)
-                    self._core.run()
-                    self._execute(self._core.drain_effects())
+                    self._issued = effect.number
+                    if effect.number <= self._durable or effect.number > self._last_durable:
+                        self._run(BatchDurable(effect.number))
 
     def _on_device_call(self, command: CallDevice) -> None:
         self._log.add_device_call(self._core, command, self._at)
@@ -122,9 +195,7 @@ class ProgramRun:
         key = agent, next(self._made_counts.setdefault(agent, count()))
         self._made[key] = command.number
         if (answer := self._early.pop(key, None)) is not None:
-            DeviceAnswered(command.number, answer.value, answer.error).enter(self._core)
-            self._core.run()
-            self._execute(self._core.drain_effects())
+            self._run(DeviceAnswered(command.number, answer.value, answer.error))
 
     def _number_recorded(self, record: TurnRecord) -> None:
         """Remember which device calls the recorded program made in this turn."""
@@ -134,6 +205,12 @@ class ProgramRun:
             if effect[0] == "CallDevice":
                 agent = effect[1]
                 self._recorded[effect[-1]] = agent, next(self._counts.setdefault(agent, count()))
+
+
+def _last_durable(recording: HostRecording) -> int:
+    """The number of the last batch of records that was durable."""
+    turns = (turn for _, turn in recording.turns_from(0) if isinstance(turn, TurnRecord))
+    return max((turn.entry.number for turn in turns if isinstance(turn.entry, BatchDurable)), default=0)
 
 
 def _first_answers(recording: HostRecording) -> Iterator[RecordedAnswer]:
@@ -164,14 +241,40 @@ class PortalCallObserver:
 
 
 def run_program(
-    recording: TeamRecording, order: TeamOrder, mission: Mission, engines: Engines = ReferenceEngine
+    recording: TeamRecording,
+    order: TeamOrder,
+    mission: Mission,
+    engines: Engines = ReferenceEngine,
+    recorded: CallLog | None = None,
 ) -> CallLog:
-    """The calls of a mission's program on the recorded world. Raises RecordingError."""
+    """The calls of a mission's program on the recorded world. Raises RecordingError.
+
+    `recorded` are those of the recorded program, if this is another one.
+    """
     log, sent = CallLog(), SentBlocks()
-    runs = [ProgramRun(part, mission, recording.mission.program, engines, log, sent) for part in order.parts]
+    given = mission, recording.mission.program, engines, log, sent
+    runs = [ProgramRun(part, *given, is_other=recorded is not None) for part in order.parts]
+    last = 0.0
     for turn in order:
         runs[turn.part].turn(turn.record, turn.at)
+        last = turn.at
+    log.end(min([last, *(run.halted_at for run in runs)]), sum(run.missed_calls for run in runs))
+    seconds = 0.0
+    while recorded is not None and seconds < EXTRA_TIME and log.lacks_calls_of(recorded):
+        seconds += EXTRA_TURN
+        for run in runs:
+            run.extra_turn(seconds)
     return log
+
+
+def _about(entry: HostInput | None) -> tuple[str, str] | None:
+    """The sender and the coordinator of an input from another host; None for any other input."""
+    match entry:
+        case TransferArrived(host=host, header=header):
+            return host, header.agent
+        case MessageArrived(host=host, message=message) if isinstance(getattr(message, "agent", None), str):
+            return host, getattr(message, "agent", "")
+    return None
 
 
 def mission_with(recording: TeamRecording, mission: Mission) -> Mission:

@@ -6,16 +6,18 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NamedTuple
 
 from lfield.errors import BundleError, InputFileError, RecordingError
+from lfield.guard.recording.guard_segments import guard_problems
 from lfield.host.inputs import Linked
-from lfield.host.recording.host_records import VERSION, TurnRecord
+from lfield.host.recording.host_records import VERSION, StartRecord, TurnRecord
 from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM
 from lfield.mission import bundle
 from lfield.mission.mission import Mission
 from lfield.recording.folders import SUFFIX, parse_folder, segments_of
 from lfield.recording.segments import MAGIC, SegmentReader, version_of
-from lfield.replay.host_recording import HostRecording
+from lfield.replay.host_recording import HostRecording, require_valid
 from lfield.text.input_files import read_bytes
 
 #: The largest segment, in bytes: a ring of the largest limit has files of an eighth of it.
@@ -27,12 +29,14 @@ class Incarnation:
     """The recording of one incarnation: its folder, and its parts in order.
 
     It has one part, unless a file in its middle is missing or damaged: then a new part begins at the next
-    checkpoint. `problems` says what is missing, a sentence each.
+    checkpoint. `problems` says what is missing, a sentence each; `losses` are those about records before the
+    end of the host's recording, which ends early where the host was killed.
     """
 
     folder: Path
     parts: tuple[HostRecording, ...]
     problems: tuple[str, ...]
+    losses: tuple[str, ...]
 
     @property
     def host(self) -> str:
@@ -42,7 +46,7 @@ class Incarnation:
     @property
     def run(self) -> str:
         """The run id."""
-        return self.parts[-1].run
+        return self.parts[-1].runs[-1]
 
     @property
     def started_at(self) -> float:
@@ -64,6 +68,11 @@ class TeamRecording:
     missing: tuple[str, ...]
     problems: tuple[str, ...]
     others: tuple[Path, ...] = field(default=())
+
+    @property
+    def losses(self) -> list[str]:
+        """What is missing before the ends of the recordings, a sentence each."""
+        return [f"{each.folder}: {loss}" for each in self.incarnations for loss in each.losses]
 
 
 def load_team(paths: Sequence[Path], bundle_file: Path | None = None) -> TeamRecording:
@@ -97,51 +106,68 @@ def load_incarnation(folder: Path) -> Incarnation:
     if not segments:
         raise RecordingError(f"it has no file {CORE_STEM}-*{SUFFIX}")
     parts: list[HostRecording] = []
-    problems: list[str] = []
+    losses: list[str] = []
+    early_end = ""
     frames: list[bytes] = []
     expected = int(segments[0].stem.rpartition("-")[2])
     for path in segments:
         number = int(path.stem.rpartition("-")[2])
         if number != expected:
-            problems.append(f"{path.name} follows a file that is missing")
-            _add_part(parts, frames, problems)
+            losses.append(f"{path.name} follows a file that is missing")
+            _add_part(parts, frames, losses)
         expected = number + 1
         gap = _read_segment(path, frames)
-        if gap:
-            problems.append(f"{path.name}: {gap}")
-            _add_part(parts, frames, problems)
-    _add_part(parts, frames, problems)
+        if gap.reason and gap.is_cut and path == segments[-1]:
+            early_end = f"{path.name}: {gap.reason}"
+        elif gap.reason:
+            losses.append(f"{path.name}: {gap.reason}")
+            _add_part(parts, frames, losses)
+    _add_part(parts, frames, losses)
     if not parts:
-        raise RecordingError("; ".join(problems))
+        raise RecordingError("; ".join([*losses, early_end] if early_end else losses) or "it has no record")
     if not parts[0].is_from_start:
-        problems.append(f"the beginning is missing, it starts at a checkpoint in {segments[0].name}")
-    if parts[-1].gap and not problems:
-        problems.append(f"{parts[-1].gap}: the host did not end in order")
-    return Incarnation(folder, tuple(parts), tuple(problems))
+        losses.append(f"the beginning is missing, it starts at a checkpoint in {segments[0].name}")
+    if not early_end and parts[-1].gap and not losses:
+        early_end = f"{parts[-1].gap}: the host did not end in order"
+    problems = [*losses, *([early_end] if early_end else []), *guard_problems(folder)]
+    return Incarnation(folder, tuple(parts), tuple(problems), tuple(losses))
 
 
-def _add_part(parts: list[HostRecording], frames: list[bytes], problems: list[str]) -> None:
+def _add_part(parts: list[HostRecording], frames: list[bytes], losses: list[str]) -> None:
     if frames:
         try:
             parts.append(HostRecording(frames.copy()))
         except RecordingError as error:
-            problems.append(str(error))
+            losses.append(str(error))
     frames.clear()
 
 
-def _read_segment(path: Path, frames: list[bytes]) -> str:
-    """Add the frames of a file; returns why it is not complete, '' if it is. Raises RecordingError."""
+class _Gap(NamedTuple):
+    """Why a file is not complete, '' if it is; `is_cut`: it only ends within a record."""
+
+    reason: str = ""
+    is_cut: bool = False
+
+
+def _read_segment(path: Path, frames: list[bytes]) -> _Gap:
+    """Add the frames of a file. Raises RecordingError for one of a newer version."""
     data = read_bytes(path, MAX_SEGMENT)
     version = version_of(data)
     if version is None:
-        return "it is no recording" if data else "it is empty"
+        return _Gap("it is no recording" if data else "it is empty", not data)
     if version > MAGIC[-1]:
         raise RecordingError(
             f"{path.name} has format {version}, this lfield reads format {MAGIC[-1]}: use the newer lfield"
         )
     reader = SegmentReader(data)
-    frames.extend(reader)
-    return reader.end.reason and f"{reader.end.reason} at byte {reader.end.offset}"
+    for place, each in enumerate(reader):
+        try:
+            require_valid(each)
+        except RecordingError as error:
+            return _Gap(f"record {place + 1}: {error}")
+        frames.append(each)
+    reason = reader.end.reason
+    return _Gap(reason and f"{reason} at byte {reader.end.offset}", reader.end.is_cut)
 
 
 def _folders(paths: Iterable[Path]) -> list[Path]:
@@ -166,7 +192,8 @@ def _runs(loaded: Sequence[Incarnation]) -> list[list[Incarnation]]:
     """Recordings that belong together: by run id, and by links between their incarnations."""
     groups: list[tuple[set[object], list[Incarnation]]] = []
     for each in loaded:
-        keys: set[object] = {each.run, *(part.start.incarnation for part in each.parts)}
+        keys: set[object] = {part.start.incarnation for part in each.parts}
+        keys.update(run for part in each.parts for run in part.runs)
         keys.update(number for part in each.parts for number in _peers(part))
         joined = [group for group in groups if group[0] & keys]
         groups = [group for group in groups if not group[0] & keys]
@@ -185,17 +212,38 @@ def _peers(recording: HostRecording) -> set[int]:
 
 
 def _mission(loaded: Sequence[Incarnation], bundle_file: Path | None) -> Mission:
-    """The mission of recordings of one run. Raises RecordingError, BundleError, InputFileError."""
-    for each in loaded:
-        version = each.parts[0].start.version
-        if version > VERSION:
-            raise RecordingError(f"{each.folder} is of a newer lfield ({each.parts[0].start.lfield})")
+    """The mission of recordings of one run. Raises RecordingError, InputFileError."""
+    starts = [part.start for each in loaded for part in each.parts]
+    for start in starts:
+        if start.version > VERSION:
+            raise RecordingError(f"the recording of {start.host} is of a newer lfield ({start.lfield})")
+    mission = _named_mission(bundle_file, starts) if bundle_file is not None else _own_mission(loaded)
+    for start in starts:
+        if start.host not in mission.team.hosts:
+            raise RecordingError(f"its bundle has no host '{start.host}'")
+    return mission
+
+
+def _named_mission(path: Path, starts: Sequence[StartRecord]) -> Mission:
+    """The mission in a bundle that is named: that of the recording as it ran, or as it was read."""
+    data = bundle.read_file(path)
+    try:
+        found = {hashlib.sha256(data).digest(), bundle.contents(data).digest}
+        if not all(found & {start.bundle, start.release.digest} for start in starts):
+            raise RecordingError(f"{path} is another bundle than that of the recording")
+        return bundle.decode(data)
+    except BundleError as error:
+        raise RecordingError(f"{path}: {error}") from None
+
+
+def _own_mission(loaded: Sequence[Incarnation]) -> Mission:
+    """The mission in the bundle of the recordings."""
     required = loaded[-1].parts[0].start.bundle
     candidates = [each.folder / BUNDLE_NAME for each in reversed(loaded)]
-    candidates = [bundle_file] if bundle_file is not None else [path for path in candidates if path.exists()]
+    candidates = [path for path in candidates if path.exists()]
     for path in candidates:
         data = bundle.read_file(path)
-        if bundle_file is None and hashlib.sha256(data).digest() != required:
+        if hashlib.sha256(data).digest() != required:
             continue
         try:
             return bundle.decode(data)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from lfield.bytecode.program import Program
-from lfield.errors import RecordingError
 from lfield.guard.recording.guard_replay import GuardReplay, replay_guard
-from lfield.guard.recording.guard_segments import rings_in
+from lfield.guard.recording.guard_segments import NO_RECORD, rings_in
 from lfield.host.core import HostCore
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.host_replay import HostReplay, ReplayedTurn
@@ -134,14 +133,13 @@ def check_guards(recording: TeamRecording) -> tuple[list[PartResult], list[str]]
     problems: list[str] = []
     for incarnation in recording.incarnations:
         for device, paths in rings_in(incarnation.folder).items():
-            try:
-                replay = replay_guard(paths)
-            except RecordingError as error:
-                problems.append(f"{incarnation.folder}: guard of {device}: {error}")
-                continue
+            replay = replay_guard(paths)
             results.append(_guard_result(incarnation, device, replay))
-            problems += (f"{path}: {reason}" for path, reason in replay.cut.items())
-            problems += (f"{path}: it has no record" for path in replay.missing)
+            reasons = {**dict.fromkeys(replay.missing, NO_RECORD), **replay.cut}
+            problems += (
+                f"{incarnation.folder}: {path.relative_to(incarnation.folder)}: {reason}"
+                for path, reason in reasons.items()
+            )
     return results, problems
 
 

@@ -12,13 +12,14 @@ import random
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.metadata import EntryPoint
 
 from msgspec import structs
 
 from lfield import exit_status
 from lfield.authority.identity import ALL_RIGHTS, Identity
 from lfield.driver.binding import DeviceBinding
-from lfield.driver.driver_index import DriverIndex
+from lfield.driver.driver_index import GROUP, DriverIndex
 from lfield.errors import JournalError, LfieldError
 from lfield.host.core import HostCore
 from lfield.host.environment import HostOptions
@@ -29,7 +30,7 @@ from lfield.host.process.shutdown_signals import ShutdownSignals
 from lfield.host.recording.recording_session import replayed_form
 from lfield.host.recording.recording_target import RecordingTarget
 from lfield.journal.records import Record
-from lfield.mission.mission import Mission
+from lfield.mission.mission import Mission, with_installed_drivers
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import split_address
 from lfield.simulate.computers.event_queue import EventQueue
@@ -241,7 +242,7 @@ class Fleet:
         if not self.options.keeps:
             self._known.add(name)
         transport = TcpTransport(self.mission.max_block, identify=host_at_address, busy=float)
-        host = Host(self.mission, name, transport, Logbook(book, book), options)
+        host = Host(self._mission_on(name), name, transport, Logbook(book, book), options)
         life = self.lives[name] = HostLife(process, host, ShutdownSignals(host.clock))
         host.machine.hooks.attach_meter(
             lambda n: process.loop.compute(self.options.slowness * (TURN + n * INSTRUCTION))
@@ -249,6 +250,11 @@ class Fleet:
         self._on_start(name, life)
         # Slightly later: the creator of the fleet has all hosts before any of them acts.
         process.loop.soon(lambda: process.loop.create_task(self._live(name, life)))
+
+    def _mission_on(self, host: str) -> Mission:
+        """The mission as the process of a host has it."""
+        found = _mission_of(self.mission, host)
+        return found if self.options.record is None else replayed_form(found)
 
     async def _live(self, name: str, life: HostLife) -> None:
         try:
@@ -322,6 +328,14 @@ def plug_any_hardware(fleet: Fleet, mission: Mission, rng: random.Random) -> Mis
         name: replace(driver, reference=REFERENCE) for name, driver in mission.drivers.by_driver.items()
     }
     return replace(at_endpoints(mission, endpoints), drivers=DriverIndex(simulated))
+
+
+def _mission_of(mission: Mission, host: str) -> Mission:
+    """The mission as `lfield up` gives it to a host, with the drivers of its devices installed."""
+    entries = [
+        EntryPoint(driver.name, driver.reference, GROUP) for driver in mission.drivers.by_driver.values()
+    ]
+    return with_installed_drivers(mission, host, entries)
 
 
 def host_at_address(address: str) -> Identity:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 from lfield.host.recording.host_records import FrameHeader, HostRecord, encode_frame
-from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM, RecordingMemory
+from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM, RecordingMemory, RecordSink
 from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
@@ -52,10 +52,31 @@ class RecordedTeam:
 
     mission: Mission
     hosts: tuple[tuple[str, tuple[bytes, ...]], ...]
+    #: The recorded bundles, in the same order; none for a memory that does not keep them.
+    bundles: tuple[bytes, ...] = ()
 
     def recordings(self) -> list[HostRecording]:
         """The recordings of the incarnations that had a turn."""
         return [HostRecording(frames) for _, frames in self.hosts if frames]
+
+    def with_own_bundles(self) -> Iterator[RecordedTeam]:
+        """Each incarnation alone, with the mission in its own recording. Raises BundleError."""
+        for host, data in zip(self.hosts, self.bundles, strict=True):
+            yield RecordedTeam(bundle.decode(data), (host,), (data,))
+
+
+class MemoryWithBundles(RecordingMemory):
+    """Recordings in memory, with the bundle of each incarnation."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.bundles: list[bytes] = []
+
+    def open_sink(
+        self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
+    ) -> RecordSink:
+        self.bundles.append(bundle)
+        return super().open_sink(host, incarnation, wall_time, bundle, on_failure)
 
 
 @dataclass(slots=True)
@@ -88,7 +109,7 @@ def walk_mission(folder: Path) -> Mission:
 
 def run_recorded(mission: Mission, seconds: float, seed: int = 1) -> RecordedTeam:
     """Run a team for some seconds of virtual time; its hosts then end as by a loss of power."""
-    memory = RecordingMemory()
+    memory = MemoryWithBundles()
     fleet = Fleet(mission, seed, options=FleetOptions(record=memory))
     try:
         fleet.run(seconds)
@@ -99,9 +120,9 @@ def run_recorded(mission: Mission, seconds: float, seed: int = 1) -> RecordedTea
 
 def recorded(mission: Mission, memory: RecordingMemory) -> RecordedTeam:
     """What was recorded in memory."""
-    return RecordedTeam(
-        mission, tuple((host, tuple(contents_of(sink.frames))) for host, _, sink in memory.sinks)
-    )
+    bundles = tuple(memory.bundles) if isinstance(memory, MemoryWithBundles) else ()
+    hosts = ((host, tuple(contents_of(sink.frames))) for host, _, sink in memory.sinks)
+    return RecordedTeam(mission, tuple(hosts), bundles)
 
 
 def contents_of(frames: Iterable[bytes]) -> Iterator[bytes]:

@@ -6,14 +6,18 @@ import os
 import subprocess
 import sys
 import time
+from math import inf
 
 import pytest
 from recorded_teams import RecordedTeam, compare, run_recorded, walk_mission
 
 from lfield.host.core import HostCore
+from lfield.host.recording.host_records import IdleTurn, TurnRecord
 from lfield.host.recording.recording_target import RecordingDirectory
+from lfield.replay.host_replay import HostReplay
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.text import log_messages
+from lfield.vm.turns.run_limit import RunCuts
 
 #: A replay in a process with other hashes of texts, so with another order of sets.
 OTHER_SEED = "4711"
@@ -54,3 +58,13 @@ def test_another_hash_seed_changes_nothing(tmp_path):
         )  # fmt: skip
         assert ran.returncode == 0, ran.stdout + ran.stderr
         assert ran.stdout.count(": equal") == 2
+
+
+def test_a_turn_without_input_after_a_cut_one_is_not_cut(walked):
+    recording = walked.recordings()[0]
+    replay = HostReplay(recording, walked.mission)
+    limit = replay.core.context.run_limit
+    replay.prepare(TurnRecord(recording.started_at, cuts=RunCuts(turns=1)))
+    assert [limit.stopwatch() for _ in range(3)] == [0.0, inf, inf]
+    replay.prepare(IdleTurn(recording.started_at))
+    assert [limit.stopwatch() for _ in range(3)] == [0.0, 0.0, 0.0]

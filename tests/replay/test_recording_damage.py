@@ -203,11 +203,13 @@ def test_a_deep_snapshot_is_refused(team, checkpoint, depth):
 
 
 def test_a_frame_that_decompresses_to_more_than_the_limit_is_refused(team, monkeypatch):
-    monkeypatch.setattr(host_records, "MAX_FRAME", 1 << 20)
     bomb = content([IdleTurn(1.0)] * 200_000, b"T", 200_000)
     assert len(bomb) < 1 << 16
+    monkeypatch.setattr(host_records, "MAX_FRAME", 1 << 20)
     with pytest.raises(RecordingError):
         host_records.decode_frame(bomb)
+    with pytest.raises(RecordingError):
+        content([IdleTurn(1.0)] * 200_000, b"T", 200_000)
 
 
 def test_a_header_that_counts_other_turns_than_the_frame_has(team):

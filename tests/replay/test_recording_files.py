@@ -21,8 +21,10 @@ from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.object_graph import walk
 from lfield.host.recording.recording_target import RecordingDirectory, RecordingMemory
 from lfield.mission import bundle
+from lfield.mission.access.signed_bundle import BundleId
 from lfield.mission.loader import load_mission
 from lfield.recording.segments import MAGIC
+from lfield.replay.event_stream import event_stream
 from lfield.replay.recording_files import load_team
 from lfield.replay.team_check import check_team
 from lfield.simulate.host_fleet import Fleet, FleetOptions
@@ -88,6 +90,19 @@ def test_without_its_first_file_a_replay_begins_at_the_checkpoint(team, tmp_path
     assert found["differences"] == 0
     assert 0 < found["digests"] < whole["digests"]
     assert any("core-000002.lfrec" in problem for problem in found["problems"])
+
+
+def test_hosts_without_their_first_files_are_still_of_one_run(teams, tmp_path, capsys):
+    for number in range(2):
+        for at, team in enumerate(teams):
+            cuts = checkpoints_of(team, number)[1:3]
+            folder = write_folder(tmp_path, team, number, 1.8e9 + 1e3 * at, cuts=cuts)
+            (folder / "core-000001.lfrec").unlink()
+    found = load_team([tmp_path])
+    assert [each.host for each in found.incarnations] == ["north", "south"]
+    assert found.missing == ()
+    assert len(found.others) == 2
+    assert len({each.run for each in found.incarnations}) == 1
 
 
 def test_a_missing_file_in_the_middle_leaves_two_parts(team, tmp_path, capsys):
@@ -188,6 +203,23 @@ def test_a_wall_clock_that_jumps_by_years_changes_nothing(tmp_path):
     loaded = load_team([tmp_path / "recordings"])
     assert len(loaded.incarnations) == 2
     assert check_team(loaded).differences == 0
+    times = [item.time for item in event_stream(loaded)]
+    assert times == sorted(times)
+    for each in loaded.incarnations:
+        own = [item.time for item in event_stream(loaded) if item.host == each.host]
+        assert len(own) > 5
+        assert max(own) - min(own) < 3.0
+
+
+def test_the_recorded_bundle_is_signed_if_it_is_the_one_that_was_signed(tmp_path):
+    mission = walk_mission(tmp_path)
+    (unsigned, *_) = run_recorded(mission, 0.5).bundles
+    digest = bundle.contents(unsigned).digest
+    for release in (BundleId(digest, b"signature"), BundleId(bytes(32), b"signature")):
+        team = run_recorded(replace(mission, release=release), 0.5)
+        found = bundle.contents(team.bundles[0])
+        assert found.digest == digest
+        assert found.signature == (b"signature" if release.digest == digest else b"")
 
 
 @pytest.fixture

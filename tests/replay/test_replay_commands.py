@@ -14,6 +14,11 @@ from pathlib import Path
 import pytest
 from flight_of_two import PROGRAM, record_flight, write_mission
 from mcap.reader import make_reader
+from msgspec.structs import replace
+
+from lfield.host.inputs import DeviceAnswered
+from lfield.host.recording.host_records import TurnRecord, decode_frame, encode_frame, header_of
+from lfield.recording.segments import MAGIC, SegmentReader, frame
 
 ROOT = Path(__file__).parents[2]
 #: Options for commands that would read from a terminal.
@@ -86,19 +91,113 @@ def test_the_missing_hosts_of_a_team_are_named(recorded: Path, tmp_path: Path) -
 
 @pytest.mark.process
 def test_a_changed_input_is_a_difference(recorded: Path, tmp_path: Path) -> None:
-    """The bundle of another program: the first difference is named with its host, time and values."""
+    """The first difference is named with its host, time and values."""
     copied = tmp_path / "records"
     shutil.copytree(recorded / "records", copied)
+    (path,) = copied.glob("alpha-*/core-*.lfrec")
+    path.write_bytes(with_another_input(path.read_bytes()))
+    ran = lfield("replay", copied, "--json", cwd=tmp_path)
+    found = json.loads(ran.stdout)
+    assert ran.returncode == 1
+    assert found["first"]["host"] == "alpha"
+    assert found["first"]["recorded"] != found["first"]["replayed"]
+    assert "first difference: " in lfield("replay", copied, cwd=tmp_path).stdout
+    back = ["-c", "back event"] * 8
+    ran = lfield("debug", copied, "-c", "end", *back, cwd=tmp_path)
+    assert "the replay differs from the recording from turn" in ran.stdout
+    tables = tmp_path / "tables"
+    ran = lfield("export", copied, "--csv", tables, cwd=tmp_path)
+    assert ran.returncode == 0
+    assert "alpha: the recording cannot be replayed from turn" in ran.stderr
+    with (tables / "events.csv").open(newline="") as table:
+        assert {row["host"] for row in csv.DictReader(table)} == {"alpha", "bravo"}
+
+
+def with_another_input(data: bytes) -> bytes:
+    """A segment in which devices have answered with an error."""
+    frames = list(SegmentReader(data))
+    for place, each in enumerate(frames):
+        records = decode_frame(each)
+        for at, record in enumerate(records):
+            if isinstance(record, TurnRecord) and isinstance(record.entry, DeviceAnswered):
+                entry = DeviceAnswered(record.entry.number, None, ("fc", "it failed", "DeviceException"))
+                records[at] = replace(record, entry=entry)
+        frames[place] = encode_frame(records, header_of(each))
+    return MAGIC + b"".join(map(frame, frames))
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("command", ["replay", "debug", "export", "watch"])
+def test_another_bundle_is_refused(command: str, recorded: Path, tmp_path: Path) -> None:
     other = write_mission(tmp_path, PROGRAM.replace("climb(2.0)", "climb(2.5)"))
     built = lfield("build", other, "--sim", "-o", tmp_path / "other.lfm", cwd=tmp_path)
     assert built.returncode == 0
-    ran = lfield("replay", copied, "--bundle", tmp_path / "other.lfm", "--json", cwd=tmp_path)
+    options = {"debug": ["-c", "where"], "export": ["--csv", "tables"]}.get(command, [])
+    bundle = tmp_path / "other.lfm"
+    paths = ["--replay", recorded / "records"] if command == "watch" else [recorded / "records"]
+    ran = lfield(command, *paths, "--bundle", bundle, *options, cwd=tmp_path)
+    assert ran.returncode == 65
+    assert "other.lfm is another bundle" in ran.stderr
+    assert "Traceback" not in ran.stderr
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("seconds", ["0.001", "0.05", "1.0", "20.0"])
+def test_a_pause_changes_no_call(seconds: str, recorded: Path, tmp_path: Path) -> None:
+    for place in ('sum = sum + findPost("two")', "fc.takeoff(height);", 'print("climbed'):
+        later = write_mission(tmp_path, PROGRAM.replace(place, f"sleep({seconds}); {place}"))
+        ran = lfield("test", "--from", recorded / "records", later, cwd=tmp_path)
+        assert (ran.returncode, ran.stderr) == (0, ""), ran.stdout
+    fewer = write_mission(tmp_path, PROGRAM.replace("fc.takeoff(height);", f"sleep({seconds});"))
+    assert lfield("test", "--from", recorded / "records", fewer, cwd=tmp_path).returncode == 1
+
+
+def one_host(recorded: Path, folder: Path, host: str) -> Path:
+    """A copy of the recording of one host."""
+    (found,) = (recorded / "records").glob(f"{host}-*")
+    shutil.copytree(found, folder / found.name)
+    return folder / found.name
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("damage", ["no host", "a damaged record", "a missing host that calls"])
+def test_the_same_calls_of_an_incomplete_recording_prove_nothing(
+    damage: str, recorded: Path, tmp_path: Path
+) -> None:
+    mission = write_mission(tmp_path, PROGRAM)
+    records = tmp_path / "records"
+    one_host(recorded, records, "bravo" if damage == "a missing host that calls" else "alpha")
+    if damage == "a damaged record":
+        bravo = one_host(recorded, records, "bravo")
+        path = bravo / "core-000001.lfrec"
+        data = bytearray(path.read_bytes())
+        data[len(data) // 4] ^= 1
+        path.write_bytes(data)
+    ran = lfield("test", "--from", records, mission, cwd=tmp_path)
+    assert ran.returncode == 65
+    assert "bravo" in ran.stderr or "alpha" in ran.stderr
+    assert "the same" not in ran.stdout
+    ran = lfield("replay", records, "--program", mission, "--json", cwd=tmp_path)
     found = json.loads(ran.stdout)
+    assert ran.returncode == 65
+    assert found["unknown"]
+    assert found["differences"] == 0
+
+
+@pytest.mark.process
+def test_other_calls_of_an_incomplete_recording_are_a_difference(recorded: Path, tmp_path: Path) -> None:
+    other = write_mission(tmp_path, PROGRAM.replace("climb(3.0)", "climb(4.0)"))
+    copied = tmp_path / "records"
+    shutil.copytree(recorded / "records", copied)
+    (path,) = copied.glob("alpha-*/core-*.lfrec")
+    path.write_bytes(path.read_bytes()[:-20])
+    ran = lfield("test", "--from", copied, other, cwd=tmp_path)
     assert ran.returncode == 1
-    assert found["first"]["host"] in ("alpha", "bravo")
-    assert found["first"]["recorded"] != found["first"]["replayed"]
-    text = lfield("replay", copied, "--bundle", tmp_path / "other.lfm", cwd=tmp_path).stdout
-    assert "first difference: " in text
+    assert "incomplete" in ran.stderr
+    same = write_mission(tmp_path, PROGRAM)
+    ran = lfield("test", "--from", copied, same, cwd=tmp_path)
+    assert ran.returncode == 0
+    assert "which is incomplete" in ran.stdout
 
 
 @pytest.mark.process

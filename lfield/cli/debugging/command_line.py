@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping
 
@@ -121,6 +122,8 @@ class DebuggerCommands:
     def _position(self) -> list[str]:
         frame = self.frame
         lines = [text_views.position_line(self.debugger)]
+        if (turn := self.debugger.first_difference) is not None:
+            lines.append(f"the replay differs from the recording from turn {turn} on: see 'lfield replay'")
         if frame is not None and frame.line is not None:
             lines += text_views.source_lines(self.debugger, frame.line, 0, 0)
         return lines
@@ -134,7 +137,9 @@ class DebuggerCommands:
         try:
             seconds = float(text)
         except ValueError:
-            raise UsageError(f"'{text}' is not a time in seconds") from None
+            seconds = math.nan
+        if math.isnan(seconds):
+            raise UsageError(f"'{text}' is not a time in seconds")
         return self._go_to(seconds)
 
     def _go_to(self, seconds: float | None) -> list[str]:

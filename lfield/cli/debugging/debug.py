@@ -106,6 +106,7 @@ def open_debugger(
     from lfield.cli.debugging.dap.dap_session import OpenedDebugger
     from lfield.replay.debugger.debugger import Debugger
     from lfield.replay.debugger.team_timeline import TeamTimeline
+    from lfield.replay.device_events import with_device_events
     from lfield.replay.recording_files import load_team
 
     if paths and paths[0].suffix == DEPLOYMENT:
@@ -115,7 +116,7 @@ def open_debugger(
         record = import_module("lfield.testing.recorded_run").record_mission
         recordings, mission = record(paths[0], seconds, seed)
         return OpenedDebugger(Debugger(TeamTimeline(recordings, mission)), paths[0].resolve().parent)
-    team = load_team(paths, bundle)
+    team = with_device_events(load_team(paths, bundle))
     for problem in (*team.problems, *(f"no recording of {host}" for host in team.missing)):
         print(f"incomplete: {problem}", file=sys.stderr)
     parts = [part for each in team.incarnations for part in each.parts]

@@ -100,15 +100,13 @@ def effect_lines(debugger: Debugger) -> list[str]:
 
 
 def event_lines(debugger: Debugger) -> list[str]:
-    """The last events of the host of the position."""
-    log = debugger.moment.core.recorder.event_log
-    found, _ = log.after(max(0, log.latest - LAST_EVENTS), LAST_EVENTS, 1 << 20)
+    """The last events of the host of the position, with the seconds since its start."""
     lines = []
-    for event in found:
+    for event in debugger.events(LAST_EVENTS):
         fields = {k: v for k, v in as_fields(event).items() if k not in ("at", "up", "cause", "number")}
         kind = fields.pop("kind")
         shown = " ".join(f"{name}={value}" for name, value in fields.items())
-        lines.append(truncate(escape_line(f"{event.number} {kind} {shown}"), SHOWN))
+        lines.append(truncate(escape_line(f"{event.up:.3f} s  {kind}  {shown}"), SHOWN))
     return lines
 
 

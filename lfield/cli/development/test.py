@@ -27,8 +27,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         dest="recording",
         metavar="RECORDING",
         type=Path,
-        help="test whether the program of a deployment (PATH; default: that of the recording) still makes "
-        "the recorded portal and device calls, with the recorded answers of devices",
+        help="test whether the program of a deployment (PATH; default: the one in this directory with the "
+        "name of the recorded mission) still makes the recorded portal and device calls, with the recorded "
+        "answers of devices",
     )
     parser.add_argument(
         "-k", default="", metavar="WORDS", help="run only tests whose names match, as in pytest"

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from lfield import exit_status
-from lfield.cli.recordings.replay import add_recordings, gap_lines, replay_progress
+from lfield.cli.recordings.program_check import gap_lines
+from lfield.cli.recordings.replay import add_recordings, replay_progress
 from lfield.errors import OutputFileError, UsageError
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Replay the recording, and write its events and telemetry."""
-    from lfield.export.export_input import mission_info
+    from lfield.export.export_input import StreamNotice, mission_info
     from lfield.replay.event_stream import event_stream
     from lfield.replay.recording_files import load_team
 
@@ -47,6 +48,10 @@ def run(args: argparse.Namespace) -> int:
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
     with replay_progress(turns, quiet=False) as on_progress:
         items = event_stream(recording, on_progress)
+    known = {problem for each in recording.incarnations for problem in each.problems}
+    for item in items:
+        if isinstance(item, StreamNotice) and item.text not in known:
+            print(f"lfield: incomplete: {item.host}: {item.text}", file=sys.stderr)
     info = mission_info(recording.mission.name, recording.mission)
     if args.mcap is not None:
         _write_mcap(items, info, args.mcap)
@@ -64,6 +69,11 @@ def _write_mcap(items: list[StreamItem], info: MissionInfo, path: Path) -> None:
     try:
         made = export_mcap(items, info, out=file)
         file.finish()
+    except OutputFileError:
+        # As of a full disk: a part of an export is of no use.
+        if path.is_file():
+            path.unlink()
+        raise
     finally:
         file.close()
     print(f"{path}: {made.messages} messages in {made.channels} channels, {made.size} bytes")

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfield import exit_status
-from lfield.cli.recordings.program_check import check_program
+from lfield.cli.recordings.program_check import check_program, gap_lines, utc_time
 
 if TYPE_CHECKING:
     from lfield.replay.recording_files import TeamRecording
@@ -63,15 +63,14 @@ def run(args: argparse.Namespace) -> int:
 
     recording = load_team(args.paths, args.bundle)
     if args.program is not None:
-        if not args.json:
-            print("\n".join(gap_lines(recording)), end="\n" * bool(gap_lines(recording)))
         return check_program(recording, args.program, named_engine(args.engine), as_json=args.json)
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
     with replay_progress(turns, quiet=args.json) as on_progress:
         result = check_team(recording, named_engine(args.engine), on_progress)
     guards, problems = check_guards(recording)
     result = ReplaySummary([*result.parts, *guards])
-    recording = replace(recording, problems=(*recording.problems, *problems))
+    # Reading a guard's ring finds what loading it has found, and more.
+    recording = replace(recording, problems=tuple(dict.fromkeys((*recording.problems, *problems))))
     if args.json:
         print(json.dumps(_as_data(recording, result)))
     else:
@@ -99,7 +98,9 @@ def replay_progress(turns: int, *, quiet: bool) -> Iterator[OnProgress]:
 
 
 def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, object]:
-    first = result.first
+    from lfield.replay.device_events import safety_stops
+
+    first, release = result.first, recording.incarnations[-1].parts[0].start.release
     return {
         "digests": result.digests,
         "differences": result.differences,
@@ -129,39 +130,37 @@ def _as_data(recording: TeamRecording, result: ReplaySummary) -> dict[str, objec
         "missing": list(recording.missing),
         "problems": list(recording.problems),
         "run": recording.incarnations[-1].run,
+        "bundle": {"digest": release.digest.hex(), "by": release.by},
+        "stops": [
+            {"host": stop.host, "time": stop.at, "device": stop.device, "by": stop.by, "reason": stop.reason}
+            for stop in safety_stops(recording)
+        ],
     }
 
 
 def _print(recording: TeamRecording, result: ReplaySummary) -> None:
+    from lfield.replay.device_events import safety_stops
+    from lfield.text.terminal_escape import escape_line
+
     for part in result.parts:
-        state = "differs" if part.differences else "equal"
+        state = "differs" if part.differences else "equal" if part.digests else "nothing to compare"
         if part.guard:
             print(f"{part.host}: guard of {part.guard}: {part.digests} decisions: {state}")
             continue
         print(f"{part.host}: {part.turns} turns, {part.seconds:.1f} s, {part.digests} digests: {state}")
+    for stop in safety_stops(recording):
+        print(f"{stop.host}: {utc_time(stop.at, 3)} UTC: {escape_line(stop.line)}")
     for line in gap_lines(recording):
         print(line)
     if result.first is not None:
         print("\n".join(difference_lines(result.first)))
 
 
-def gap_lines(recording: TeamRecording) -> list[str]:
-    """What is missing of a recording, a line each."""
-    lines = [f"incomplete: {problem}" for problem in recording.problems]
-    if recording.missing:
-        lines.append(f"no recording of: {', '.join(recording.missing)}")
-    if recording.others:
-        lines.append(f"not used, of other runs: {', '.join(path.name for path in recording.others)}")
-    return lines
-
-
 def difference_lines(first: FirstDifference) -> list[str]:
     """The lines that show a difference."""
-    import time
-
     from lfield.replay.team_check import plain
 
-    at = time.strftime("%H:%M:%S", time.gmtime(first.at)) + f"{first.at % 1:.6f}"[1:]
+    at = utc_time(first.at, 6)
     who = f", {first.agent} at {first.place}" if first.place else ""
     return [
         f"first difference: {first.host} at {at} UTC, turn {first.turn}{who}: {first.what}",

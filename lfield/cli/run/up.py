@@ -235,6 +235,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
     from lfield.guard.messages import JSON_LOG_HOST
     from lfield.host.process.host_process import run_host
     from lfield.host.process.parent_pipe import set_cloexec_on_all
+    from lfield.mission.mission import with_installed_drivers
     from lfield.net.local_addresses import own_host
     from lfield.net.zenoh.config import NETWORK
 
@@ -257,7 +258,7 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
     ):
         return event_loop.run(
             run_host(
-                _with_own_drivers(mission, name),
+                with_installed_drivers(mission, name),
                 name,
                 listen=f"fd:{args.listen_fd}" if args.listen_fd is not None else "",
                 control_socket=socket,
@@ -388,13 +389,3 @@ def _may_start(mission: Mission, host: str, args: argparse.Namespace) -> bool:
     return reset_journal(
         *_journal_place(mission, host, args), others, print_line, observer_keys(host, args), yes=args.yes
     )
-
-
-def _with_own_drivers(mission: Mission, host: str) -> Mission:
-    """The mission with the installed drivers of the devices of this host."""
-    from dataclasses import replace
-
-    from lfield.driver.driver_index import installed_drivers
-
-    names = {device.driver for device in mission.devices_of(host)}
-    return replace(mission, drivers=installed_drivers(mission.drivers, names))

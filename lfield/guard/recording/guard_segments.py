@@ -22,6 +22,9 @@ from lfield.manifest import DeviceValue
 from lfield.recording.folders import guard_folders, segments_of
 from lfield.recording.segments import MAGIC, SegmentEnd, SegmentReader, version_of
 
+#: Why a file without a record is of no use.
+NO_RECORD = "it has no record"
+
 
 @dataclass(frozen=True, slots=True)
 class GuardSegment:
@@ -61,9 +64,23 @@ def rings_in(folder: Path) -> dict[str, list[Path]]:
     return {device: paths for device, paths in rings.items() if paths}
 
 
+def guard_problems(folder: Path) -> list[str]:
+    """What cannot be read of the recordings of guards in the folder of an incarnation, a sentence each."""
+    return [
+        f"{segment.path.relative_to(folder)}: {segment.end.reason or NO_RECORD}"
+        for paths in rings_in(folder).values()
+        for segment in read_segments(paths)
+        if segment.end.reason or segment.start is None
+    ]
+
+
 def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:
-    """The segments in these files, in this order. Raises RecordingError."""
-    return (read_segment(path) for path in paths)
+    """The segments in these files, in this order. One that cannot be read has no record."""
+    for path in paths:
+        try:
+            yield read_segment(path)
+        except RecordingError as error:
+            yield GuardSegment(path, None, [], SegmentEnd(0, str(error)))
 
 
 def read_segment(path: Path) -> GuardSegment:
@@ -71,29 +88,29 @@ def read_segment(path: Path) -> GuardSegment:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise RecordingError(f"it cannot be read: {error.strerror or error}") from None
     version = version_of(data)
     if version is None and not MAGIC.startswith(data):
-        raise RecordingError(f"{path} is not a recording of lfield")
+        raise RecordingError("it is not a recording of lfield")
     if version is not None and version > MAGIC[-1]:
-        raise RecordingError(f"{path} was written by a newer version of lfield (format {version})")
+        raise RecordingError(f"it was written by a newer version of lfield (format {version})")
     reader = SegmentReader(data)
-    records = [_decoded(path, record, is_first=at == 0) for at, record in enumerate(reader)]
+    records = [_decoded(record, is_first=at == 0) for at, record in enumerate(reader)]
     start = records[0] if records else None
     if start is not None and not isinstance(start, SegmentStart):
-        raise RecordingError(f"{path} is not the recording of a guard")
+        raise RecordingError("it is not the recording of a guard")
     return GuardSegment(path, start, records[1:], reader.end)
 
 
-def _decoded(path: Path, record: bytes, *, is_first: bool) -> GuardRecord:
+def _decoded(record: bytes, *, is_first: bool) -> GuardRecord:
     try:
         decoded = decode_record(record)
         newer = isinstance(decoded, SegmentStart) and decoded.format > FORMAT
     except (msgspec.MsgspecError, UnicodeDecodeError):
         if not is_first or not (newer := _is_newer(record)):
-            raise RecordingError(f"{path} has a record that is damaged or of a newer version") from None
+            raise RecordingError("it has a record that is damaged or of a newer version") from None
     if newer:
-        raise RecordingError(f"{path} was written by a newer version of lfield")
+        raise RecordingError("it was written by a newer version of lfield")
     return decoded
 
 

@@ -69,6 +69,11 @@ class EventRateLimiter:
         self._tokens = min(burst, self._tokens + max(0.0, now - self._filled) * rate)
         self._filled = now
 
+    def restart(self) -> None:
+        """A full budget, and nothing is counted as dropped."""
+        self._tokens, self._filled, self._reported_at = self._allowed.burst, 0.0, 0.0
+        self._skipped = Counter()
+
     def set_observed(self, *, on: bool) -> None:
         """Set whether there are subscribers."""
         allowed = self._observed_limits if on else self._unobserved_limits

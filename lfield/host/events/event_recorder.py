@@ -78,6 +78,8 @@ class EventRecorder:
         self.detailed = False
         #: Called after every state event.
         self._on_event: Callable[[], None] | None = None
+        #: Called before each event that the core does not make: what an operator orders, and log lines.
+        self._on_shell_event: Callable[[StateEvent], None] | None = None
         self._limiters: list[EventRateLimiter] = []
         self._sources: list[Callable[[], None]] = []
         #: When budgets are refilled next, on the monotonic clock.
@@ -99,6 +101,22 @@ class EventRecorder:
     def listen(self, on_event: Callable[[], None] | None) -> None:
         """Set the callback that is called after every event; None for none."""
         self._on_event = on_event
+
+    def watch_shell(self, on_event: Callable[[StateEvent], None] | None) -> None:
+        """Set the callback for events that the core does not make: a replay does not make them either."""
+        self._on_shell_event = on_event
+
+    def _emit_of_shell(self, what: StateEvent) -> int:
+        if self._on_shell_event is not None:
+            self._on_shell_event(what)
+        return self.emit(what)
+
+    def restart(self) -> None:
+        """Forget the events, and refill all budgets: a replay has gone to another time."""
+        self.event_log = EventLog()
+        self.due = 0.0
+        for budget in self._limiters:
+            budget.restart()
 
     def add_source(self, drain: Callable[[], None]) -> None:
         """Add a part that records events later: `drain` emits its pending events in order."""
@@ -332,18 +350,18 @@ class EventRecorder:
 
     def on_emergency_stop(self, by: str, reason: str, *, lifted: bool) -> None:
         """An operator has sent or lifted an emergency stop."""
-        number = self.emit(events.EmergencyStopChanged(truncate(by), truncate(reason), lifted))
+        number = self._emit_of_shell(events.EmergencyStopChanged(truncate(by), truncate(reason), lifted))
         if not lifted:
             self.set_cause(reason, number)
 
     def on_pause(self, by: str, reason: str, *, lifted: bool, is_vote: bool = False) -> None:
         """An operator or a vote has paused or resumed the mission; devices are held for that reason."""
-        self.set_cause(reason, self.emit(events.PauseChanged(truncate(by), lifted, is_vote)))
+        self.set_cause(reason, self._emit_of_shell(events.PauseChanged(truncate(by), lifted, is_vote)))
 
     def on_host_stopping(self, why: str, reason: str) -> None:
         """The host stops; devices go into their safe states for that reason."""
-        self.set_cause(reason, self.emit(events.HostStopping(truncate(why))))
+        self.set_cause(reason, self._emit_of_shell(events.HostStopping(truncate(why))))
 
     def on_log_line(self, line: LogLine) -> None:
         # msgspec encodes no subclass of str.
-        self.emit(events.LineLogged(truncate(str(line)), line.code, line.level))
+        self._emit_of_shell(events.LineLogged(truncate(str(line)), line.code, line.level))

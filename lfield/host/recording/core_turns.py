@@ -42,6 +42,10 @@ class CoreTurns(TurnClock):
             self.wall_time = self._clock.time()
         return self.wall_time
 
+    def now(self) -> float:
+        """The time of the present turn, or the real time between two turns."""
+        return self.monotonic() if self.in_turn else self._real()
+
     def start_turn(self) -> float:
         """A turn begins; returns its time."""
         self.in_turn, self.wall_time = True, None
@@ -109,11 +113,10 @@ class CoreTurns(TurnClock):
 class HostEventClock:
     """The time of the present turn, and the real time between two turns: for events of core and shell."""
 
-    def __init__(self, turns: CoreTurns, clock: Clock) -> None:
-        self._turns, self._clock = turns, clock
+    def __init__(self, turns: CoreTurns) -> None:
+        self._turns = turns
         self.time = turns.time
 
     def monotonic(self) -> float:
         """Monotonic seconds."""
-        turns = self._turns
-        return turns.monotonic() if turns.in_turn else self._clock.monotonic()
+        return self._turns.now()

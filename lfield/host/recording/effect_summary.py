@@ -13,12 +13,13 @@ from zlib import crc32
 import msgspec
 from msgspec.structs import replace
 
+from lfield.errors import RecordingError
 from lfield.host import effects as host_effects
 from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.wire.messages import RelayedMessage
 
 _encode = msgspec.msgpack.Encoder().encode
-_decode = msgspec.msgpack.Decoder().decode
+_decode = msgspec.msgpack.Decoder(list[list[Any]]).decode
 
 
 def _transfer(effect: SendTransfer) -> list[object]:
@@ -64,5 +65,27 @@ def encode_effects(effects: Sequence[host_effects.Effect]) -> bytes:
 
 
 def decode_effects(data: bytes) -> list[list[Any]]:
-    """The effects in a summary, as plain data. Raises msgspec.DecodeError."""
-    return _decode(data) if data else []
+    """The effects in a summary, as plain data. Raises RecordingError."""
+    if not data:
+        return []
+    try:
+        found = _decode(data)
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise RecordingError(f"the effects of a turn are damaged: {error}") from None
+    if not all(map(_is_valid, found)):
+        raise RecordingError("the effects of a turn are damaged")
+    return found
+
+
+def _is_valid(effect: list[Any]) -> bool:
+    """Whether an effect has the fields that are used elsewhere than for comparison."""
+    match effect:
+        case ["SendTransfer", *fields]:
+            return [type(each) for each in fields[:4]] == [str, str, int, int]
+        case ["CallDevice", str(), *_, int()]:
+            return True
+        case ["CallDevice", *_]:
+            return False
+        case [str(), *_]:
+            return True
+    return False

@@ -12,7 +12,7 @@ from zlib import crc32
 from msgspec.structs import replace
 
 from lfield.host.core import HostCore
-from lfield.host.effects import Effect
+from lfield.host.effects import Effect, WriteLog
 from lfield.host.inputs import HostInput, TransferArrived
 from lfield.host.recording.core_snapshot import CoreSnapshots
 from lfield.host.recording.effect_summary import encode_effects
@@ -26,6 +26,7 @@ from lfield.host.recording.host_records import (
     IdleTurn,
     ReadingChange,
     RunIdRecord,
+    ShellEventRecord,
     StartRecord,
     TurnRecord,
     encode_frame,
@@ -35,6 +36,8 @@ from lfield.host.recording.recording_target import RecordSink
 from lfield.recording.segments import frame
 from lfield.vm.memory.block import Block
 from lfield.vm.turns.run_limit import UNCUT, RunLimit
+from lfield.wire.events import LineLogged, StateEvent
+from lfield.wire.fields import truncate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -59,6 +62,9 @@ class TurnTime(Protocol):
     def wall_time(self) -> float | None:
         """The wall-clock time of the present turn, None if it was not read."""
 
+    def now(self) -> float:
+        """The time of the present turn, or between two turns the real time; monotonic, in seconds."""
+
 
 class FlightRecorder:
     """Records `core` into `sink`; `start` describes the incarnation.
@@ -78,6 +84,9 @@ class FlightRecorder:
     ) -> None:
         self._core, self._clock, self._environment, self._sink = core, clock, environment, sink
         self._start, self._drawn, self._on_pending = start, drawn, on_pending
+        self._run_ids = [start.run]
+        #: The lines that the last turn has written.
+        self._written: list[str] = []
         self._hybrid, self._limit = core.recorder.hybrid_clock, core.context.run_limit or RunLimit(float)
         self._snapshots = CoreSnapshots(core, environment.number_of)
         self._records: list[HostRecord] = []
@@ -113,6 +122,9 @@ class FlightRecorder:
         self._clock_state = self._hybrid.state
         cuts = self._limit.drain_cuts()
         summary = encode_effects(effects) if effects else b""
+        self._written = [
+            truncate(str(each.text)) for each in effects if isinstance(each, WriteLog)
+        ] or _NOTHING
         digests = self._digests(at) if at >= self._digest_due else _NOTHING
         drawn, times, wall = _NOTHING, _NOTHING, self._clock.wall_time
         if self._drawn:
@@ -131,6 +143,15 @@ class FlightRecorder:
             return
         changes = wall, clock, answers, readings, drawn, cuts, summary, digests, self._runs, times
         self._records.append(TurnRecord(at, entry, *changes))  # type: ignore[arg-type]
+
+    def note_event(self, what: StateEvent) -> None:
+        """The shell has made an event; a replay makes the log lines that are effects itself."""
+        if isinstance(what, LineLogged) and what.text in self._written:
+            self._written.remove(what.text)
+            return
+        if not self._records:
+            self._on_pending()
+        self._records.append(ShellEventRecord(self._clock.now(), what))
 
     def note_time(self, at: float) -> None:
         """The core has read the real time within the turn."""
@@ -160,11 +181,10 @@ class FlightRecorder:
 
     def note_run(self, run: str) -> None:
         """The run id of this host has changed."""
+        self._run_ids.append(run)
         if not self._records:
             self._on_pending()
         self._records.append(RunIdRecord(run))
-        # For the checkpoints: the record is deleted with its file.
-        self._start = replace(self._start, run=run)
 
     def close(self, at: float) -> None:
         """The host ends in order."""
@@ -200,6 +220,7 @@ class FlightRecorder:
             self._snapshots.capture(),
             environment.answers,
             environment.readings,
+            self._run_ids.copy(),
         )
         self._bytes, self._checkpoint_due = 0, now + CHECKPOINT_INTERVAL
         data = _frame([record], b"C", now)

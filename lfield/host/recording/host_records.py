@@ -19,11 +19,13 @@ from lfield.host.inputs import RecordedInput
 from lfield.journal.records import Record, RecordKey
 from lfield.manifest import DeviceValue
 from lfield.vm.turns.run_limit import UNCUT, RunCuts
+from lfield.wire.events import StateEvent
 
 #: The version of these records. A file of a newer version is not read.
 VERSION = 1
 #: The largest decompressed frame, in bytes.
 MAX_FRAME = 1 << 28
+_TOO_LARGE = f"a frame has more than {MAX_FRAME >> 20} MB"
 #: Hybrid clock of a host, see `HybridClock.state`.
 ClockState = tuple[int, float, float, float]
 
@@ -135,7 +137,8 @@ class CheckpointRecord(HostRecord, frozen=True, tag=4):
     """The whole state of the core after the record before: a replay can begin here.
 
     `start` is the record of the incarnation, `snapshot` that of `core_snapshot`; `answers` and `readings` are
-    those of the environment as far as the core knows them.
+    those of the environment as far as the core knows them. `runs` are the run ids that the host has had, the
+    present one last: the records before may be deleted.
     """
 
     at: float
@@ -143,6 +146,7 @@ class CheckpointRecord(HostRecord, frozen=True, tag=4):
     snapshot: bytes
     answers: list[RecordedAnswer]
     readings: list[ReadingChange]
+    runs: list[str] = []
 
 
 class RunIdRecord(HostRecord, frozen=True, tag=5):
@@ -157,7 +161,16 @@ class EndRecord(HostRecord, frozen=True, tag=6):
     at: float
 
 
-AnyRecord = StartRecord | IdleTurn | TurnRecord | CheckpointRecord | RunIdRecord | EndRecord
+class ShellEventRecord(HostRecord, frozen=True, tag=7):
+    """An event that the core did not make: an order of an operator, or a log line of the shell."""
+
+    at: float
+    what: StateEvent
+
+
+AnyRecord = (
+    StartRecord | IdleTurn | TurnRecord | CheckpointRecord | RunIdRecord | EndRecord | ShellEventRecord
+)
 #: A list of records of bounded length.
 _Batch = Annotated[list[AnyRecord], Meta(max_length=1 << 20)]
 _HEADER = Layout("<cdI")
@@ -174,8 +187,11 @@ class FrameHeader(NamedTuple):
 
 
 def encode_frame(records: list[HostRecord], header: FrameHeader) -> bytes:
-    """Records as the content of a frame."""
-    return _HEADER.pack(*header) + zlib.compress(_encoder.encode(records), 1)
+    """Records as the content of a frame. Raises RecordingError if a reader would refuse it."""
+    plain = _encoder.encode(records)
+    if len(plain) > MAX_FRAME:
+        raise RecordingError(_TOO_LARGE)
+    return _HEADER.pack(*header) + zlib.compress(plain, 1)
 
 
 def header_of(data: bytes) -> FrameHeader:
@@ -191,7 +207,7 @@ def decode_frame(data: bytes) -> list[AnyRecord]:
         unpacker = zlib.decompressobj()
         plain = unpacker.decompress(data[_HEADER.size :], MAX_FRAME)
         if unpacker.unconsumed_tail:
-            raise RecordingError(f"a frame has more than {MAX_FRAME >> 20} MB")
+            raise RecordingError(_TOO_LARGE)
         return _decoder.decode(plain)
     except (zlib.error, msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise RecordingError(f"a record is damaged: {error}") from None

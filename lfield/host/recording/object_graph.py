@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import Enum
 from functools import cached_property, partial
 from itertools import count
-from sys import modules
 from types import BuiltinMethodType, FunctionType, MethodType
 from typing import Any
 
@@ -16,19 +15,23 @@ import msgspec
 from msgspec.structs import force_setattr
 
 from lfield.errors import RecordingError
+from lfield.host.recording.snapshot_classes import (
+    class_named,
+    new_instance,
+    reference_to,
+    require_instantiable,
+)
 from lfield.vm.engine_interface import Reading
 from lfield.vm.memory.block import Block
 from lfield.vm.memory.block_allocator import BlockAllocator
 
-#: Values that are encoded as they are; an int of more than 64 bits does not occur.
+#: Values that are encoded as they are.
 PLAIN = (bool, int, float, str, bytes, type(None))
-_CONTAINERS = (dict, list, set, deque)
 #: Makes an empty container of each kind.
-_MADE: Mapping[str, Callable[[], object]] = {
+_CONTAINERS: Mapping[str, Callable[[], Any]] = {
     **{kind.__name__: kind for kind in (dict, OrderedDict, Counter, list, set, deque)},
     "defaultdict": partial(defaultdict, list),
 }
-_FUNCTIONS = (FunctionType, MethodType, BuiltinMethodType, partial)
 _OURS = "lfield."
 #: The memory of all blocks of a snapshot, in bytes.
 _MAX_BLOCKS = 1 << 31
@@ -38,6 +41,16 @@ def is_instance(value: object) -> bool:
     """Whether it is an object of a class of lfield, whose attributes are its state."""
     made = type(value)
     return made.__module__.startswith(_OURS) and not isinstance(value, (type, Enum, tuple, str, dict))
+
+
+def is_container(value: object) -> bool:
+    """Whether it is a container that is encoded by its elements."""
+    make = _CONTAINERS.get(type(value).__name__)
+    if make is None or type(made := make()) is not type(value):
+        return False
+    return all(
+        getattr(value, name, None) is getattr(made, name, None) for name in ("maxlen", "default_factory")
+    )
 
 
 def is_frozen(value: object) -> bool:
@@ -57,6 +70,8 @@ def attributes(value: object) -> Iterator[tuple[str, object]]:
         slots = base.__dict__.get("__slots__", ())
         names.update((slots,) if isinstance(slots, str) else slots)
     names.update(getattr(made, "__struct_fields__", ()))
+    if isinstance(value, BaseException):
+        names.add("args")
     for name in sorted(names):
         # Such as __orig_class__, which `typing` sets.
         if name.startswith("__"):
@@ -104,19 +119,6 @@ def walk(root: object, excluded: Mapping[int, object], opaque: tuple[type, ...])
     return found
 
 
-def _container_kind(value: object) -> str:
-    """The kind of a container, as in `_MADE`. Raises RecordingError for one that could not be made again."""
-    kind = type(value).__name__
-    if (
-        kind not in _MADE
-        or type(_MADE[kind]()) is not type(value)
-        or (isinstance(value, defaultdict) and value.default_factory is not list)
-        or (isinstance(value, deque) and value.maxlen is not None)
-    ):
-        raise RecordingError(f"a checkpoint cannot contain a {kind} such as {value!r}")
-    return kind
-
-
 class GraphWriter:
     """Encodes objects as plain data; objects with a reference in `known` (by id) are encoded as that."""
 
@@ -125,6 +127,8 @@ class GraphWriter:
         #: The objects that are not known, by id, with their positions among `objects`.
         self._places: dict[int, int] = {}
         self._found: list[object] = []
+        #: The bytes of all blocks.
+        self._size = 0
 
     def state_of(self, value: object) -> Any:
         """The state of a known object; None if it cannot change."""
@@ -160,58 +164,62 @@ class GraphWriter:
 
     def _object(self, value: object) -> list[Any]:
         if isinstance(value, Block):
-            return [
-                "block",
-                bytes(memoryview(value.data)[: 8 * value.top]),
-                len(value.w),
-                value.limit,
-                value.packed,
-            ]
-        if isinstance(value, _CONTAINERS):
-            return [_container_kind(value), self.state_of(value)]
-        state = [x for name, each in attributes(value) for x in (name, self.encode(each))]
-        return ["instance", class_name(type(value)), state]
+            return self._block(value)
+        if is_container(value):
+            return [type(value).__name__, self.state_of(value)]
+        made: Any = type(value)
+        return ["instance", require_instantiable(made), self._state(value)]
+
+    def _block(self, block: Block) -> list[Any]:
+        capacity = len(block.w)
+        self._size += 8 * capacity
+        if not _has_valid_sizes(capacity, block.limit) or self._size > _MAX_BLOCKS:
+            raise RecordingError("a checkpoint cannot contain a block of this size")
+        used = bytes(memoryview(block.data)[: 8 * block.top])
+        return ["block", used, capacity, block.limit, block.packed]
 
     def encode(self, value: object) -> Any:
         """A value as plain data. Raises RecordingError if it has no encoding."""
-        if isinstance(value, PLAIN) and type(value) in PLAIN:
+        if type(value) in PLAIN:
+            if type(value) is int and not -(1 << 63) <= value < 1 << 64:
+                raise RecordingError("a checkpoint cannot contain an integer of more than 64 bits")
             return value
         if (reference := self._known.get(id(value))) is not None:
             return reference
         if isinstance(value, Enum):
-            return ["enum", class_name(type(value)), value.name]
+            return ["enum", reference_to(type(value)), _member_name(value)]
         if isinstance(value, (tuple, frozenset)):
-            kind = (
-                class_name(type(value)) if type(value).__module__.startswith(_OURS) else type(value).__name__
-            )
+            made: Any = type(value)
+            kind = made.__name__ if made in (tuple, frozenset) else reference_to(made)
             return ["tuple", kind, [self.encode(each) for each in value]]
         if isinstance(value, Reading):
             return ["reading", self._number_of(value)]
         return self._encode_rare(value)
 
     def _encode_rare(self, value: object) -> Any:
-        if isinstance(value, (Block, *_CONTAINERS)) or is_instance(value):
+        if isinstance(value, Block) or is_container(value) or is_instance(value):
             if id(value) not in self._places:
                 self._places[id(value)] = len(self._found)
                 self._found.append(value)
             return ["object", self._places[id(value)]]
         match value:
             case type():
-                return ["type", class_name(value)]
-            case count():
+                return ["type", reference_to(value)]
+            case count() if len(value.__reduce__()[1]) == 1:
                 return ["count", next(iter(value.__reduce__()[1]))]
-            case memoryview() | bytearray():
+            case memoryview() | bytearray() | array():
                 view = memoryview(value)
-                return ["bytes", view.format, view.tobytes()]
-            case array():
-                return ["bytes", value.typecode, value.tobytes()]
-            case MethodType():
+                return [type(value).__name__, view.format, view.tobytes()]
+            case MethodType() if getattr(value.__self__, value.__func__.__name__, None) == value:
                 return ["method", self.encode(value.__self__), value.__func__.__name__]
-            case partial():
+            case partial() if not value.keywords:
                 return ["partial", self.encode(value.func), [self.encode(each) for each in value.args]]
             case str():
-                return str(value)
-        raise RecordingError(f"a checkpoint cannot contain {value!r}")
+                return ["text", reference_to(type(value)), str(value), self._state(value)]
+        raise RecordingError(f"a checkpoint cannot contain a {type(value).__name__}")
+
+    def _state(self, value: object) -> list[Any]:
+        return [x for name, each in attributes(value) for x in (name, self.encode(each))]
 
 
 class GraphReader:
@@ -261,14 +269,14 @@ class GraphReader:
                 return self._block(*row[1:])
             case "instance":
                 made: Any = class_named(row[1])
-                return None if issubclass(made, msgspec.Struct) else object.__new__(made)
-            case str(kind) if kind in _MADE:
-                return _MADE[kind]()
+                return None if issubclass(made, msgspec.Struct) else new_instance(made)
+            case str(kind) if kind in _CONTAINERS:
+                return _CONTAINERS[kind]()
         raise RecordingError(f"a checkpoint has an object of an unknown kind: {row[0]}")
 
     def _block(self, data: bytes, capacity: int, limit: int, packed: int) -> Block:
         self._free -= 8 * capacity
-        if capacity > limit + (1 << 16) or len(data) > 8 * capacity or self._free < 0:
+        if not _has_valid_sizes(capacity, limit) or len(data) > 8 * capacity or self._free < 0:
             raise RecordingError("a checkpoint has a block with wrong sizes")
         buffer = self._space.allocate(8 * capacity)
         buffer[: len(data)] = data
@@ -279,9 +287,9 @@ class GraphReader:
         if isinstance(made, dict):
             items = [self.decode(each) for each in state]
             made.clear()
-            # `update` of a Counter would add, or count.
-            for key, value in zip(items[::2], items[1::2], strict=True):
-                made[key] = value
+            # Not `update`, which counts the items of a Counter.
+            for name, value in zip(items[::2], items[1::2], strict=True):
+                made[name] = value
         elif isinstance(made, set):
             made.clear()
             made.update(self.decode(each) for each in state)
@@ -320,9 +328,15 @@ class GraphReader:
                 return self._readings[number]
             case ["count", int(start)]:
                 return count(start)
-            case ["bytes", str(kind), bytes(data)]:
+            case ["memoryview", str(format), bytes(data)]:
                 plain: Any = memoryview(bytearray(data))
-                return plain.cast(kind) if kind != "B" else data
+                return plain.cast(format) if format != "B" else data
+            case ["bytearray", _, bytes(data)]:
+                return bytearray(data)
+            case ["array", str(format), bytes(data)]:
+                return array(format, data)
+            case ["text", str(kind), str(text), list(state)]:
+                return self._text(kind, text, state)
             case ["method", owner, str(name)]:
                 return self._method(self.decode(owner), name)
             case ["partial", function, list(items)]:
@@ -334,6 +348,14 @@ class GraphReader:
             return frozenset(items)
         return tuple(items) if kind == "tuple" else tuple.__new__(class_named(kind), items)
 
+    def _text(self, kind: str, text: str, state: list[Any]) -> str:
+        made = class_named(kind)
+        if not issubclass(made, str):
+            raise RecordingError(f"a checkpoint names a class that is no text: {kind}")
+        found = str.__new__(made, text)
+        self._set_attributes(found, state)
+        return found
+
     def _method(self, owner: object, name: str) -> Any:
         found = getattr(owner, name)
         if not isinstance(found, MethodType) or not is_instance(owner):
@@ -341,17 +363,12 @@ class GraphReader:
         return found
 
 
-def class_name(made: type) -> str:
-    """The name of a class of lfield, as of `class_named`."""
-    return f"{made.__module__}:{made.__qualname__}"
+def _has_valid_sizes(capacity: int, limit: int) -> bool:
+    return capacity <= limit + (1 << 16)
 
 
-def class_named(name: str) -> type:
-    """The class of lfield with that name, of a module that is loaded. Raises RecordingError."""
-    module, _, path = name.partition(":")
-    found: Any = modules.get(module) if module.startswith(_OURS) else None
-    for part in path.split("."):
-        found = getattr(found, part, None)
-    if not isinstance(found, type) or not found.__module__.startswith(_OURS):
-        raise RecordingError(f"a checkpoint names an unknown class: {name}")
-    return found
+def _member_name(value: Enum) -> str:
+    """The name of a member of an enumeration. Raises RecordingError for a combination of flags."""
+    if value.name not in type(value).__members__:
+        raise RecordingError(f"a checkpoint cannot contain {value!r}")
+    return str(value.name)

@@ -5,13 +5,14 @@ In one turn a question has one answer, so a replay needs a table of the present 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
+from math import copysign
 from typing import TypeVar, cast
 
 from lfield.bytecode.program import DeviceCallRecord
 from lfield.capability.directory.directory_delta import Unavailability
-from lfield.errors import DeviceError
+from lfield.errors import DeviceError, RecordingError
 from lfield.host.effects import Environment
 from lfield.host.recording.host_records import ReadingChange, RecordedAnswer
 from lfield.manifest import DeviceValue, Observation
@@ -89,8 +90,11 @@ class RecordedEnvironment:
         return [ReadingChange(number, *known) for number, known in enumerate(self._recorded)]
 
     def number_of(self, reading: Reading) -> int:
-        """The number of a reading that was given out."""
-        return next(number for number, each in enumerate(self._readings) if each is reading)
+        """The number of a reading that was given out. Raises RecordingError for another one."""
+        for number, each in enumerate(self._readings):
+            if each is reading:
+                return number
+        raise RecordingError("a checkpoint cannot contain a reading that was not recorded")
 
     # --- questions ------------------------------------------------------------------------------------
 
@@ -144,21 +148,26 @@ class RecordedEnvironment:
     def reading(self, agent: str, call: DeviceCallRecord) -> Reading | None:
         """See `Environment`."""
         found = self._inner.reading(agent, call)
+        if not self._in_turn:
+            return found
         key = Question.READING, agent, self._calls[call]
         if found is None:
             self._note(key, None)
             return None
-        number = next((n for n, each in enumerate(self._readings) if each is found), -1)
-        if number < 0:
-            number = len(self._readings)
+        number = next((n for n, each in enumerate(self._readings) if each is found), len(self._readings))
+        if number == len(self._readings):
             self._readings.append(found)
             self._recorded.append((found.word, found.until))
             # The recording learns the word at the beginning of a turn, and this one is under way.
-            self._known[key] = number
-            self._changes.append(
-                RecordedAnswer(Question.READING, list(key[1:]), [number, found.word, found.until])
-            )
+            self._change(key, number, [number, found.word, found.until])
+        elif self._known.get(key) != number:
+            # The reading has been lost meanwhile, or was known as that of another call.
+            self._change(key, number, number)
         return found
+
+    def _change(self, key: tuple[str | int, ...], number: int, answer: object) -> None:
+        self._known[key] = number
+        self._changes.append(RecordedAnswer(Question.READING, list(key[1:]), answer))
 
     def _note(self, key: tuple[str | int, ...], value: T) -> T:
         if not self._in_turn:
@@ -174,13 +183,25 @@ class RecordedEnvironment:
 
 
 def _is_same(known: object, value: object) -> bool:
-    if isinstance(known, DeviceError) or isinstance(value, DeviceError):
-        return (
-            isinstance(known, DeviceError)
-            and isinstance(value, DeviceError)
-            and (known.device, known.reason, known.kind) == (value.device, value.reason, value.kind)
-        )
-    return type(known) is type(value) and known == value
+    """Whether a replay that has `known` computes the same as with `value`.
+
+    Equal values can differ: 0.0 and -0.0, and 1, 1.0 and True in a sequence.
+    """
+    if known is value or type(known) is not type(value):
+        return known is value
+    match value:
+        case DeviceError(device=device, reason=reason, kind=kind):
+            other = cast(DeviceError, known)
+            return (other.device, other.reason, other.kind) == (device, reason, kind)
+        case float():
+            return known == value and (value != 0.0 or copysign(1.0, value) == copysign(1.0, known))
+        case list() | tuple():
+            others = cast("Sequence[object]", known)
+            return len(value) == len(others) and all(map(_is_same, others, value))
+        case Observation():
+            found = cast(Observation, known)
+            return found.when == value.when and _is_same(found.value, value.value)
+    return known == value
 
 
 def _answer(key: tuple[str | int, ...], value: object) -> RecordedAnswer:

@@ -19,10 +19,11 @@ from lfield.host.recording.flight_recorder import FlightRecorder
 from lfield.host.recording.host_records import VERSION, Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordingTarget
-from lfield.mission.bundle import decode, encode
+from lfield.mission.bundle import contents, decode, encode, with_signature
 from lfield.mission.mission import Mission
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
+from lfield.wire.events import StateEvent
 
 
 class RunIdentity:
@@ -55,6 +56,17 @@ def replayed_form(mission: Mission) -> Mission:
         return replace(decode(encode(mission)), release=mission.release)
     except LfieldError as error:
         raise RecordingError(f"its bundle cannot be read again: {error}") from None
+
+
+def _bundle_of(mission: Mission) -> bytes:
+    """The bundle of the mission as it runs, with its signature if that is of the same bytes.
+
+    Other bindings, as those of simulated devices, and other addresses make another bundle.
+    """
+    data = encode(mission)
+    release = mission.release
+    is_same = release.signature and contents(data).digest == release.digest
+    return with_signature(data, release.signature) if is_same else data
 
 
 class RecordingSession:
@@ -116,7 +128,7 @@ class RecordingSession:
     def _open(self, core: HostCore, clock: CoreTurns, engine: str) -> None:
         if self._target is None or self._environment is None:
             return
-        bundle, wall_time = encode(self._mission), clock.time()
+        bundle, wall_time = _bundle_of(self._mission), clock.time()
         start = self._start_record(core, clock, engine, hashlib.sha256(bundle).digest())
         self._drawn.clear()
         at = core.name, core.incarnation, wall_time
@@ -127,6 +139,7 @@ class RecordingSession:
             return
         given = self._environment, start, sink, self._drawn, self._on_pending
         self.flight = FlightRecorder(core, clock, *given)
+        core.recorder.watch_shell(self._note_event)
 
     def _start_record(self, core: HostCore, clock: CoreTurns, engine: str, bundle: bytes) -> StartRecord:
         context, release = core.context, self._mission.release
@@ -144,6 +157,10 @@ class RecordingSession:
         """Another host has this run id."""
         if self.run.on_hello(run) and self.flight is not None:
             self.flight.note_run(self.run.id)
+
+    def _note_event(self, what: StateEvent) -> None:
+        if self.flight is not None:
+            self.flight.note_event(what)
 
     def for_guards(self) -> GuardRecording:
         """What the guards of this host record."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
+from lfield.errors import UsageError
 from lfield.host.effects import CallDevice
 from lfield.replay.debugger.device_readings import DeviceReading, device_readings
 from lfield.replay.debugger.expressions import WatchExpression, WatchScope
@@ -21,6 +22,7 @@ from lfield.replay.debugger.frames import (
     state_name,
     thread_keys,
 )
+from lfield.replay.debugger.host_timeline import MAX_EVENT_BYTES
 from lfield.replay.debugger.moment import Moment, Target, ThreadKey, thread_key
 from lfield.replay.debugger.targets import (
     AnyTarget,
@@ -35,7 +37,9 @@ from lfield.replay.debugger.targets import (
 )
 from lfield.replay.debugger.team_timeline import Place, TeamTimeline
 from lfield.replay.debugger.value_tree import Variable
+from lfield.text.suggestions import choice
 from lfield.vm.memory.threads import only_thread
+from lfield.wire.events import KINDS, Event
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +93,12 @@ class Debugger:
     def host(self) -> str:
         """The host of the position."""
         return self.team.hosts[self.place.recording].recording.host
+
+    @property
+    def first_difference(self) -> int | None:
+        """The turn from which on the state of this host is not that of the recording; None before it."""
+        found = self.team.hosts[self.place.recording].divergence
+        return None if found is None or self.place.turn < found[0] else found[0]
 
     @property
     def moment(self) -> Moment:
@@ -170,6 +180,18 @@ class Debugger:
         """The readings of the devices of all hosts, as their cores know them."""
         return [each for number in self.running for each in device_readings(self.moment_of(number))]
 
+    def events(self, count: int) -> list[Event]:
+        """The last events of the host of the position, at most so many."""
+        moment = self.moment
+        recorder = moment.core.recorder
+        recorder.drain()
+        log = recorder.event_log
+        found, _ = log.after(max(0, log.latest - count), count, MAX_EVENT_BYTES)
+        if len(found) < count and moment.origin:
+            host = self.team.hosts[self.place.recording]
+            found = [*host.events_before(moment.origin, count - len(found)), *found]
+        return found
+
     def evaluate(self, text: str, frame: StackFrame | None = None) -> tuple[object, Variable | None]:
         """The value of an expression in a frame and those below it, and the variable if it names one.
 
@@ -178,7 +200,7 @@ class Debugger:
         moment, frames = self._stack(None if frame is None else frame.key)
         if frame in frames:
             frames = frames[frames.index(frame) :]
-        scope = WatchScope(moment, [(each.key.agent, each.frame) for each in frames])
+        scope = WatchScope(moment, [(each.key.agent, each.frame) for each in frames], self.readings)
         expression = WatchExpression(text)
         if (found := expression.variable(scope)) is not None:
             return scope.plain(found), scope.shown(text, found)
@@ -285,12 +307,19 @@ class Debugger:
         return InstructionTarget(self.team.table.portals)
 
     def hop_target(self, agent: str = "") -> Target:
-        """The arrival of a coordinator on a host."""
+        """The arrival of a coordinator on a host. Raises UsageError for an unknown one."""
+        known = [member.id for member in self.team.mission.team.coordinators]
+        if agent and agent not in known:
+            raise UsageError(f"there is no coordinator '{agent}'; {choice(agent, known, 'coordinators:')}")
         return HopTarget(agent)
 
     def event_target(self, kinds: Iterable[str] = ()) -> Target:
-        """An event of some kinds, see events.md; of any kind without one."""
-        return EventTarget(tuple(kinds))
+        """An event of some kinds, see events.md; of any kind without one. Raises UsageError for another."""
+        kinds = tuple(kinds)
+        for kind in kinds:
+            if kind not in KINDS:
+                raise UsageError(f"there is no event of the kind '{kind}'; {choice(kind, KINDS, 'kinds:')}")
+        return EventTarget(kinds)
 
     def device_target(self) -> Target:
         """The call of a device instruction."""
@@ -299,23 +328,39 @@ class Debugger:
     def condition_target(self, text: str) -> Target:
         """A condition becomes true. Raises UsageError."""
         expression = WatchExpression(text)
-        return ConditionTarget(self._value_of(expression), self._stops_of(expression))
+        if not expression.may_be_condition:
+            raise UsageError(f"'{text}' is no condition: write a comparison, as battery < 0.3")
+        self._require_known(expression)
+        return ConditionTarget(self._value_of(expression.value_or_none), self._stops_of(expression))
 
     def change_target(self, text: str) -> Target:
         """The value of an expression changes. Raises UsageError."""
         expression = WatchExpression(text)
-        return ChangeTarget(self._value_of(expression), self._stops_of(expression))
+        self._require_known(expression)
+        return ChangeTarget(self._value_of(expression.content), self._stops_of(expression))
+
+    def _require_known(self, expression: WatchExpression) -> None:
+        """Raises UsageError for a name that means nothing in this mission at any time."""
+        calls = self.team.program.core.device_calls
+        known = {
+            *self.team.table.variables,
+            *(member.id for member in self.team.mission.team.members),
+            *(name for call in calls for name in (call.field, call.instruction)),
+            "this",
+        }
+        for name in sorted(expression.names - known):
+            raise UsageError(f"'{name}' is no variable or reading of this mission")
 
     def _stops_of(self, expression: WatchExpression) -> frozenset[int] | None:
         # A core gets new readings at the input of a turn.
         return None if expression.names & self.team.table.variables else frozenset()
 
-    def _value_of(self, expression: WatchExpression) -> Callable[[Moment], object]:
+    def _value_of(self, read: Callable[[WatchScope], object]) -> Callable[[Moment], object]:
         focus = self.focus
 
         def value(moment: Moment) -> object:
             frames = [] if focus is None else frame_places(moment, focus)
-            return expression.value_or_none(WatchScope(moment, frames))
+            return read(WatchScope(moment, frames))
 
         return value
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import NamedTuple
 
 from lfield.bytecode.program import BOOLEAN, REAL
@@ -36,9 +36,11 @@ def device_readings(moment: Moment) -> list[DeviceReading]:
     return list({each.name: each for each in _readings(moment)}.values())
 
 
-def reading_named(moment: Moment, path: tuple[str, ...], agent: str = "") -> DeviceReading | None:
+def reading_named(
+    readings: Iterable[DeviceReading], path: tuple[str, ...], agent: str = ""
+) -> DeviceReading | None:
     """The reading of that name, preferably of an agent."""
-    found = [each for each in device_readings(moment) if each.is_named(path)]
+    found = [each for each in readings if each.is_named(path)]
     return next((each for each in found if each.agent == agent), found[0] if found else None)
 
 

@@ -17,7 +17,7 @@ from lfield.lang import syntax
 from lfield.lang.parser.expressions import expression
 from lfield.lang.parser.token_stream import ParsingAborted, SyntaxRecovery, TokenStream
 from lfield.lang.scanner import scan
-from lfield.replay.debugger.device_readings import reading_named
+from lfield.replay.debugger.device_readings import DeviceReading, device_readings, reading_named
 from lfield.replay.debugger.frames import reader_of
 from lfield.replay.debugger.moment import Moment
 from lfield.replay.debugger.value_tree import ValueReader, Variable
@@ -38,6 +38,12 @@ _OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
 }
 
 
+#: Operators whose results are true or false.
+_CONDITIONS = frozenset({"!", "&&", "||", "<", "<=", ">", ">=", "==", "!="})
+#: What an expression without a value has; null is a value.
+NO_VALUE = object()
+
+
 class ValueUnknown(Exception):
     """An expression has no value at this moment; the message says why."""
 
@@ -53,11 +59,16 @@ class FoundValue(NamedTuple):
 class WatchScope:
     """The names at a moment: of some frames, innermost first, and of the devices of the host.
 
-    A frame is given by its agent and its place.
+    A frame is given by its agent and its place. `others` returns the readings of all hosts.
     """
 
-    def __init__(self, moment: Moment, frames: Sequence[tuple[str, int]]) -> None:
-        self._moment, self._frames = moment, frames
+    def __init__(
+        self,
+        moment: Moment,
+        frames: Sequence[tuple[str, int]],
+        others: Callable[[], Sequence[DeviceReading]] = tuple,
+    ) -> None:
+        self._moment, self._frames, self._others = moment, frames, others
 
     def variable(self, name: str) -> FoundValue | None:
         """The variable or field of that name."""
@@ -71,7 +82,8 @@ class WatchScope:
     def reading(self, path: tuple[str, ...]) -> object:
         """The value of a device reading. Raises ValueUnknown."""
         agent = self._frames[0][0] if self._frames else ""
-        found = reading_named(self._moment, path, agent)
+        found = reading_named(device_readings(self._moment), path, agent)
+        found = found or reading_named(self._others(), path, agent)
         if found is None:
             raise ValueUnknown(f"{'.'.join(path)} is not known here")
         return found.value
@@ -88,6 +100,10 @@ class WatchScope:
     def plain(self, value: FoundValue) -> object:
         """A value, for comparisons."""
         return self._reader(value.agent).plain(value[1:])
+
+    def content(self, value: FoundValue) -> object:
+        """A value with its parts, for comparisons with one at another time."""
+        return self._reader(value.agent).content(value[1:])
 
     def shown(self, name: str, value: FoundValue) -> Variable:
         """A value with its texts."""
@@ -118,6 +134,16 @@ class WatchExpression:
         """The names that may be those of variables: of `lead.fc.battery` the first part."""
         return set(_names(self._tree))
 
+    @property
+    def may_be_condition(self) -> bool:
+        """Whether it can be true or false."""
+        match self._tree:
+            case syntax.Literal_(value=value):
+                return isinstance(value, bool)
+            case syntax.Unary(operator=operator) | syntax.Binary(operator=operator):
+                return operator in _CONDITIONS
+        return True
+
     def value(self, scope: WatchScope) -> object:
         """Its value. Raises ValueUnknown."""
         return _plain(self._tree, scope)
@@ -132,6 +158,14 @@ class WatchExpression:
             return self.value(scope)
         except ValueUnknown:
             return None
+
+    def content(self, scope: WatchScope) -> object:
+        """Its value for comparisons with that at another time; NO_VALUE where it has none."""
+        try:
+            found = self.variable(scope)
+            return self.value(scope) if found is None else scope.content(found)
+        except ValueUnknown:
+            return NO_VALUE
 
 
 def _plain(tree: syntax.Expr, scope: WatchScope) -> object:

@@ -23,11 +23,14 @@ from lfield.replay.host_replay import Divergence, HostReplay
 from lfield.vm.engine_interface import Engine
 from lfield.vm.memory.block import Block
 from lfield.vm.reference import ReferenceEngine
+from lfield.wire.events import Event
 
 #: Seconds of replaying after which a checkpoint is made in memory, and the bytes of all of them.
 CHECKPOINT_EVERY, MAX_CHECKPOINT_BYTES = 0.1, 128 << 20
 #: Seconds of replaying between two reports of progress.
 REPORT_EVERY = 0.05
+#: The bytes of events that are listed.
+MAX_EVENT_BYTES = 1 << 20
 #: Replays that are kept for use again: a rewind costs a quarter of a new one.
 MAX_USED = 3
 
@@ -108,6 +111,22 @@ class HostTimeline:
         run = self._run_at(min(turn, self.turns))
         self._idle = run
         return run.rest()
+
+    def events_before(self, turn: int, count: int) -> list[Event]:
+        """The last events before a turn, at most so many."""
+        back = 1
+        while True:
+            run = self._restored(self._nearest(max(0, turn - back)))
+            first = run.turn
+            self._advance(run, turn)
+            recorder = run.rest().core.recorder
+            recorder.drain()
+            log = recorder.event_log
+            found, _ = log.after(max(0, log.latest - count), count, MAX_EVENT_BYTES)
+            self._keep(run)
+            if len(found) == count or not first:
+                return found
+            back *= 4
 
     # --- search ---------------------------------------------------------------------------------------
 
@@ -249,6 +268,8 @@ class _Run:
 
         self.replay = HostReplay(timeline.recording, timeline.mission, make, turn, checkpoint)
         self._engine, self._turns = engines[0], iter(self.replay)
+        #: The turn at which its event log begins.
+        self._origin = self.replay.turn
         self.divergence: tuple[int, Divergence] | None = None
         self.checkpoint_due = 0.0
         self._step = 0
@@ -257,7 +278,7 @@ class _Run:
         """Go to a turn with the state before it."""
         self.replay.rewind(turn, checkpoint)
         self._turns = iter(self.replay)
-        self.divergence, self._step = None, 0
+        self.divergence, self._step, self._origin = None, 0, turn
 
     @property
     def turn(self) -> int:
@@ -269,7 +290,7 @@ class _Run:
         return self._moment(Phase.REST, ())
 
     def _moment(self, phase: Phase, effects: Any, block: Block | None = None, place: int = 0) -> Moment:
-        state = ReplayState(self.replay.core, self.replay.environment, self._table)
+        state = ReplayState(self.replay.core, self.replay.environment, self._table, self._origin)
         return Moment(state, phase, self._step, effects, block, place)
 
     def search_turn(self, target: Target, stops: frozenset[int] | None) -> list[int]:

@@ -40,11 +40,15 @@ class ThreadKey(NamedTuple):
 
 
 class ReplayState(NamedTuple):
-    """The core of a host, what it knows of its environment, and the statements of its program."""
+    """The core of a host, what it knows of its environment, and the statements of its program.
+
+    Its event log begins at the turn `origin`.
+    """
 
     core: HostCore
     environment: ReplayEnvironment
     table: StatementTable
+    origin: int
 
 
 class Moment:
@@ -63,7 +67,7 @@ class Moment:
         block: Block | None = None,
         place: int = 0,
     ) -> None:
-        self.core, self.environment, self.table = state
+        self.core, self.environment, self.table, self.origin = state
         self.phase, self.step = phase, step
         #: The effects of this turn until now.
         self.effects = effects

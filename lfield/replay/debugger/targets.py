@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 from lfield.host.effects import CallDevice, Effect
+from lfield.replay.debugger.expressions import NO_VALUE
 from lfield.replay.debugger.moment import Moment, Phase, Target, ThreadKey
 from lfield.replay.debugger.statement_table import SourceLine
 from lfield.wire.events import Event
@@ -129,10 +130,13 @@ class EventTarget:
 
     def start(self, moment: Moment) -> None:
         """See `Target`."""
+        moment.core.recorder.drain()
         self._last = moment.core.recorder.event_log.latest
 
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
+        # Events of hops are made later.
+        moment.core.recorder.drain()
         log = moment.core.recorder.event_log
         if log.latest == self._last:
             return False
@@ -184,12 +188,12 @@ class ConditionTarget:
 class ChangeTarget:
     """A value changes. Where there is none, as while its coordinator is on another host, nothing changes.
 
-    `stops` are the statements at which it may have changed, None for all.
+    `value` returns NO_VALUE there. `stops` are the statements at which it may have changed, None for all.
     """
 
     def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
         self._value, self.stops = value, stops
-        self._known: object = None
+        self._known: object = NO_VALUE
 
     def start(self, moment: Moment) -> None:
         """See `Target`."""
@@ -198,10 +202,10 @@ class ChangeTarget:
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
         value = self._value(moment)
-        if value is None:
+        if value is NO_VALUE:
             return False
         known, self._known = self._known, value
-        return known is not None and (type(known) is not type(value) or known != value)
+        return known is not NO_VALUE and (type(known) is not type(value) or known != value)
 
 
 class AnyTarget:

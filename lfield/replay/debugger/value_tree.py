@@ -30,6 +30,8 @@ from lfield.vm.memory.word_codec import real_from_bits
 
 #: Maximum number of parts that are listed.
 MAX_PARTS = 1000
+#: Levels of objects whose values are compared.
+CONTENT_LEVELS = 3
 _NAMES = {
     VOID: "void",
     BOOLEAN: "boolean",
@@ -169,3 +171,23 @@ class ValueReader:
         if not word:
             return None
         return self._block.text(word) if kind == STRING else ("object", word)
+
+    def content(self, value: RawValue, levels: int = CONTENT_LEVELS) -> object:
+        """The value with its parts, to be compared with that at another time: places of objects change."""
+        kind, word = value
+        record = self._program.core.types[kind]
+        if record.kind not in (ARRAY, OBJECT, ANY) or not word:
+            return self.plain(value)
+        w = self._block.w
+        what = w[word] & 0xFF
+        if what not in (layout.ARRAY, layout.OBJECT):
+            return self.plain(value)
+        index, size = w[word] >> 8 & 0xFFFFFF, (w[word] >> 32) - 1
+        if not levels:
+            return index, size
+        if what == layout.OBJECT:
+            types = [field.type for field in self._program.core.classes[index].fields]
+        else:
+            types = [self._program.core.types[index].of] * min(size, MAX_PARTS)
+        parts = (self.content((of, w[word + 1 + n]), levels - 1) for n, of in enumerate(types))
+        return index, size, tuple(parts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from array import array
 from bisect import bisect_right
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,7 +14,8 @@ from lfield.manifest import DeviceValue
 from lfield.operator.team_model.team_contents import TeamContents
 from lfield.operator.team_model.team_state import agent_of
 from lfield.replay.debugger.team_timeline import TeamTimeline
-from lfield.replay.device_events import DeviceEvent, device_events
+from lfield.replay.device_events import DeviceEvent, device_events, outside_events
+from lfield.replay.host_recording import OutsideEvent
 from lfield.replay.recording_files import TeamRecording
 from lfield.replay.web.recorded_events import EventIndex
 from lfield.replay.web.vehicle_tracks import VehicleTracks
@@ -61,16 +62,18 @@ class GuardIndex:
                 continue
             for paths in rings_in(incarnation.folder).values():
                 try:
-                    yield from self._ring_steps(numbers, paths)
+                    yield from self._ring_steps(numbers, paths, outside_events(incarnation.parts))
                 except RecordingError as error:
                     self.problems.append(str(error))
 
-    def _ring_steps(self, numbers: list[int], paths: Iterable[Path]) -> Iterator[None]:
+    def _ring_steps(
+        self, numbers: list[int], paths: Iterable[Path], logged: Collection[OutsideEvent]
+    ) -> Iterator[None]:
         paths = list(paths)
         for value in telemetry_in(paths):
             self._add_value(numbers, value)
             yield
-        for event in device_events(paths):
+        for event in device_events(paths, logged):
             self._add_event(numbers, event)
             yield
 

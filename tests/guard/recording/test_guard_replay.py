@@ -148,14 +148,27 @@ def newer_start(guard):
 def test_what_is_no_recording_of_a_guard_is_refused(tmp_path, data, text):
     path = tmp_path / "guard-a-000001.lfrec"
     path.write_bytes(data)
-    with pytest.raises(RecordingError, match=text) as error:
-        replay_guard([path])
-    assert str(path) in str(error.value)
+    with pytest.raises(RecordingError, match=text):
+        read_segment(path)
+    result = replay_guard([path])
+    assert result.missing == [path]
+    assert text in result.cut[path]
 
 
-def test_a_file_that_is_gone_is_refused(tmp_path):
-    with pytest.raises(RecordingError):
-        replay_guard([tmp_path / "guard-a-000001.lfrec"])
+def test_a_file_that_is_gone_is_named(tmp_path):
+    path = tmp_path / "guard-a-000001.lfrec"
+    assert replay_guard([path]).missing == [path]
+
+
+def test_a_file_that_cannot_be_read_does_not_hide_the_others(tmp_path):
+    guard = DrawnStory(4, RecordedGuard()).run(12)
+    guard.recorder.close()
+    (path,) = guard.ring.stored(tmp_path)
+    other = tmp_path / "guard-a-000000.lfrec"
+    other.write_bytes(MAGIC[:-1] + b"\x02")
+    whole, result = replay_guard([path]), replay_guard([other, path])
+    assert result.digests == whole.digests > 0
+    assert list(result.cut) == [other]
 
 
 def test_the_rings_of_a_folder_are_found_by_their_devices(tmp_path):

@@ -111,6 +111,82 @@ def test_the_changes_of_a_variable_are_found(debugger):
     assert debugger.evaluate("leg")[0] == 1
 
 
+def places(debugger, target, *, backward):
+    """All places that a target finds from one end of the recordings to the other."""
+    debugger.go_to(debugger.team.end if backward else debugger.team.start)
+    found = []
+    while debugger.search(target(), backward=backward):
+        found.append(debugger.place)
+    return found
+
+
+def test_an_object_that_is_assigned_is_a_change_at_any_place_of_the_heap(debugger):
+    debugger.enter()
+    pilot = debugger.focus
+    heights = []
+
+    def target():
+        debugger.choose(pilot)
+        return debugger.change_target("first")
+
+    found = places(debugger, target, backward=False)
+    for place in found:
+        debugger.go_to(place)
+        debugger.choose(pilot)
+        # A hop sends no value that is not read any more: then it is null.
+        if debugger.evaluate("first")[0] is not None:
+            heights.append(debugger.evaluate("first.height")[0])
+    assert len(heights) == len(set(heights)) == 4
+    assert places(debugger, target, backward=True) == found[::-1]
+
+
+def test_the_events_of_a_host_are_listed_once(debugger):
+    for _ in range(6):
+        debugger.search(debugger.event_target())
+    place = debugger.place
+    found = [repr(event.what) for event in debugger.events(10)]
+    assert len(found) == len(set(found)) > 3
+    debugger.go_to(debugger.team.end)
+    assert len(debugger.events(10)) == 10
+    debugger.go_to(place)
+    assert [repr(event.what) for event in debugger.events(10)] == found
+
+
+def test_a_reading_of_another_host_has_its_name(debugger):
+    debugger.go_to_time(13.0)
+    names = {each.name for each in debugger.readings()}
+    assert {"lead.fc.battery", "wing.fc.battery"} <= names
+    for name in ("lead.fc.battery", "wing.fc.battery", "lead.battery", "wing.battery"):
+        assert 0.9 < debugger.evaluate(name)[0] <= 1.0
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        lambda debugger: debugger.condition_target("nosuch < 3"),
+        lambda debugger: debugger.condition_target("5"),
+        lambda debugger: debugger.condition_target("leg + 1"),
+        lambda debugger: debugger.change_target("nosuch"),
+        lambda debugger: debugger.hop_target("nosuch"),
+        lambda debugger: debugger.event_target(["nosuch"]),
+    ],
+)
+def test_a_search_for_what_no_mission_has_is_refused(debugger, target):
+    with pytest.raises(UsageError):
+        target(debugger)
+
+
+@pytest.mark.parametrize("kind", ["event", "hop", "portal", "device"])
+def test_a_search_backward_finds_what_it_finds_forward(debugger, kind):
+    targets = {
+        "event": debugger.event_target, "hop": debugger.hop_target,
+        "portal": debugger.portal_target, "device": debugger.device_target,
+    }  # fmt: skip
+    found = places(debugger, targets[kind], backward=False)
+    assert len(found) > 3
+    assert places(debugger, targets[kind], backward=True) == found[::-1]
+
+
 def test_a_time_is_reached(debugger):
     debugger.go_to_time(12.5)
     assert 12.5 <= debugger.seconds < 13.0
