@@ -13,7 +13,7 @@ from lfield.net.scheduling.temporary_bans import LONGEST_BAN
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.wire.coordinator_messages import Transfer
-from lfield.wire.messages import Control, HandshakeRefused, Hello, Message, Ping
+from lfield.wire.messages import Control, HandshakeRefused, Hello, Message, Ping, Pong
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping
@@ -79,13 +79,13 @@ class SessionOwner(Protocol):
 
 
 class Session:
-    """One link from its handshake to its end."""
+    """One link from its handshake to its end; `was_standby`: on a former standby connection."""
 
     link: Link
     _handshake: Handshake
 
-    def __init__(self, owner: SessionOwner, dialled: str | None) -> None:
-        self._owner, self._now = owner, owner.now
+    def __init__(self, owner: SessionOwner, dialled: str | None, *, was_standby: bool = False) -> None:
+        self._owner, self._now, self._was_standby = owner, owner.now, was_standby
         self.dialled = dialled
         self.connected = False
         #: When the link was made, and when the peer accepted it.
@@ -179,6 +179,9 @@ class Session:
 
     def _on_greeting(self, link: Link, message: Message) -> None:
         """Accept or refuse the peer's Hello."""
+        if self._was_standby and isinstance(message, Ping | Pong):
+            # A keep-alive that was under way.
+            return
         if isinstance(message, Hello) and message.role == "standby" and self.dialled is None:
             self._cancel_timeout()
             self._owner.on_standby_hello(link, message, self)

@@ -82,6 +82,8 @@ class StandbyConnection:
 
     def keep_alive(self, now: float) -> bool:
         """Send a keep-alive when due. Returns False if the peer has not answered in time."""
+        # The acknowledgement of a keep-alive is then part of its answer.
+        self.link.on_idle()
         silent = now - self._last
         if not self.dialled:
             return silent <= MISSED_AFTER

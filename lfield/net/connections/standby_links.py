@@ -154,6 +154,7 @@ class StandbyLinks:
         if old is not None:
             old.link.abort()
         paths.choice.on_standby(self._owner.now())
+        self._owner.note(log_messages.STANDBY_READY.line(host=connection.host, address=connection.link.peer))
 
     def on_activated(self, connection: StandbyConnection, hello: Hello) -> None:
         """See `StandbyOwner.on_activated`."""
@@ -230,10 +231,8 @@ class StandbyLinks:
 
     def _new_session(self, standby: StandbyConnection) -> Session:
         """A session for the handshake on a standby connection."""
-        paths, session = (
-            self._paths[standby.host],
-            Session(self._owner, standby.host if standby.dialled else None),
-        )
+        paths, dialled = self._paths[standby.host], standby.host if standby.dialled else None
+        session = Session(self._owner, dialled, was_standby=True)
         paths.standby, paths.next_link = None, session
         standby.release().set_handler(session)
         return session

@@ -24,7 +24,7 @@ QUIET_FOR = 0.3
 REPEAT_TIME = 0.2
 #: A path that works again this soon after it was left was slow, not dead. The limit is then doubled, up to a
 #: factor, until no path was left for a while.
-RETURNED_WITHIN, MAX_CAUTION, CAUTION_PERIOD = 5.0, 4.0, 60.0
+RETURNED_WITHIN, MAX_CAUTION, CAUTION_PERIOD = 2.0, 4.0, 60.0
 
 #: What to do: nothing, or use the other path because this one is dead, or because the other one is better.
 Decision = Literal["", "dead", "better"]
