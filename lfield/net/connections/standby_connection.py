@@ -12,12 +12,14 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, Protocol
 
 from lfield.errors import AddressError, HandshakeError, WireError
-from lfield.net.health.link_heartbeats import IDLE_PING_EVERY
+from lfield.net.health.link_heartbeats import IDLE_PING_EVERY, SmoothedRtt
 from lfield.net.health.path_choice import PathState
 from lfield.net.health.traffic import LinkTraffic
 from lfield.wire.messages import HandshakeRefused, Hello, Message, Ping, Pong
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from lfield.errors import CpuBudgetExceeded, LfieldError
     from lfield.net.transport import Link
     from lfield.wire.coordinator_messages import Transfer
@@ -28,6 +30,10 @@ ANSWER_TIMEOUT, MISSED_AFTER = 5.0, 3 * IDLE_PING_EVERY
 
 class StandbyOwner(Protocol):
     """The owner of standby connections."""
+
+    @property
+    def now(self) -> Callable[[], float]:
+        """The monotonic time."""
 
     def on_ready(self, connection: StandbyConnection) -> None:
         """The peer keeps the connection too."""
@@ -50,7 +56,7 @@ class StandbyConnection:
         self.is_ready = self.was_ready = False
         #: Events: the peer has answered or closed it; it is closed, or made the link.
         self.settled, self.ended = asyncio.Event(), asyncio.Event()
-        self._traffic = LinkTraffic()
+        self._traffic, self._round_trip = LinkTraffic(), SmoothedRtt()
         #: When the last keep-alive was sent or received, and whether it awaits an answer.
         self._last, self._is_awaiting, self._token = now, dialled, 0
 
@@ -99,6 +105,11 @@ class StandbyConnection:
         with suppress(AddressError):
             self.link.send(Ping(self._token))
 
+    def _on_answer(self, pong: Pong) -> None:
+        if self._is_awaiting and pong.token == self._token:
+            self._is_awaiting = False
+            self._round_trip.update(self._owner.now() - self._last)
+
     def state(self, now: float) -> PathState | None:
         """A reading of its path; None without the kernel's counters."""
         delivery = self.link.delivery()
@@ -106,7 +117,7 @@ class StandbyConnection:
             return None
         if self._traffic.is_due(now):
             self._traffic.record(self.link.counts(), now)
-        return PathState(delivery, self._traffic.loss or 0.0)
+        return PathState(delivery, self._round_trip.mean or 0.0, self._traffic.loss or 0.0)
 
     # --- what the link reports ------------------------------------------------------------------------
 
@@ -115,10 +126,10 @@ class StandbyConnection:
         if isinstance(message, HandshakeRefused):
             raise HandshakeError(f"{self.host} refused a standby connection: {message.reason}")
         if isinstance(message, Ping) and self.is_ready:
-            self._last = asyncio.get_running_loop().time()
+            self._last = self._owner.now()
             link.send(Pong(message.token))
         elif isinstance(message, Pong) and self.is_ready:
-            self._is_awaiting = self._is_awaiting and message.token != self._token
+            self._on_answer(message)
         elif isinstance(message, Hello) and message.role == "standby" and not self.is_ready:
             self._mark_ready()
             link.accept_role("host")

@@ -80,7 +80,7 @@ class StandbyLinks:
         admission: AdmissionPolicy,
     ) -> None:
         self._owner, self._transport, self._addresses = owner, transport, team.addresses
-        self._admission = admission
+        self._admission, self.now = admission, owner.now
         self._numbers = {host: number for number, host in enumerate(team.hosts)}
         self._here, self._hello = team.here, Hello("standby", team.hosts[team.here], 0)
         self._paths: dict[str, _HostPaths] = {}
@@ -141,7 +141,7 @@ class StandbyLinks:
             raise HandshakeError(f"{link.who} may have no standby connection as {host}")
         if self._owner.link_of(host) is None:
             raise HandshakeError(f"there is no link with {host} beside which it would be a standby")
-        connection = StandbyConnection(self, host, self._owner.now(), dialled=False)
+        connection = StandbyConnection(self, host, self.now(), dialled=False)
         connection.accept(link, self._hello)
         self.on_ready(connection)
 
@@ -153,7 +153,7 @@ class StandbyLinks:
         old, paths.standby = paths.standby, connection
         if old is not None:
             old.link.abort()
-        paths.choice.on_standby(self._owner.now())
+        paths.choice.on_standby(self.now())
         self._owner.note(log_messages.STANDBY_READY.line(host=connection.host, address=connection.link.peer))
 
     def on_activated(self, connection: StandbyConnection, hello: Hello) -> None:
@@ -187,7 +187,7 @@ class StandbyLinks:
     async def _check_all(self) -> None:
         while True:
             await asyncio.sleep(CHECK_EVERY)
-            now = self._owner.now()
+            now = self.now()
             for host, paths in list(self._paths.items()):
                 self._check(host, paths, now)
 
@@ -204,8 +204,8 @@ class StandbyLinks:
         monitor = self._owner.monitor
         figures = monitor.latest.get(host)
         loss = figures.loss if figures is not None else None
-        bound = monitor.answer_timeout(host)
-        state = PathState(delivery, loss or 0.0, bound or 0.0, session.link.work)
+        round_trip, bound = monitor.round_trip(host) or 0.0, monitor.answer_timeout(host) or 0.0
+        state = PathState(delivery, round_trip, loss or 0.0, bound, session.link.work)
         # The accepting side does not see how fast answers to keep-alives are.
         other = standby.state(now) if standby is not None and standby.dialled else None
         decision = paths.choice.decide(now, state, other)
@@ -221,7 +221,7 @@ class StandbyLinks:
         session = self._owner.link_of(host)
         reason = "the other path is better"
         if decision == "dead":
-            paths.choice.on_left(self._owner.now())
+            paths.choice.on_left(self.now())
             reason = "no acknowledgement" if session is not None else "the connection was lost"
         old = session.link.peer if session is not None else "its path"
         self._owner.note(
@@ -277,7 +277,7 @@ class StandbyLinks:
 
     async def _dial(self, host: str, address: str) -> StandbyConnection | None:
         """A standby connection to an address; None if there is none."""
-        connection = StandbyConnection(self, host, self._owner.now(), dialled=True)
+        connection = StandbyConnection(self, host, self.now(), dialled=True)
         try:
             link = await self._transport.connect(address, connection, host)
         except (AddressError, HandshakeError, WireError):

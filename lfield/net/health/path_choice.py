@@ -16,8 +16,9 @@ from lfield.net.health.traffic import Delivery
 STALLED_AFTER, STALLED_ROUND_TRIPS = 0.3, 2.0
 #: Number of variations added to the smoothed round trip (RFC 6298).
 DEVIATIONS = 4.0
-#: The other path is preferred if its delay is lower by this factor for so many seconds.
-BETTER_FACTOR, BETTER_FOR = 2.0, 30.0
+#: The other path is preferred if its delay is lower by this factor, and by so many seconds at least, for a
+#: while in seconds.
+BETTER_FACTOR, MIN_GAIN, BETTER_FOR = 2.0, 0.02, 30.0
 #: Seconds without work after which nothing is under way.
 QUIET_FOR = 0.3
 #: Seconds that a lost packet costs besides a round trip: the margin of the retransmission time-out.
@@ -31,19 +32,23 @@ Decision = Literal["", "dead", "better"]
 
 
 class PathState(NamedTuple):
-    """A reading of one path: `loss` is a share from 0 to 1, `bound` the limit in seconds of answers to
-    heartbeats. `work` counts what was sent and received."""
+    """A reading of one path: `round_trip` is the smoothed one of heartbeats in seconds, 0 if unknown, `bound`
+    its limit, `loss` a share from 0 to 1. `work` counts what was sent and received.
+
+    The round trip of the kernel contains the delays of acknowledgements, so it is only a limit.
+    """
 
     delivery: Delivery
+    round_trip: float = 0.0
     loss: float = 0.0
     bound: float = 0.0
     work: int = 0
 
     @property
     def delay(self) -> float:
-        """The expected seconds until a packet is acknowledged, with repetitions."""
+        """The expected seconds until a packet is answered, with repetitions."""
         loss = min(self.loss, 0.99)
-        return self.delivery.round_trip + loss / (1.0 - loss) * (self.delivery.round_trip + REPEAT_TIME)
+        return self.round_trip + loss / (1.0 - loss) * (self.round_trip + REPEAT_TIME)
 
     @property
     def limit(self) -> float:
@@ -96,7 +101,11 @@ class PathChoice:
         return "better" if self._is_better(now, link, standby) else ""
 
     def _is_better(self, now: float, link: PathState, standby: PathState | None) -> bool:
-        if standby is None or not 0.0 < standby.delay * BETTER_FACTOR < link.delay:
+        if (
+            standby is None
+            or not standby.round_trip
+            or link.delay < standby.delay + max(MIN_GAIN, (BETTER_FACTOR - 1.0) * standby.delay)
+        ):
             self._better_since = math.inf
             return False
         self._better_since = min(self._better_since, now)

@@ -20,7 +20,7 @@ STEP = 0.0625
 
 
 def reading(acked: int = 0, round_trip: float = 0.02, *, pending: bool = False, **more: float) -> PathState:
-    return PathState(Delivery(acked, pending, round_trip, round_trip / 8), **more)
+    return PathState(Delivery(acked, pending, round_trip, round_trip / 8), round_trip, **more)
 
 
 def dead_after(choice: PathChoice, state: PathState, start: float = 0.0) -> float:
@@ -72,9 +72,12 @@ def better_at(link: PathState, standby: PathState, seconds: float = 200.0) -> fl
         (reading(round_trip=0.1), reading(round_trip=0.049), True),
         (reading(round_trip=0.1), reading(round_trip=0.051), False),
         (reading(round_trip=0.01), reading(round_trip=0.1), False),
+        # A difference that a busy computer can make.
+        (reading(round_trip=0.015), reading(round_trip=0.0001), False),
         # Repetitions cost more than a round trip.
         (reading(round_trip=0.05, loss=0.3), reading(round_trip=0.06), True),
         (reading(round_trip=0.05), reading(round_trip=0.02, loss=0.1), False),
+        # A share of 1 is none of the arithmetic.
         (reading(round_trip=0.05, loss=1.0), reading(round_trip=0.2), True),
         # Nothing was measured yet.
         (reading(round_trip=0.1), reading(round_trip=0.0), False),

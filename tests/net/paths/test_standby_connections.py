@@ -41,6 +41,9 @@ class Owner:
     def __init__(self) -> None:
         self.events: list[object] = []
 
+    def now(self):
+        return 5.0
+
     def on_ready(self, connection):
         self.events.append("ready")
 
@@ -84,11 +87,9 @@ def test_the_accepting_side_answers_and_misses_keep_alives():
     assert connection.keep_alive(MISSED_AFTER)
     assert not connection.keep_alive(MISSED_AFTER + 0.1)
 
-    async def pinged():
-        connection.on_message(wire, Ping(5))
-
-    asyncio.run(pinged())
+    connection.on_message(wire, Ping(5))
     assert wire.sent[1:] == [Pong(5)]
+    assert connection.keep_alive(5.0 + MISSED_AFTER)
 
 
 def test_the_hello_of_a_link_counts_only_after_that_of_the_standby():
