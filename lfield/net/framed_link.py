@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
     from lfield.authority.identity import Identity
     from lfield.errors import LfieldError
-    from lfield.net.health.traffic import TcpCounts
+    from lfield.net.health.traffic import Delivery, TcpCounts
     from lfield.net.transport import LinkHandler
     from lfield.wire.coordinator_messages import Transfer
     from lfield.wire.framing import Buffer
@@ -146,6 +146,14 @@ class FramedLink:
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""
         return None
+
+    def delivery(self) -> Delivery | None:
+        """See `Link.delivery`."""
+        return None
+
+    def set_handler(self, handler: LinkHandler) -> None:
+        """See `Link.set_handler`."""
+        self.handler = handler
 
     def send(self, message: Message) -> int:
         """Queue a message, before queued data if urgent. Raises AddressError on a closed link."""

@@ -83,7 +83,7 @@ class Handshake:
                 f"{self.own.host} uses protocol {PROTOCOL} and its peer protocol {message.protocol}; "
                 "install the same version of lfield on both"
             )
-        if not isinstance(message, Hello):
+        if not isinstance(message, Hello) or message.role == "standby":
             raise WireError(f"received {type(message).__name__} before the handshake")
         self._check_identity(message)
         if "observer" not in (self.own.role, message.role):

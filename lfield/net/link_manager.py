@@ -19,13 +19,21 @@ from lfield.errors import AddressError
 from lfield.event_loop import has_spare_descriptors, spawn
 from lfield.net.connection_limiter import ConnectionLimiter
 from lfield.net.connections.dialler import Dialler
+from lfield.net.connections.standby_links import StandbyLinks
 from lfield.net.handshake import Handshake
-from lfield.net.health.link_heartbeats import IDLE_PING_EVERY, LOST_AFTER, PING_EVERY
+from lfield.net.health.link_heartbeats import IDLE_PING_EVERY, PING_EVERY
 from lfield.net.health.link_monitor import LinkMonitor
-from lfield.net.link_owner import LinkOwner, RateLimitedLog, RefusedHosts, TeamAddresses, apply_revocations
+from lfield.net.link_owner import (
+    InitialContact,
+    LinkOwner,
+    RateLimitedLog,
+    RefusedHosts,
+    TeamAddresses,
+    apply_revocations,
+)
 from lfield.net.scheduling.handshake_scheduler import source_of
 from lfield.net.scheduling.temporary_bans import TemporaryBans
-from lfield.net.session import Session
+from lfield.net.session import Session, live_incarnations
 from lfield.net.transport import Link, Listener, Transport
 from lfield.text import log_messages
 from lfield.wire.coordinator_messages import Transfer
@@ -76,6 +84,7 @@ class LinkManager:
             owner.hybrid_clock,
             PING_EVERY if team.has_live_values else IDLE_PING_EVERY,
         )
+        self._standbys = StandbyLinks(self, transport, team, self._admission)
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
         self.on_arrival = lambda *transfer: owner.on_transfer(*transfer)
         self.on_oversize = lambda *transfer: owner.on_oversize(*transfer)
@@ -87,9 +96,7 @@ class LinkManager:
             MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
         )
         self._observers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_OBSERVERS, rng)
-        #: Hosts without a handshake or failed dial so far, and hosts that completed a handshake.
-        self._uncontacted = {host for i, host in enumerate(hosts) if i != here}
-        self._all_contacted = asyncio.Event()
+        self._initial_contact = InitialContact(host for i, host in enumerate(hosts) if i != here)
         #: Time of last contact of each unlinked host.
         self._last_contacts: dict[str, float] = {}
         #: Since when each needed host has had no link, on the monotonic clock.
@@ -114,8 +121,6 @@ class LinkManager:
             self._listeners.append(await self._transport.listen(address, self._on_incoming))
             address = self._listeners[0].address
         self._update_links(self._clock.monotonic())
-        if not self._uncontacted:
-            self._all_contacted.set()
         self._tasks.append(spawn(self._keep_alive()))
         return address
 
@@ -129,17 +134,16 @@ class LinkManager:
 
         A host that dials this one cannot be distinguished from one that is down, so it is waited for.
         """
-        for host in sorted(self._uncontacted):
+        for host in sorted(self._initial_contact.missing):
             self.require_link(host)
-        with suppress(TimeoutError):
-            async with asyncio.timeout(bound):
-                await self._all_contacted.wait()
+        await self._initial_contact.wait(bound)
 
     def close(self) -> None:
         """Close the port and every link."""
         self._desired, self._required_until = frozenset(), {}
         for task in self._tasks:
             task.cancel()
+        self._standbys.close()
         for caller in self._diallers.values():
             caller.cancel()
         for listener in self._listeners:
@@ -225,9 +229,7 @@ class LinkManager:
 
     def on_dialled(self, host: str) -> None:
         """A dial to a host has ended, or the host has completed a handshake."""
-        self._uncontacted.discard(host)
-        if not self._uncontacted:
-            self._all_contacted.set()
+        self._initial_contact.on_contact(host)
 
     async def _keep_alive(self) -> None:
         while True:
@@ -280,18 +282,9 @@ class LinkManager:
             who,
             decision=self._admission.decide(who, expected=dialled or ""),
             hosts=self._hosts,
-            linked=self._live_incarnations(),
+            linked=live_incarnations(self._links, self.needs_link, self.now()),
             dialled=dialled,
         )
-
-    def _live_incarnations(self) -> dict[str, int]:
-        """Incarnations of the linked hosts; the end of an unneeded link may be unnoticed."""
-        now = self._clock.monotonic()
-        return {
-            host: session.hello.incarnation
-            for host, session in self._links.items()
-            if session.hello and (self.needs_link(host) or now - session.last_received <= LOST_AFTER)
-        }
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
         """Whether this host's own dial wins over a crossing one of time `made_at`."""
@@ -317,6 +310,7 @@ class LinkManager:
         for session in dict.fromkeys((*links, *others)):
             if session.connected:
                 session.on_reauthorised(self._admission.decide(session.link.who, linked=session in links))
+        self._standbys.close_rejected()
 
     def _on_revocations(self, data: bytes) -> None:
         """Apply a certificate revocation list; forward a new one to all, and last to the revoked."""
@@ -324,6 +318,11 @@ class LinkManager:
             for host in self._links:
                 self.send(host, RevocationUpdate(data))
             self.reauthorise()
+
+    def on_standby_hello(self, link: Link, hello: Hello, session: Session) -> None:
+        """See `SessionOwner.on_standby_hello`."""
+        self._ungreeted.on_authenticated(session, source_of(link.peer))
+        self._standbys.on_hello(link, hello)
 
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """A link has completed its handshake on both sides."""
@@ -347,6 +346,7 @@ class LinkManager:
         self._links[hello.host] = session
         if old and old is not session:
             old.on_replaced()
+        self._standbys.on_linked(hello.host, session)
         self.down_since.pop(hello.host, None)
         if caller := self._diallers.get(hello.host):
             caller.clear_failure()
@@ -366,7 +366,9 @@ class LinkManager:
             if is_required:
                 self.down_since[host] = self._clock.monotonic()
             self._owner.on_unlinked(host, quietly=not is_required)
-            if is_required:
+            if not is_required:
+                self._standbys.drop(host)
+            elif not self._standbys.on_link_lost(host):
                 self._dial(host)
 
     def on_message(self, session: Session, message: Control) -> None:

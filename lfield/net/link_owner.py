@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
+from contextlib import suppress
 from typing import TYPE_CHECKING, NamedTuple, Protocol
 
 from lfield.errors import KeysError, WireError
@@ -10,7 +12,7 @@ from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Iterable, Sequence
 
     from lfield.authority.admission_policy import AdmissionPolicy
     from lfield.hybrid_clock import HybridClock
@@ -113,6 +115,27 @@ class TeamAddresses(NamedTuple):
     here: int
     neighbours: Collection[str]
     has_live_values: bool = False
+
+
+class InitialContact:
+    """The hosts `missing` a first contact: neither a handshake nor a failed attempt to dial them so far."""
+
+    def __init__(self, missing: Iterable[str]) -> None:
+        self.missing = set(missing)
+        self._made = asyncio.Event()
+        self.on_contact("")
+
+    def on_contact(self, host: str) -> None:
+        """A host has completed a handshake, or an attempt to dial it has failed."""
+        self.missing.discard(host)
+        if not self.missing:
+            self._made.set()
+
+    async def wait(self, bound: float) -> None:
+        """Return when no host is missing, at most after `bound` seconds."""
+        with suppress(TimeoutError):
+            async with asyncio.timeout(bound):
+                await self._made.wait()
 
 
 class RefusedHosts:

@@ -8,14 +8,15 @@ from contextlib import suppress
 from typing import TYPE_CHECKING, NoReturn, Protocol
 
 from lfield.errors import AddressError, CpuBudgetExceeded, HandshakeError, LfieldError
+from lfield.net.health.link_heartbeats import LOST_AFTER
 from lfield.net.scheduling.temporary_bans import LONGEST_BAN
 from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 from lfield.wire.coordinator_messages import Transfer
-from lfield.wire.messages import Control, HandshakeRefused, Hello, Message, Ping
+from lfield.wire.messages import Control, HandshakeRefused, Hello, Message, Ping, Pong
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from lfield.authority.identity import Identity
     from lfield.authority.peer_verification import AdmissionDecision
@@ -35,6 +36,9 @@ class SessionOwner(Protocol):
 
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
         """Whether this host's own dial wins over a crossing one of time `made_at`."""
+
+    def on_standby_hello(self, link: Link, hello: Hello, session: Session) -> None:
+        """A caller offers its connection as a standby; `session` receives nothing more from it."""
 
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """A link has completed its handshake on both sides."""
@@ -75,13 +79,13 @@ class SessionOwner(Protocol):
 
 
 class Session:
-    """One link from its handshake to its end."""
+    """One link from its handshake to its end; `was_standby`: on a former standby connection."""
 
     link: Link
     _handshake: Handshake
 
-    def __init__(self, owner: SessionOwner, dialled: str | None) -> None:
-        self._owner, self._now = owner, owner.now
+    def __init__(self, owner: SessionOwner, dialled: str | None, *, was_standby: bool = False) -> None:
+        self._owner, self._now, self._was_standby = owner, owner.now, was_standby
         self.dialled = dialled
         self.connected = False
         #: When the link was made, and when the peer accepted it.
@@ -175,6 +179,13 @@ class Session:
 
     def _on_greeting(self, link: Link, message: Message) -> None:
         """Accept or refuse the peer's Hello."""
+        if self._was_standby and isinstance(message, Ping | Pong):
+            # A keep-alive that was under way.
+            return
+        if isinstance(message, Hello) and message.role == "standby" and self.dialled is None:
+            self._cancel_timeout()
+            self._owner.on_standby_hello(link, message, self)
+            return
         # The peer's Hello may be read before the dialling task runs.
         self.greet(link)
         hello = self._handshake.receive(message)
@@ -304,7 +315,7 @@ class Session:
 
     def _send_refusal(self) -> None:
         with suppress(AddressError):
-            if self._handshake.refusal:
+            if self.connected and self._handshake.refusal:
                 self.link.send(self._handshake.refusal)
 
     def _report_refusal(self) -> None:
@@ -322,3 +333,14 @@ class Session:
 
     def _log_once(self, reason: str) -> None:
         self._owner.log_once(log_messages.LINK_CLOSED.line(caller=self.caller, reason=reason))
+
+
+def live_incarnations(
+    links: Mapping[str, Session], is_needed: Callable[[str], bool], now: float
+) -> dict[str, int]:
+    """Incarnations of the linked hosts; the end of an unneeded link may be unnoticed."""
+    return {
+        host: session.hello.incarnation
+        for host, session in links.items()
+        if session.hello and (is_needed(host) or now - session.last_received <= LOST_AFTER)
+    }

@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, cast
 from lfield.authority.identity import ANONYMOUS, Identity
 from lfield.errors import AddressError, CpuBudgetExceeded, WireError
 from lfield.net.framed_link import FramedLink
-from lfield.net.health.tcp_options import delay_acknowledgements, read_counts, set_options, set_time_outs
+from lfield.net.health.tcp_options import (
+    delay_acknowledgements,
+    read_counts,
+    read_delivery,
+    set_options,
+    set_time_outs,
+)
 from lfield.net.peer_credentials import identity_of_caller, identity_of_listener, socket_address
 from lfield.net.scheduling.send_queue import HIGH_WATER, SendQueue
 from lfield.net.transport import is_this_computer
@@ -18,7 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     from lfield.net.health.tcp_options import TcpSocket
-    from lfield.net.health.traffic import TcpCounts
+    from lfield.net.health.traffic import Delivery, TcpCounts
     from lfield.net.scheduling.link_schedulers import LinkScheduler
     from lfield.net.transport import Link, LinkHandler
     from lfield.wire.framing import Buffer
@@ -169,6 +175,10 @@ class StreamLink(FramedLink, asyncio.Protocol):
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""
         return None if self._socket is None or self.closed else read_counts(self._socket)
+
+    def delivery(self) -> Delivery | None:
+        """See `Link.delivery`."""
+        return None if self._socket is None or self.closed else read_delivery(self._socket)
 
     def close(self) -> None:
         self.withhold(on=False)

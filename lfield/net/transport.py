@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from lfield.authority.identity import Identity
     from lfield.errors import CpuBudgetExceeded, LfieldError
     from lfield.net.coding.traffic_kinds import TrafficBytes
-    from lfield.net.health.traffic import TcpCounts
+    from lfield.net.health.traffic import Delivery, TcpCounts
     from lfield.wire.coordinator_messages import Transfer
     from lfield.wire.framing import Buffer
     from lfield.wire.messages import Message, Role
@@ -108,6 +108,12 @@ class Link(Protocol):
 
     def counts(self) -> TcpCounts | None:
         """The kernel's counters of the connection; None if unavailable."""
+
+    def delivery(self) -> Delivery | None:
+        """What the kernel of this side has delivered; None if unavailable."""
+
+    def set_handler(self, handler: LinkHandler) -> None:
+        """Pass later messages, and the end of the link, to another handler."""
 
     def close(self) -> None:
         """Send queued data, if the peer accepts it soon, then close. Closing twice is allowed."""

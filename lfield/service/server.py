@@ -10,7 +10,7 @@ from typing import Protocol
 from lfield.authority.admission_policy import AdmissionPolicy
 from lfield.authority.identity import Identity
 from lfield.clock import Clock
-from lfield.errors import AddressError, LfieldError, WireError
+from lfield.errors import AddressError, HandshakeError, LfieldError, WireError
 from lfield.event_loop import spawn
 from lfield.net.connection_limiter import ConnectionLimiter
 from lfield.net.handshake import Handshake
@@ -98,6 +98,10 @@ class ServiceServer:
     def prefers_outgoing(self, host: str, made_at: float) -> bool:
         """See `SessionOwner`: a service dials with links of observers."""
         return False
+
+    def on_standby_hello(self, link: Link, hello: Hello, session: Session) -> None:
+        """See `SessionOwner`: a service has no links with hosts."""
+        raise HandshakeError("this is the port of the service; hosts link at the port of the mission")
 
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """See `SessionOwner`."""

@@ -341,6 +341,8 @@ LINK_LOST = _message("link-lost", "link to {host} lost", "warning")
 LINK_TIMED_OUT = _message(
     "link-timed-out", "link to {host} timed out after {seconds:.1f} s; closing", "warning"
 )
+STANDBY_READY = _message("standby-ready", "standby connection with {host} over {address}")
+PATH_CHANGED = _message("path-changed", "link to {host} moves from {old} to {new}: {reason}", "warning")
 LINK_REFUSED = _message("link-refused", "link to {host} refused: {reason}", "error")
 HOST_UNREACHABLE = _message(
     "host-unreachable", "{host} unreachable at {address}: {reason}; retrying every {interval:g} s", "warning"

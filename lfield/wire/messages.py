@@ -62,8 +62,9 @@ from lfield.wire.subscription_messages import SubscriptionMessage
 #: The version of everything in this package. Hosts of different versions do not communicate.
 PROTOCOL = 16
 
-#: The role of a peer: a member of the team, or an observer (`lfield ps`).
-Role = Literal["host", "observer"]
+#: The role of a peer: a member of the team, an observer (`lfield ps`), or a member that keeps the connection
+#: as a standby beside its link. A Hello of a host later makes a standby connection the link.
+Role = Literal["host", "observer", "standby"]
 
 
 class Hello(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

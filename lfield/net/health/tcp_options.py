@@ -11,7 +11,7 @@ import struct
 from contextlib import suppress
 from typing import Protocol
 
-from lfield.net.health.traffic import TcpCounts
+from lfield.net.health.traffic import Delivery, TcpCounts
 
 #: The first six time-outs of a connection with few packets in flight do not double (since Linux 2.6.34).
 THIN_LINEAR_TIMEOUTS = 16
@@ -38,6 +38,9 @@ CONGESTED, LONGEST_TIMEOUT = 0.5, 4.0
 #: `struct tcp_info` up to `tcpi_dsack_dups`, and the offsets of its fields.
 _INFO_SIZE = 220
 _TOTAL_RETRANS, _BYTES_RECEIVED, _DATA_SEGS_OUT, _BYTES_SENT, _DSACK_DUPS = 100, 128, 156, 200, 216
+#: The same up to `tcpi_snd_wnd` (since Linux 5.4).
+_DELIVERY_SIZE = 232
+_UNACKED, _RTT, _BYTES_ACKED, _NOTSENT_BYTES, _SND_WND = 24, 68, 120, 144, 228
 
 
 class TcpSocket(Protocol):
@@ -103,3 +106,24 @@ def read_counts(made: TcpSocket) -> TcpCounts | None:
     repeated, needless = (struct.unpack_from("=I", info, at)[0] for at in (_TOTAL_RETRANS, _DSACK_DUPS))
     (segments,) = struct.unpack_from("=I", info, _DATA_SEGS_OUT)
     return TcpCounts(sent, received, segments, max(0, repeated - needless))
+
+
+def read_delivery(made: TcpSocket) -> Delivery | None:
+    """What the kernel has delivered; None if incomplete (before Linux 5.4).
+
+    Data is pending while it is in flight, or unsent although the peer has a window for it: without a route
+    the kernel sends nothing.
+    """
+    try:
+        info = made.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _DELIVERY_SIZE)
+    except OSError:
+        return None
+    if len(info) < _DELIVERY_SIZE:
+        return None
+    unacked, unsent, window = (
+        struct.unpack_from("=I", info, at)[0] for at in (_UNACKED, _NOTSENT_BYTES, _SND_WND)
+    )
+    round_trip, variation = struct.unpack_from("=II", info, _RTT)
+    (acked,) = struct.unpack_from("=Q", info, _BYTES_ACKED)
+    is_pending = unacked > 0 or (unsent > 0 and window > 0)
+    return Delivery(acked, is_pending, round_trip * 1e-6, variation * 1e-6)

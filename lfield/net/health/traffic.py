@@ -25,6 +25,19 @@ class TcpCounts(NamedTuple):
     repeated: int
 
 
+class Delivery(NamedTuple):
+    """What a connection has delivered, as its kernel knows.
+
+    `acked`: bytes that the peer has acknowledged. `is_pending`: whether data that the peer may receive awaits
+    an acknowledgement. `round_trip` and `variation`: the smoothed round trip and its variation, in seconds.
+    """
+
+    acked: int
+    is_pending: bool
+    round_trip: float
+    variation: float
+
+
 class LinkTraffic:
     """The counters of one link over time; times are monotonic seconds."""
 

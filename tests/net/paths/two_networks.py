@@ -1,0 +1,180 @@
+"""Two computers with two networks between them, as network namespaces, and hosts on them that hop."""
+
+from __future__ import annotations
+
+import itertools
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+import uuid
+from pathlib import Path
+
+from namespaces import PATIENCE, command
+
+from lfield.testing.keyring import Keyring
+
+PORT = 7001
+NETWORKS, HOSTS = ("one", "two"), ("alpha", "bravo")
+#: The walker goes from post to post and has every number stamped once.
+PROGRAM = """
+resource Post {
+    init(string[] arg) { }
+    portal stamp(int number) emit int { write("stamped " + i2s(number) + "\\n"); return number + 1; }
+}
+coordinator Walker {
+    init(string[] arg) {
+        Post here = findPost("one");
+        Post there = findPost("two");
+        int number = 0;
+        while (true) {
+            number = there.stamp(number);
+            number = here.stamp(number);
+            sleep(0.02);
+        }
+    }
+}
+"""
+TEAM = "//Post:one@alpha\n//Post:two@bravo\n//Walker:walker@alpha\n"
+
+
+def address(host: str, network: str) -> str:
+    return f"10.9.{1 + NETWORKS.index(network)}.{1 + HOSTS.index(host)}"
+
+
+class Host:
+    """A host as a process; its lines with the times at which they came."""
+
+    def __init__(self, words: list[str]) -> None:
+        self._popen = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+        self.lines: list[tuple[float, str]] = []
+        self._changed = threading.Condition()
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def _read(self) -> None:
+        assert self._popen.stdout is not None
+        for line in self._popen.stdout:
+            with self._changed:
+                self.lines.append((time.monotonic(), line.rstrip("\n")))
+                self._changed.notify_all()
+
+    def wait_for(self, pattern: str, since: float = 0.0) -> float:
+        """When the first line with this came, of those since a time."""
+
+        def found() -> float | None:
+            return next((at for at, line in self.lines if at >= since and re.search(pattern, line)), None)
+
+        with self._changed:
+            self._changed.wait_for(lambda: found() is not None, PATIENCE)
+        at = found()
+        assert at is not None, f"no line like {pattern!r}:\n{self.text(since)}"
+        return at
+
+    def text(self, since: float = 0.0) -> str:
+        """What it wrote besides the stamps."""
+        return "\n".join(
+            f"{at:.2f} {line}" for at, line in self.lines if at >= since and "stamped" not in line
+        )
+
+    def stamps(self) -> list[tuple[float, int]]:
+        """The numbers that were stamped here, with their times."""
+        found = ((at, re.search(r"stamped (\d+)", line)) for at, line in list(self.lines))
+        return [(at, int(match[1])) for at, match in found if match]
+
+    def end(self) -> None:
+        if self._popen.returncode is not None:
+            return
+        self._popen.send_signal(signal.SIGKILL)
+        self._popen.wait(PATIENCE)
+        self._reader.join(PATIENCE)
+        assert self._popen.stdout is not None
+        self._popen.stdout.close()
+
+
+class TwoNetworks:
+    """The computers of `alpha` and `bravo`, with an interface in each of two networks."""
+
+    def __init__(self, folder: Path) -> None:
+        self._tag, self._folder = uuid.uuid4().hex[:6], folder
+        self.hosts: dict[str, Host] = {}
+        for host in HOSTS:
+            command("ip", "netns", "add", self._named(host))
+            self._run(host, "ip", "link", "set", "dev", "lo", "up")
+        for network in NETWORKS:
+            peer = ["type", "veth", "peer", "name", network, "netns", self._named("bravo")]
+            self._run("alpha", "ip", "link", "add", "name", network, *peer)
+            for host in HOSTS:
+                self.up(host, network)
+        Keyring(folder / "keys").give(*HOSTS)
+        (folder / "mission.L").write_text(PROGRAM)
+        (folder / "mission.dL").write_text(TEAM)
+
+    def _named(self, host: str) -> str:
+        return f"lf-{self._tag}-{host}"
+
+    def _run(self, host: str, *words: str) -> None:
+        command("ip", "netns", "exec", self._named(host), *words)
+
+    def up(self, host: str, network: str) -> None:
+        """Switch an interface on."""
+        self._run(host, "ip", "addr", "flush", "dev", network)
+        self._run(host, "ip", "addr", "add", f"{address(host, network)}/24", "dev", network)
+        self._run(host, "ip", "link", "set", "dev", network, "up")
+
+    def down(self, host: str, network: str) -> None:
+        """Switch an interface off: its route is gone here, its carrier at the other end."""
+        self._run(host, "ip", "link", "set", "dev", network, "down")
+
+    def drop(self, host: str, network: str) -> None:
+        """Lose all that arrives at an interface, without a trace."""
+        chain = f"type filter hook input priority 0; iifname {network} drop"
+        self._run(host, "nft", f"table inet lost {{ chain in {{ {chain}; }}; }}")
+
+    def drop_none(self, host: str) -> None:
+        self._run(host, "nft", "delete", "table", "inet", "lost")
+
+    def start(self, host: str) -> Host:
+        """Start a host of the mission."""
+        maps = [
+            f"--map={each}=" + ",".join(f"{address(each, network)}:{PORT}" for network in NETWORKS)
+            for each in HOSTS
+        ]
+        words = ["up", str(self._folder / "mission.dL"), "--host", host, *maps, "--no-record"]
+        words += ["--keys", str(self._folder / "keys"), "--state", str(self._folder / f"state-{host}")]
+        there = ["ip", "netns", "exec", self._named(host)]
+        made = self.hosts[host] = Host([*there, sys.executable, "-um", "lfield", *words])
+        return made
+
+    def sent(self, host: str, network: str) -> int:
+        """The bytes that a host has sent in a network, with the headers of Ethernet."""
+        path = f"/sys/class/net/{network}/statistics/tx_bytes"
+        words = ["ip", "netns", "exec", self._named(host), "cat", path]
+        return int(subprocess.run(words, check=True, capture_output=True).stdout)
+
+    def stamps(self) -> list[tuple[float, int]]:
+        """All stamps of both hosts, in order of their times."""
+        return sorted(stamp for host in self.hosts.values() for stamp in host.stamps())
+
+    def wait_for_stamps(self, count: int) -> None:
+        """Wait until there are so many stamps."""
+        end = time.monotonic() + PATIENCE
+        while len(self.stamps()) < count:
+            assert time.monotonic() < end, self.text()
+            time.sleep(0.05)
+
+    def gap(self, since: float, until: float) -> float:
+        """The longest time without a stamp that began before `until`, of the times since `since`."""
+        times = [at for at, _ in self.stamps() if at >= since - 1.0]
+        return max(later - max(since, at) for at, later in itertools.pairwise(times) if at < until)
+
+    def text(self, since: float = 0.0) -> str:
+        return "\n".join(f"--- {name}\n{host.text(since)}" for name, host in self.hosts.items())
+
+    def close(self) -> None:
+        for host in self.hosts.values():
+            host.end()
+        for host in HOSTS:
+            subprocess.run(["ip", "netns", "del", self._named(host)], capture_output=True)
