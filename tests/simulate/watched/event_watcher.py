@@ -59,7 +59,7 @@ class EventWatcher:
         """An order that names what the host says of itself now."""
         self.say(with_epoch(message, self.fleet.lives[self.host].core.orders.epochs))
 
-    def send(self, message: object) -> None:
+    def send(self, message: object) -> int:
         """The host's end of the link."""
         frame = encode(message)  # type: ignore[arg-type]
         message = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
@@ -71,6 +71,7 @@ class EventWatcher:
             self.refused = message.reason
         else:
             self.others.append(message)  # type: ignore[arg-type]
+        return len(frame)
 
     def close(self) -> None:
         """The host's end of the link."""
