@@ -60,7 +60,6 @@ class LinkManager:
         self._admission, self.now = admission or AdmissionPolicy(), clock.monotonic
         self._hosts, self._addresses, self._here, self._neighbours, _ = team
         hosts, here = team.hosts, team.here
-        self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Hosts needed permanently, and hosts needed until a time.
         self._desired: frozenset[str] = frozenset()
         self._required_until: dict[str, float] = {}
@@ -87,8 +86,8 @@ class LinkManager:
             MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
         )
         self._observers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_OBSERVERS, rng)
-        #: Hosts without a handshake or failed dial so far, and hosts that completed a handshake.
-        self._uncontacted = {host for i, host in enumerate(hosts) if i != here}
+        #: Hosts that have completed a handshake, or that were dialled in vain, and whether all others have.
+        self._contacted = set[str]()
         self._all_contacted = asyncio.Event()
         #: Time of last contact of each unlinked host.
         self._last_contacts: dict[str, float] = {}
@@ -114,7 +113,7 @@ class LinkManager:
             self._listeners.append(await self._transport.listen(address, self._on_incoming))
             address = self._listeners[0].address
         self._update_links(self._clock.monotonic())
-        if not self._uncontacted:
+        if len(self._hosts) == 1:
             self._all_contacted.set()
         self._tasks.append(spawn(self._keep_alive()))
         return address
@@ -129,8 +128,9 @@ class LinkManager:
 
         A host that dials this one cannot be distinguished from one that is down, so it is waited for.
         """
-        for host in sorted(self._uncontacted):
-            self.require_link(host)
+        for host, number in sorted(self._hosts.items()):
+            if number != self._here and host not in self._contacted:
+                self.require_link(host)
         with suppress(TimeoutError):
             async with asyncio.timeout(bound):
                 await self._all_contacted.wait()
@@ -198,11 +198,11 @@ class LinkManager:
         if session is not None and not session.is_suspected:
             return
         # A neighbour earlier in the deployment dials.
-        if host in self._neighbours and self._numbers[host] < self._here and not self._is_unreachable(host):
+        if host in self._neighbours and self._hosts[host] < self._here and not self._is_unreachable(host):
             return
         caller = self._diallers.get(host)
         if caller is None or caller.is_over:
-            at, note = self._addresses[self._numbers[host]], self._owner.note
+            at, note = self._addresses[self._hosts[host]], self._owner.note
             self._diallers[host] = Dialler(self, self._transport, self._clock, host, at, note)
 
     def _is_unreachable(self, host: str) -> bool:
@@ -225,8 +225,8 @@ class LinkManager:
 
     def on_dialled(self, host: str) -> None:
         """A dial to a host has ended, or the host has completed a handshake."""
-        self._uncontacted.discard(host)
-        if not self._uncontacted:
+        self._contacted.add(host)
+        if len(self._contacted) == len(self._hosts) - 1:
             self._all_contacted.set()
 
     async def _keep_alive(self) -> None:
@@ -245,7 +245,7 @@ class LinkManager:
         required = self._desired | self._required_until.keys()
         self.down_since = {
             host: self.down_since.get(host, now)
-            for host in sorted(required - self._links.keys(), key=self._numbers.__getitem__)
+            for host in sorted(required - self._links.keys(), key=self._hosts.__getitem__)
         }
         for host in self.down_since:
             self._dial(host)
@@ -299,7 +299,7 @@ class LinkManager:
         own = caller.session if caller is not None else None
         if own is None or not own.connected:
             return False
-        if self._here < self._numbers.get(host, -1):
+        if self._here < self._hosts.get(host, -1):
             # A host that dials long after its link was accepted has lost that link, perhaps without notice
             # here.
             return made_at < own.linked_at

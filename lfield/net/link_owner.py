@@ -10,7 +10,7 @@ from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from lfield.authority.admission_policy import AdmissionPolicy
     from lfield.hybrid_clock import HybridClock
@@ -102,13 +102,13 @@ class RateLimitedLog:
 
 
 class TeamAddresses(NamedTuple):
-    """The hosts of the deployment and their addresses; `here` is the number of this host.
+    """The hosts of the deployment with their numbers, and their addresses; `here` is the number of this host.
 
     `neighbours` are the hosts that want a link with this one as it does with them. With live values, which
     age between two heartbeats, the heartbeats of idle links are as frequent as those of busy ones.
     """
 
-    hosts: Sequence[str]
+    hosts: Mapping[str, int]
     addresses: Sequence[str]
     here: int
     neighbours: Collection[str]
