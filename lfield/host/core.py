@@ -350,9 +350,9 @@ class HostCore:
 
 
 def _membership(context: HostContext) -> Membership:
-    now = context.clock.monotonic()
+    team, here, now = context.team, context.here, context.clock.monotonic()
     return Membership(
-        context.team.hosts, context.here, context.incarnation, now, context.overlay, context.environment
+        team.hosts, team.numbers, here, context.incarnation, now, context.overlay, context.environment
     )
 
 

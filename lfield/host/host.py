@@ -85,7 +85,7 @@ class Host:
         self.hybrid_clock = self.recorder.hybrid_clock
         here, team, clock = self.team.number(name), self.team, self.clock
         overlay = Overlay(team.hosts, here, is_full_mesh=mission.registry is not None)
-        hosts = TeamAddresses(team.hosts, team.addresses, here, overlay.neighbours, mission.has_live_values)
+        hosts = TeamAddresses(team.numbers, team.addresses, here, overlay.neighbours, mission.has_live_values)
         self.peers = LinkManager(self, transport, clock, options.rng, hosts, options.admission)
         self.guards = DeviceGuards(
             mission.drivers, clock, self.note, silence=mission.bindings.silence, has_progressed=self.step,

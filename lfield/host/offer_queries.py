@@ -26,9 +26,9 @@ class CapabilityQueries:
     """The capability queries of a mission's team, for the capabilities compiled into its program."""
 
     def __init__(self, directory: TeamDirectory, mission: Mission) -> None:
-        numbers = {member.id: member.number for member in mission.team.members}
+        numbers, realisations = mission.team.member_numbers, ways(mission.program)
         self._directory = directory
-        self._results = MatchResults(directory.registry, directory.directory, ways(mission.program), numbers)
+        self._results = MatchResults(directory.registry, directory.directory, realisations, numbers)
 
     def find_offers(self, caller: str, capability: str, constraint: str | None) -> list[FoundOffer]:
         """The offers of a capability for a coordinator that satisfy the condition, best first.

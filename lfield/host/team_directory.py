@@ -8,6 +8,7 @@ happens: the condition of agents outside a registry is derived on demand from wh
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cached_property
 
 from msgspec.structs import replace
 
@@ -54,25 +55,36 @@ class TeamDirectory(Part):
         mission, name, clock = context.mission, context.name, context.clock
         self._out, self._holder_of = context.effects.append, holder_of
         self.registry = registry = mission.stated or NO_REGISTRY
-        agents = mission.team.deployed
+        #: A mission without capabilities has no agents in the directory.
+        agents = mission.team.deployed if registry.providers else ()
+        self._mission = mission
         self._here, self._liveness, self._clock = name, liveness, clock
         pose = mission.bindings.frames.place(name)
         self.directory = AgentDirectory(registry, agents, name, liveness, clock, context.incarnation, pose)
-        others = {each.id for each in mission.team.members if each.kind == "resource"}
-        #: The resources outside the registry.
-        self._others = [a for a in agents if a.id in others and a.type not in registry.providers]
         self._codec = DirectoryCodec(registry, agents)
-        fields = {agent.id: mission.bindings.devices.get(agent.id, {}) for agent in agents}
-        bound = mission.bindings.attributes
+        bindings, devices = mission.bindings, context.environment
         self._poller = AttributePoller(machine, clock)
         self._sampler = AgentSampler(
-            registry.attributes, machine.agents, fields, context.environment, self._poller, clock, bound
+            registry.attributes,
+            machine.agents,
+            bindings.devices,
+            devices,
+            self._poller,
+            clock,
+            bindings.attributes,
         )
         self._linked: dict[str, None] = {}
         if mission.access.callers:
             self.directory.restrict(DeniedPrimitives(mission.access, mission.team.members, registry))
         self.handles = {DirectoryUpdate: self._on_update}
         self.observes = {LinkOpened: self._on_link_opened, LinkClosed: self._on_link_closed}
+
+    @cached_property
+    def _others(self) -> list[DeployedMember]:
+        """The resources outside the registry."""
+        team, providers = self._mission.team, self.registry.providers
+        resources = {each.id for each in team.members if each.kind == "resource"}
+        return [a for a in team.deployed if a.id in resources and a.type not in providers]
 
     def open(self) -> None:
         """Start sampling this host's agents, if there are any to report."""

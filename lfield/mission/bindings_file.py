@@ -101,7 +101,7 @@ def read_bindings(
     drivers: DriverLookup,
     *,
     simulate: bool = False,
-    resources: dict[str, str] | None = None,
+    resources: Mapping[str, str] | None = None,
     hosts: Collection[str] | None = None,
     attributes: Callable[[], Mapping[str, Attribute]] | None = None,
     homes: Mapping[str, str] | None = None,

@@ -5,8 +5,9 @@ On the ground computer `load` builds it from files; a robot reads it from a bund
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from lfield.bytecode.program import Program
@@ -32,7 +33,7 @@ ON_GROUND = "landed"
 DeviceWorld = Literal["", "fakes", "hardware"]
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Mission:
     """Program, team, bindings, the `drivers` of its devices, and the access rules (`access`).
 
@@ -51,7 +52,7 @@ class Mission:
     access: Access = NO_RULES
     release: BundleId = FROM_FILES
 
-    @property
+    @cached_property
     def stated(self) -> Registry | None:
         """The registry with attributes from bindings; includes the poses of agents without position
         telemetry."""
@@ -61,12 +62,12 @@ class Mission:
             else with_poses(self.registry, self.team.types, self.bindings.frames)
         )
 
-    @property
+    @cached_property
     def max_block(self) -> int:
         """The maximum block size of a coordinator of the mission, in bytes."""
         return max((self.bindings.limits(m.id).heap for m in self.team.coordinators), default=1 << 20)
 
-    @property
+    @cached_property
     def has_live_values(self) -> bool:
         """Whether an agent reports attributes that change while the team works."""
         providers = self.registry.providers if self.registry is not None else {}
@@ -77,7 +78,7 @@ class Mission:
         """By agent its device fields and their device types."""
         return needed_devices(self.program, self.team)
 
-    @property
+    @cached_property
     def calls(self) -> CallPermissions | None:
         """The access rules for portal calls; None where every coordinator may call everything."""
         if not self.access.callers:
@@ -92,6 +93,16 @@ class Mission:
         """Whether resources are deployed on a host: a restarted coordinator needs such a host."""
         return any(member.kind == "resource" for member in self.team.members_on(self.team.number(host)))
 
+    @cached_property
+    def hosts_with_resources(self) -> Sequence[str]:
+        """The hosts on which resources are deployed, in order."""
+        return tuple(filter(self.has_resources, self.team.hosts))
+
+    @cached_property
+    def hosts_with_vehicles(self) -> Sequence[str]:
+        """The hosts with devices that report whether they are on the ground, in order."""
+        return tuple(filter(self.vehicles_of, self.team.hosts))
+
     def vehicles_of(self, host: str) -> list[str]:
         """The names of a host's devices that report whether they are on the ground."""
         found = []
@@ -102,7 +113,7 @@ class Mission:
                 found.append(device.name)
         return found
 
-    @property
+    @cached_property
     def world(self) -> DeviceWorld:
         """Whether its devices are simulated."""
         endpoints = [device.endpoint for device in self.bindings.all]
@@ -110,13 +121,13 @@ class Mission:
             return ""
         return "fakes" if all(endpoint.startswith(SIMULATED) for endpoint in endpoints) else "hardware"
 
-    @property
+    @cached_property
     def fenced(self) -> frozenset[str]:
         """The ids of coordinators with failover: they run only while their host holds a lease."""
         classes = fenced_classes(self.program)
         return frozenset(member.id for member in self.team.coordinators if member.type in classes)
 
-    @property
+    @cached_property
     def recovery(self) -> RecoverySettings:
         """The hosts that decide by majority that a fenced coordinator is lost, and the lease.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import msgspec
@@ -27,13 +28,16 @@ class DeployedMember(NamedTuple):
     host: str
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Team:
     """`members` in the order of the deployment; `addresses[n]` is the "host:port" of `hosts[n]`.
 
     Hosts without members are witnesses: they vote when the team decides that a host is lost.
 
     `deployment` is the SHA-256 of `encode_rows`: types, ids, hosts and arguments, without addresses.
+
+    Derived tables are built once: every host of a simulated team shares them, and each has as many rows as
+    the team.
     """
 
     members: tuple[TeamMember, ...]
@@ -43,30 +47,47 @@ class Team:
 
     def number(self, host: str) -> int:
         """The index of a host."""
-        return self.hosts.index(host)
+        return self.numbers[host]
 
-    def members_on(self, host: int) -> list[TeamMember]:
+    @cached_property
+    def numbers(self) -> Mapping[str, int]:
+        """The index of each host."""
+        return {host: number for number, host in enumerate(self.hosts)}
+
+    def members_on(self, host: int) -> Sequence[TeamMember]:
         """The agents that start on a host, in order."""
-        return [m for m in self.members if m.host == host]
+        return self._members_by_host[host]
 
-    @property
-    def types(self) -> dict[str, str]:
+    @cached_property
+    def _members_by_host(self) -> Sequence[Sequence[TeamMember]]:
+        found: list[list[TeamMember]] = [[] for _ in self.hosts]
+        for member in self.members:
+            found[member.host].append(member)
+        return tuple(map(tuple, found))
+
+    @cached_property
+    def types(self) -> Mapping[str, str]:
         """The types of all agents, by id."""
         return {member.id: member.type for member in self.members}
 
-    @property
-    def homes(self) -> dict[str, str]:
+    @cached_property
+    def homes(self) -> Mapping[str, str]:
         """The hosts of all agents, by id."""
         return {member.id: self.hosts[member.host] for member in self.members}
 
-    @property
-    def coordinators(self) -> list[TeamMember]:
-        return [m for m in self.members if m.kind == "coordinator"]
+    @cached_property
+    def member_numbers(self) -> Mapping[str, int]:
+        """The numbers of all agents, by id."""
+        return {member.id: member.number for member in self.members}
 
-    @property
-    def deployed(self) -> list[DeployedMember]:
+    @cached_property
+    def coordinators(self) -> Sequence[TeamMember]:
+        return tuple(m for m in self.members if m.kind == "coordinator")
+
+    @cached_property
+    def deployed(self) -> Sequence[DeployedMember]:
         """All agents with the names of their hosts."""
-        return [DeployedMember(m.id, m.type, self.hosts[m.host]) for m in self.members]
+        return tuple(DeployedMember(m.id, m.type, self.hosts[m.host]) for m in self.members)
 
     @property
     def rows(self) -> list[TeamRow]:

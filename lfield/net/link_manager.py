@@ -68,7 +68,6 @@ class LinkManager:
         self._admission, self.now = admission or AdmissionPolicy(), clock.monotonic
         self._hosts, self._addresses, self._here, self._neighbours, _ = team
         hosts, here = team.hosts, team.here
-        self._numbers = {host: number for number, host in enumerate(hosts)}
         #: Hosts needed permanently, and hosts needed until a time.
         self._desired: frozenset[str] = frozenset()
         self._required_until: dict[str, float] = {}
@@ -96,7 +95,7 @@ class LinkManager:
             MAX_HANDSHAKES, rng, lambda one: one.link.is_answered
         )
         self._observers: ConnectionLimiter[Session] = ConnectionLimiter(MAX_OBSERVERS, rng)
-        self._initial_contact = InitialContact(host for i, host in enumerate(hosts) if i != here)
+        self._initial_contact = InitialContact(hosts, here)
         #: Time of last contact of each unlinked host.
         self._last_contacts: dict[str, float] = {}
         #: Since when each needed host has had no link, on the monotonic clock.
@@ -134,7 +133,7 @@ class LinkManager:
 
         A host that dials this one cannot be distinguished from one that is down, so it is waited for.
         """
-        for host in sorted(self._initial_contact.missing):
+        for host in self._initial_contact.missing:
             self.require_link(host)
         await self._initial_contact.wait(bound)
 
@@ -202,11 +201,11 @@ class LinkManager:
         if session is not None and not session.is_suspected:
             return
         # A neighbour earlier in the deployment dials.
-        if host in self._neighbours and self._numbers[host] < self._here and not self._is_unreachable(host):
+        if host in self._neighbours and self._hosts[host] < self._here and not self._is_unreachable(host):
             return
         caller = self._diallers.get(host)
         if caller is None or caller.is_over:
-            at, note = self._addresses[self._numbers[host]], self._owner.note
+            at, note = self._addresses[self._hosts[host]], self._owner.note
             self._diallers[host] = Dialler(self, self._transport, self._clock, host, at, note)
 
     def _is_unreachable(self, host: str) -> bool:
@@ -247,7 +246,7 @@ class LinkManager:
         required = self._desired | self._required_until.keys()
         self.down_since = {
             host: self.down_since.get(host, now)
-            for host in sorted(required - self._links.keys(), key=self._numbers.__getitem__)
+            for host in sorted(required - self._links.keys(), key=self._hosts.__getitem__)
         }
         for host in self.down_since:
             self._dial(host)
@@ -292,7 +291,7 @@ class LinkManager:
         own = caller.session if caller is not None else None
         if own is None or not own.connected:
             return False
-        if self._here < self._numbers.get(host, -1):
+        if self._here < self._hosts.get(host, -1):
             # A host that dials long after its link was accepted has lost that link, perhaps without notice
             # here.
             return made_at < own.linked_at

@@ -12,7 +12,7 @@ from lfield.text import log_messages
 from lfield.text.log_messages import LogLine
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Sequence
+    from collections.abc import Callable, Collection, Mapping, Sequence
 
     from lfield.authority.admission_policy import AdmissionPolicy
     from lfield.hybrid_clock import HybridClock
@@ -104,13 +104,13 @@ class RateLimitedLog:
 
 
 class TeamAddresses(NamedTuple):
-    """The hosts of the deployment and their addresses; `here` is the number of this host.
+    """The hosts of the deployment with their numbers, and their addresses; `here` is the number of this host.
 
     `neighbours` are the hosts that want a link with this one as it does with them. With live values, which
     age between two heartbeats, the heartbeats of idle links are as frequent as those of busy ones.
     """
 
-    hosts: Sequence[str]
+    hosts: Mapping[str, int]
     addresses: Sequence[str]
     here: int
     neighbours: Collection[str]
@@ -118,17 +118,28 @@ class TeamAddresses(NamedTuple):
 
 
 class InitialContact:
-    """The hosts `missing` a first contact: neither a handshake nor a failed attempt to dial them so far."""
+    """First contacts with the other hosts: a handshake, or a failed attempt to dial.
 
-    def __init__(self, missing: Iterable[str]) -> None:
-        self.missing = set(missing)
+    `hosts` are those of the deployment with their numbers; `here` is the number of this host.
+    """
+
+    def __init__(self, hosts: Mapping[str, int], here: int) -> None:
+        self._hosts, self._here = hosts, here
+        self._contacted = set[str]()
         self._made = asyncio.Event()
-        self.on_contact("")
+        if len(hosts) == 1:
+            self._made.set()
+
+    @property
+    def missing(self) -> list[str]:
+        """The hosts without a contact so far."""
+        others = (host for host, number in self._hosts.items() if number != self._here)
+        return sorted(host for host in others if host not in self._contacted)
 
     def on_contact(self, host: str) -> None:
         """A host has completed a handshake, or an attempt to dial it has failed."""
-        self.missing.discard(host)
-        if not self.missing:
+        self._contacted.add(host)
+        if len(self._contacted) >= len(self._hosts) - 1:
             self._made.set()
 
     async def wait(self, bound: float) -> None:

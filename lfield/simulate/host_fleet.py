@@ -34,7 +34,7 @@ from lfield.mission.mission import Mission, with_installed_drivers
 from lfield.net.tcp_transport import TcpTransport
 from lfield.net.transport import split_address
 from lfield.simulate.computers.event_queue import EventQueue
-from lfield.simulate.computers.process_loop import closing_generators, release
+from lfield.simulate.computers.process_loop import closing_generators, release, unscanned_heap
 from lfield.simulate.computers.simulated_computer import SimulatedComputer, SimulatedProcess
 from lfield.simulate.computers.simulated_machine import SimulatedMachine
 from lfield.simulate.computers.simulated_network import SimulatedNetwork
@@ -139,7 +139,8 @@ class Fleet:
         #: Computers that are no hosts of the mission, such as an operator's.
         self.stations: list[SimulatedComputer] = []
         for name in names:
-            self.boot(name)
+            with unscanned_heap():
+                self.boot(name)
 
     def _machine(self, name: str, rng: random.Random) -> SimulatedMachine:
         rate = 1.0 + rng.uniform(-CLOCK_DRIFT, CLOCK_DRIFT)
@@ -158,7 +159,7 @@ class Fleet:
 
     def run(self, seconds: float) -> None:
         """Run for that many seconds."""
-        with closing_generators():
+        with closing_generators(), unscanned_heap():
             self.timeline.run(seconds, partial(self._watch, self))
 
     @property

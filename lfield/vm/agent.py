@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, overload
 
 from lfield.vm.engine_interface import AgentLimits, Reading
 from lfield.vm.memory import layout
@@ -40,6 +40,26 @@ class MachineTeam:
     here: int
     incarnation: int
     fenced: Collection[str] = ()
+
+
+class MemberTypes(Sequence[str]):
+    """The types of agents by number: a view, so that a machine does no work per agent of the team."""
+
+    def __init__(self, members: Sequence[TeamMember]) -> None:
+        self._members = members
+
+    @overload
+    def __getitem__(self, number: int) -> str: ...
+
+    @overload
+    def __getitem__(self, number: slice) -> Sequence[str]: ...
+
+    def __getitem__(self, number: int | slice) -> str | Sequence[str]:
+        found = self._members[number]
+        return found.type if isinstance(found, TeamMember) else MemberTypes(found)
+
+    def __len__(self) -> int:
+        return len(self._members)
 
 
 class Agent:

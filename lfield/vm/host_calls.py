@@ -6,6 +6,7 @@ import math
 import random
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from itertools import islice
 
 from msgspec import structs
@@ -59,9 +60,6 @@ class HostCallDispatcher:
         self._cancellation, self._deadlines, self._held_reservations = cancelling, limits, held
         self._has_reserves = scheduler.program.has_reserves
         self._shapes = OfferClasses(scheduler.program)
-        self._by_type: dict[str, dict[str, int]] = {}
-        for member in view.members:
-            self._by_type.setdefault(member.type, {})[member.id] = member.number
         kinds: dict[str, Handler] = {
             "pcall": self._pcall,
             "yield": self._yield,
@@ -86,6 +84,14 @@ class HostCallDispatcher:
             for row in BY_CODE.values()
             if row.leaves_engine
         }
+
+    @cached_property
+    def _by_type(self) -> Mapping[str, Mapping[str, int]]:
+        """The numbers of the agents by type and id."""
+        found: dict[str, dict[str, int]] = {}
+        for member in self._team:
+            found.setdefault(member.type, {})[member.id] = member.number
+        return found
 
     def dispatch(self, agent: Agent, thread: int, leave: HostCall) -> None:
         """Execute a thread's host call, unless its limit has expired or its call is cancelled.

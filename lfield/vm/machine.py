@@ -16,7 +16,7 @@ from lfield.clock import Clock
 from lfield.errors import DeviceError
 from lfield.manifest import DeviceValue
 from lfield.vm import portal_calls
-from lfield.vm.agent import Agent, MachineTeam, TeamMember
+from lfield.vm.agent import Agent, MachineTeam, MemberTypes, TeamMember
 from lfield.vm.cancellation import CANCELLED, Cancellation
 from lfield.vm.deadlines import HOST_DOWN, IN_TRANSIT, Deadlines
 from lfield.vm.engine_interface import (
@@ -91,7 +91,7 @@ class Machine:
         cancelling = self._cancellation = Cancellation(scheduler)
         self._liveness = Liveness(program, scheduler.layouts)
         self.resource_queries = ResourceQueries(scheduler)
-        types = [member.type for member in view.members]
+        types = MemberTypes(view.members)
         self._verifier = BlockVerifier(program, scheduler.layouts, types, self.engine.space)
         #: The calls of a `together` that were started here.
         self.pending_calls = PendingCalls(scheduler, cancelling, self._verifier)

@@ -46,6 +46,7 @@ FIGURES = {
     "rankings": "capability.rankings",
     "directory": "capability.directory",
     "traffic": "team.traffic",
+    "hosts": "team.host_processes",
     "events": "team.events",
     "strangers": "team.strangers",
     "leases": "team.leases",

@@ -296,9 +296,8 @@ class Network:
         self, noted: RecordingHost, clock: ManualClock, admission: CertificateAdmission
     ) -> LinkManager:
         transport = TcpTransport(1 << 16, self._tls)
-        return LinkManager(
-            noted, transport, clock, random.Random(1), TeamAddresses(HOSTS, ADDRESSES, 0, ()), admission
-        )
+        team = TeamAddresses({host: number for number, host in enumerate(HOSTS)}, ADDRESSES, 0, ())
+        return LinkManager(noted, transport, clock, random.Random(1), team, admission)
 
     def _befall(
         self, fate: LinkFate, admission: CertificateAdmission, clock: ManualClock, peers: LinkManager

@@ -33,7 +33,7 @@ def test_a_witness_is_a_host_without_agents() -> None:
     assert made.hosts == ("olive", "ficus", "elm", "oak")
     assert made.addresses_by_host["elm"] == "elm:9000"
     assert [(m.id, m.number, m.host) for m in made.members] == [("a", 0, 0), ("b", 1, 1)]
-    assert made.members_on(made.number("elm")) == []
+    assert not made.members_on(made.number("elm"))
     assert team_of(made.rows, {"Arm": "resource"}, {}).deployment == made.deployment
 
 

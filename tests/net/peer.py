@@ -62,6 +62,7 @@ async def main(here: str, keys: str, *places: str) -> None:
     """Keep the links until the input ends."""
     addresses = dict(place.split("=", 1) for place in places)
     names = list(addresses)
+    numbers = {name: number for number, name in enumerate(names)}
     owner = Owner(here, [name for name in names if name != here])
     transport = TcpTransport(1 << 20, TlsIdentity(keystore.read_keys(Path(keys) / here, "host")))
     transport.note = owner.note
@@ -71,7 +72,7 @@ async def main(here: str, keys: str, *places: str) -> None:
         transport,
         clock,
         dice,
-        TeamAddresses(names, list(addresses.values()), names.index(here), set(names) - {here}),
+        TeamAddresses(numbers, list(addresses.values()), numbers[here], set(names) - {here}),
     )
     say(f"listens {await peers.open(addresses[here])}")
     await asyncio.get_running_loop().run_in_executor(None, sys.stdin.read)

@@ -6,7 +6,7 @@ import dataclasses
 import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from msgspec.structs import asdict
 from rich.console import Group
@@ -16,7 +16,7 @@ from lfield.cli.views.team_state_view import add_row, device_table, new_table
 from lfield.cli.views.trees import plain_console
 from lfield.mission.access.signed_bundle import BundleId
 from lfield.operator.coordinator_location import doubt_advice
-from lfield.operator.team_model.team_state import HostState
+from lfield.operator.team_model.team_state import HostState, LinkState
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
 from lfield.text.value_text import byte_count_text, duration_text, percentage_text
@@ -30,6 +30,8 @@ from lfield.wire.observer_messages import (
     StartStatus,
 )
 
+#: The most rows of the table of links. In a larger team it has so many of the worst links.
+MAX_LINK_ROWS, WORST_LINKS = 72, 12
 #: Maximum number of missing hosts in the suggested command.
 MAX_NAMED = 8
 
@@ -45,11 +47,13 @@ def team_tables(hosts: Mapping[str, HostState]) -> Group:
     """
     linked = {name: host for name, host in hosts.items() if host.linked}
     devices = device_table(device for host in linked.values() for device in host.devices.values())
-    further = [table for table in (devices, _hosts(linked), _links(linked)) if table.row_count]
+    links, summary = _links(linked)
+    further = [table for table in (devices, _hosts(linked), links) if table.row_count]
     waits = [*_starts(linked), *_refused(linked)]
     hints = map(escape_line, [*_paused(linked), *waits, *_not_persisted(linked), *doubt_advice(linked)])
     bundles = ["", *map(escape_line, _bundles(linked))] if _bundles(linked) else []
-    return Group(_agents(hosts), *hints, *(part for table in further for part in ("", table)), *bundles)
+    tables = (part for table in further for part in ("", table))
+    return Group(_agents(hosts), *hints, *tables, *summary, *bundles)
 
 
 def _bundles(linked: Mapping[str, HostState]) -> list[str]:
@@ -119,21 +123,65 @@ def _hosts(linked: Mapping[str, HostState]) -> Table:
     return shown
 
 
-def _links(linked: Mapping[str, HostState]) -> Table:
-    """A row for each end of each link, because loss differs by direction."""
+class _LinkRow(NamedTuple):
+    """One end of a link: the host, the other host, and the seconds without a link or the measurements."""
+
+    host: str
+    peer: str
+    away: float | None
+    link: LinkState | None
+
+    @property
+    def badness(self) -> tuple[float, float, float]:
+        """Greater for a worse link: first missing ones, then by loss, then by round trip."""
+        if self.link is None:
+            return self.away or 0.0, 1.0, 0.0
+        return -1.0, self.link.loss or 0.0, self.link.round_trip or 0.0
+
+    def texts(self) -> tuple[str, ...]:
+        """The cells of the row."""
+        if self.link is None:
+            return self.host, self.peer, f"none for {self.away:.0f} s", "", "", "", ""
+        link = self.link
+        took = "" if link.round_trip is None else duration_text(link.round_trip)
+        loss = "" if link.loss is None else percentage_text(link.loss)
+        both = ("" if count is None else byte_count_text(count) for count in (link.sent, link.received))
+        return self.host, self.peer, took, loss, *both, _kinds(link.kinds)
+
+
+def _links(linked: Mapping[str, HostState]) -> tuple[Table, list[str]]:
+    """A row for each end of each link, because loss differs by direction; in a large team the worst ones, and
+    a summary of all.
+    """
     right = "ROUND TRIP", "LOSS", "SENT", "RECEIVED"
     shown = new_table("HOST", "LINK WITH", *right, "BY KIND", right=right)
+    rows: list[_LinkRow] = []
     for name, host in linked.items():
-        for peer, link in host.links.items():
-            took = "" if link.round_trip is None else duration_text(link.round_trip)
-            loss = "" if link.loss is None else percentage_text(link.loss)
-            both = ("" if count is None else byte_count_text(count) for count in (link.sent, link.received))
-            add_row(shown, name, peer, took, loss, *both, _kinds(link.kinds))
-        for peer, seconds in host.away.items():
-            add_row(shown, name, peer, f"none for {seconds:.0f} s", "", "", "", "")
-        if host.report.observers:
+        rows += [_LinkRow(name, peer, None, link) for peer, link in host.links.items()]
+        rows += [_LinkRow(name, peer, seconds, None) for peer, seconds in host.away.items()]
+    worst, summary = rows, list[str]()
+    if len(rows) > MAX_LINK_ROWS:
+        worst = sorted(rows, key=lambda row: row.badness, reverse=True)[:WORST_LINKS]
+        summary = [_link_summary(rows)]
+    for row in worst:
+        add_row(shown, *row.texts())
+    for name, host in linked.items():
+        if host.report.observers and worst is rows:
             add_row(shown, name, "observers", "", "", "", "", _kinds(host.report.observers))
-    return shown
+    return shown, summary
+
+
+def _link_summary(rows: Sequence[_LinkRow]) -> str:
+    links = [row.link for row in rows if row.link is not None]
+    trips = sorted(link.round_trip for link in links if link.round_trip is not None)
+    losses = [link.loss for link in links if link.loss is not None]
+    parts = [f"{len(links)} ends of links", f"{len(rows) - len(links)} missing"]
+    if trips:
+        median = trips[len(trips) // 2]
+        parts.append(f"round trip {duration_text(median)} (median), {duration_text(trips[-1])} (maximum)")
+    if losses:
+        parts.append(f"loss up to {percentage_text(max(losses))}")
+    return f"{'; '.join(parts)}; the {WORST_LINKS} worst are listed, --json has all"
 
 
 def _kinds(kinds: Mapping[str, int]) -> str:

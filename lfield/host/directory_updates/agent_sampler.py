@@ -90,7 +90,7 @@ class AgentSampler:
             return Unavailability("its host does not run it")
         if running.ended:
             return Unavailability(f"died of {running.report.splitlines()[0]}")
-        found = (self._devices.trouble(f"{agent}.{field}") for field in self._fields[agent])
+        found = (self._devices.trouble(f"{agent}.{field}") for field in self._fields.get(agent, ()))
         return next((trouble for trouble in found if trouble), None)
 
     def _sample(self, agent: str, live: LiveAttribute) -> AttributeSample | str:

@@ -161,9 +161,9 @@ class WriteAheadQueue:
 
 def program_record(mission: Mission, digest: bytes) -> ProgramRecord:
     """The record that describes the blocks of a mission for readers of the journal."""
-    team = mission.team
-    members, types = tuple(m.id for m in team.members), tuple(m.type for m in team.members)
-    return ProgramRecord(digest, encode(mission.program), members, types, tuple(team.hosts))
+    types = mission.team.types
+    program, members = encode(mission.program), tuple(types)
+    return ProgramRecord(digest, program, members, tuple(types.values()), mission.team.hosts)
 
 
 class JournalContents:

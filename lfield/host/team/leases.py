@@ -61,7 +61,8 @@ class TeamLeases(Part):
         self.leased_agents = context.leased_agents
         self.is_polled = bool(self.leased_agents)
         self._restored = context.restored_fences
-        others = [host for host in mission.team.hosts if host != hello.host]
+        hosts = mission.team.hosts if self.leased_agents else ()
+        others = [host for host in hosts if host != hello.host]
         #: Whether no record of earlier incarnations exists here.
         self._new = team.recovery.last_start is None
         members = QuorumMembers(

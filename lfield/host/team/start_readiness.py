@@ -41,19 +41,20 @@ class LinkRefusal(NamedTuple):
 class Readiness:
     """Whether the hosts that a new start needs are present.
 
-    `needed` are the other hosts with resources, in the order of the deployment, and `without` those that are
-    excluded. `vehicles` are the hosts, this one included, with devices that can be in the air. `is_linked`
-    returns whether a host is linked now; times are in seconds of one clock.
+    `here` is this host. `needed` are the hosts with resources, in the order of the deployment, and `without`
+    those that are excluded. `vehicles` are the hosts, this one included, with devices that can be in the
+    air. `is_linked` returns whether a host is linked now; times are in seconds of one clock.
     """
 
     def __init__(
         self,
+        here: str,
         needed: Sequence[str],
         without: Collection[str],
         vehicles: Collection[str],
         is_linked: Callable[[str], bool],
     ) -> None:
-        self._needed, self._vehicles, self._is_linked = needed, vehicles, is_linked
+        self._here, self._needed, self._vehicles, self._is_linked = here, needed, vehicles, is_linked
         self._without = set(without)
         #: The hosts excluded by an operator.
         self._without_by_command: set[str] = set()
@@ -132,7 +133,8 @@ class Readiness:
     @property
     def missing(self) -> list[str]:
         """The hosts that have to be linked first, in the order of the deployment."""
-        return [host for host in self._needed if host not in self._without and not self._is_linked(host)]
+        others = (host for host in self._needed if host != self._here)
+        return [host for host in others if host not in self._without and not self._is_linked(host)]
 
     @property
     def waited_for(self) -> list[str]:

@@ -40,7 +40,6 @@ class Startup(Part):
         self._team, self._leases, self._clock = team, leases, context.clock
         self._has_journal, self._environment = context.has_journal, context.environment
         self._out, self._log, self._recorder = context.effects.append, context.log, context.recorder
-        others = [other for other in self._hosts if other != host]
         self.own_agents = [
             member.id for member in mission.team.members_on(context.here) if member.kind == "coordinator"
         ]
@@ -55,14 +54,17 @@ class Startup(Part):
             LinkClosed: self._on_link_closed,
             RecordsDurable: self._on_durable,
         }
-        needed = [other for other in others if mission.has_resources(other)]
-        vehicles = [other for other in self._hosts if mission.vehicles_of(other)]
-        self.readiness = Readiness(needed, mission.bindings.start.without, vehicles, membership.is_linked)
+        without, vehicles = mission.bindings.start.without, mission.hosts_with_vehicles
+        self.readiness = Readiness(
+            host, mission.hosts_with_resources, without, vehicles, membership.is_linked
+        )
         self._lease_wait_logged = self._pause_logged = False
         self._checked_at = 0.0
         #: The last reported wait: coordinators, hosts, and why it is held.
         self._reported_wait: tuple[list[str], list[str], str] = [], [], ""
-        self._gate = StartGate(self.own_agents, others)
+        # Other hosts matter only to a host that starts coordinators.
+        queried = self._hosts if self.own_agents else ()
+        self._gate = StartGate(self.own_agents, [other for other in queried if other != host])
         self._gate.exclude(self.readiness.without)
         #: The batch with the number of a start, and that number, until it is on disk.
         self._pending_count: tuple[int, int] | None = None

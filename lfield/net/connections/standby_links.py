@@ -81,8 +81,9 @@ class StandbyLinks:
     ) -> None:
         self._owner, self._transport, self._addresses = owner, transport, team.addresses
         self._admission, self.now = admission, owner.now
-        self._numbers = {host: number for number, host in enumerate(team.hosts)}
-        self._here, self._hello = team.here, Hello("standby", team.hosts[team.here], 0)
+        self._numbers, self._here = team.hosts, team.here
+        own = next(host for host, number in team.hosts.items() if number == team.here)
+        self._hello = Hello("standby", own, 0)
         self._paths: dict[str, _HostPaths] = {}
         self._ticker: asyncio.Task[None] | None = None
 

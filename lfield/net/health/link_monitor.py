@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from typing import Literal, NamedTuple, Protocol
 
@@ -81,7 +81,8 @@ class LinkActivity:
 
 
 class LinkMonitor:
-    """The links of host number `here` of `hosts`; `now` is a monotonic clock, in seconds.
+    """The links of host number `here`; `hosts` are all hosts with their numbers, and `now` is a monotonic
+    clock, in seconds.
 
     Heartbeats of hosts carry the timestamps of `hybrid_clock`; those of idle links are `idle_interval`
     seconds apart.
@@ -89,17 +90,16 @@ class LinkMonitor:
 
     def __init__(
         self,
-        hosts: Sequence[str],
+        hosts: Mapping[str, int],
         here: int,
         now: Callable[[], float],
         hybrid_clock: HybridClock,
         idle_interval: float = IDLE_PING_EVERY,
     ) -> None:
         self._now, self._hybrid_clock = now, hybrid_clock
-        self._heartbeats = {
-            host: Heartbeats(first=here < number, idle_interval=idle_interval)
-            for number, host in enumerate(hosts)
-        }
+        self._hosts, self._here, self._idle_interval = hosts, here, idle_interval
+        #: The heartbeats of each host that has had a link.
+        self._heartbeats: dict[str, Heartbeats] = {}
         self._links: dict[str, tuple[MonitoredLink, LinkTraffic, LinkActivity]] = {}
         #: The bytes exchanged with all observers.
         self.observers = TrafficBytes()
@@ -108,8 +108,14 @@ class LinkMonitor:
 
     def on_linked(self, host: str, link: MonitoredLink) -> None:
         """A link with a host was made, and replaces an earlier one."""
-        self._heartbeats[host].on_link_made(self._now())
+        self._heartbeats_of(host).on_link_made(self._now())
         self._links[host] = link, LinkTraffic(), LinkActivity(self._now())
+
+    def _heartbeats_of(self, host: str) -> Heartbeats:
+        if (found := self._heartbeats.get(host)) is None:
+            first = self._here < self._hosts[host]
+            found = self._heartbeats[host] = Heartbeats(first=first, idle_interval=self._idle_interval)
+        return found
 
     def on_unlinked(self, host: str) -> None:
         """The link with a host is closed."""
@@ -136,7 +142,7 @@ class LinkMonitor:
     def on_ping(self, host: str, link: MonitoredLink, ping: Ping) -> None:
         """A heartbeat of a host, or of an observer (''), has arrived."""
         if host:
-            self._heartbeats[host].on_ping()
+            self._heartbeats_of(host).on_ping()
             self._hybrid_clock.merge(host, ping.stamp, self._now())
         link.send(Pong(ping.token))
 

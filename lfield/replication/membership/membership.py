@@ -64,14 +64,15 @@ class HighestCounters:
 class Membership:
     """Liveness of the other hosts, for all parts of one host. Times are in seconds of its monotonic clock.
 
-    `hosts` are those of the deployment, `here` is this host's number, `incarnation` its incarnation, `now`
-    the start time. `neighbours` are the overlay links, which carry the gossip; `contacts` are the links as
-    the transport measures them.
+    `hosts` are those of the deployment, with their `numbers`. `here` is this host's number, `incarnation` its
+    incarnation, `now` the start time. `neighbours` are the overlay links, which carry the gossip; `contacts`
+    are the links as the transport measures them.
     """
 
     def __init__(
         self,
         hosts: Sequence[str],
+        numbers: Mapping[str, int],
         here: int,
         incarnation: int,
         now: float,
@@ -79,9 +80,7 @@ class Membership:
         contacts: LinkContacts,
     ) -> None:
         self._contacts = contacts
-        self._hosts, self._here, self._incarnation = hosts, here, incarnation
-        self._others = [host for number, host in enumerate(hosts) if number != here]
-        self._numbers = {host: number for number, host in enumerate(hosts)}
+        self._hosts, self._numbers, self._here, self._incarnation = hosts, numbers, here, incarnation
         self._neighbours, self.neighbours = neighbours, neighbours.neighbours
         #: The heartbeat counter of this host, and the counter up to which it was probed.
         self._count = self._promised = 0
@@ -111,6 +110,10 @@ class Membership:
         self.suspected: set[str] = set()
         #: When `next_gossip` is due; None if it has no recipients.
         self.due: float | None = now if len(hosts) > 2 else None
+
+    @property
+    def _others(self) -> list[str]:
+        return [host for number, host in enumerate(self._hosts) if number != self._here]
 
     # --- links ----------------------------------------------------------------------------------------
 
@@ -196,7 +199,7 @@ class Membership:
 
     def _gossip_targets(self) -> list[str]:
         to = self._neighbours.chosen | self._gossipers
-        return [host for host in self._others if host in to and host in self.linked]
+        return sorted(to & self.linked, key=self._numbers.__getitem__)
 
     def on_gossip(self, host: str, message: GossipUpdate, now: float) -> None:
         """Apply the gossip of another host."""
@@ -311,7 +314,7 @@ class Membership:
 
         In a team too large for a full mesh, a host that has just started regards no host as missing yet.
         """
-        if now - self._started_at < SUSPICION_TIMEOUT and len(self.neighbours) < len(self._others):
+        if now - self._started_at < SUSPICION_TIMEOUT and len(self.neighbours) < len(self._hosts) - 1:
             return True
         return (
             not self.restarted

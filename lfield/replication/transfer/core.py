@@ -55,7 +55,7 @@ class Mobility:
     """The coordinators of one host: hops from and to this host, and termination.
 
     `own` is the Hello of this host without `coordinators`: name, incarnation, program and `max_block`.
-    `peers` are the other hosts of the deployment, `agents` its coordinators. `unreachable_after` is the time
+    `peers` are the hosts of the deployment, `agents` its coordinators. `unreachable_after` is the time
     in seconds that a coordinator waits for a host.
 
     A host calls `start` for its own coordinators before any handshake, `on_linked` and `on_unlinked` for
@@ -72,7 +72,7 @@ class Mobility:
         self._own, self._unreachable_after = own, unreachable_after
         self._copies = CopyTable(agents, own.mission_hash if own.journal_id else b"")
         self._links: dict[str, Hello] = {}
-        self._termination = Termination(own.host, frozenset(peers) - {own.host}, self._copies, self._links)
+        self._termination = Termination(own.host, peers, self._copies, self._links)
         self._sender = TransferSender(own, self._copies, self._links, self._termination, unreachable_after)
         self._receiver = TransferReceiver(own, self._copies, self._sender, self._termination)
         self._recovery = CopyRecovery(own.host, self._copies, self._termination)

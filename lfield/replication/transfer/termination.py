@@ -8,6 +8,7 @@ not the recovery succeeded.
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 from lfield.replication.transfer.coordinator_copies import LIVE_STATES, CoordinatorCopy, CopyTable
@@ -22,17 +23,23 @@ if TYPE_CHECKING:
 
 
 class Termination:
-    """The terminations of one host's copies. `links` are the Hellos of the linked hosts."""
+    """The terminations of one host's copies. `hosts` are those of the team, `links` the Hellos of the linked
+    ones.
+    """
 
     def __init__(
-        self, host: str, peers: frozenset[str], copies: CopyTable, links: Mapping[str, Hello]
+        self, host: str, hosts: Collection[str], copies: CopyTable, links: Mapping[str, Hello]
     ) -> None:
-        self._host, self._peers, self._copies, self._links = host, peers, copies, links
+        self._host, self._hosts, self._copies, self._links = host, hosts, copies, links
         self._unconfirmed: dict[tuple[str, int], tuple[Terminated, set[str]]] = {}
         #: The losses reported by a host that was shutting down, and the time of the first report.
         self._losses: dict[tuple[str, int], float] = {}
         #: Whether a reported termination must not be stored or confirmed yet.
         self.is_delayed: Callable[[Terminated], bool] = lambda ended: False
+
+    @cached_property
+    def _peers(self) -> frozenset[str]:
+        return frozenset(self._hosts) - {self._host}
 
     def set_delay_rule(self, is_delayed: Callable[[Terminated], bool]) -> None:
         """Set which remote terminations are neither stored nor confirmed yet."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 from lfield.bytecode.program import RESERVED, MethodRecord, Program
 from lfield.errors import BlockError
@@ -76,12 +77,16 @@ class BlockVerifier:
         self.suspension_points = SuspensionPoints(self.schema)
         #: The first words of a block of this program.
         self._prefix = _MAGIC.to_bytes(8, "little") + program.digest
-        #: The numbers of the resources.
-        self._resources = {
-            i
-            for i, of in enumerate(self.schema.members)
-            if of >= 0 and program.core.classes[of].kind == "resource"
-        }
+
+    @cached_property
+    def _resources(self) -> frozenset[int]:
+        """The numbers of the resources."""
+        classes = self.program.core.classes
+        return frozenset(
+            number
+            for number, of in enumerate(self.schema.members)
+            if of >= 0 and classes[of].kind == "resource"
+        )
 
     def check(self, image: bytes | bytearray | memoryview, limit: int) -> Block:
         """A migrating coordinator's block from its bytes (`limit` in words). Raises BlockError."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 from lfield.bytecode.opcodes import BY_NAME
 from lfield.bytecode.program import ANY, PROXY, REFERENCES, RESERVED, STRING, TICKET, Program
@@ -41,8 +42,7 @@ class HeapSchema:
 
     def __init__(self, program: Program, layouts: Layouts, members: Sequence[str]) -> None:
         self.program = program
-        #: Class index by member number; -1 for an unknown class.
-        self.members = [program.class_index.get(name, -1) for name in members]
+        self._types = members
         core = program.core
         #: By type, the target of its references; None for types without references.
         self.of_type = [self._expected(i) for i in range(len(core.types))]
@@ -66,6 +66,11 @@ class HeapSchema:
                     self.expects[layout.ARRAY | i << 8] = ()
                 self.sizes[layout.TICKET | i << 8] = TICKET_WORDS
                 self.expects[layout.TICKET | i << 8] = self._of_ticket(i, kind.of)
+
+    @cached_property
+    def members(self) -> Sequence[int]:
+        """Class index by member number; -1 for an unknown class."""
+        return [self.program.class_index.get(name, -1) for name in self._types]
 
     def references(self, head: int) -> Expected:
         """The references of an object of known size, by its header word."""

@@ -88,10 +88,8 @@ class Other:
         self._phase = SAMPLE_EVERY * number / len(team.hosts)
         addresses = [team.addresses[0], team.addresses[number]]
         transport = TcpTransport(mission.max_block)
-        hosts = [self._first, self._name]
-        self.peers = LinkManager(
-            self, transport, self._clock, random.Random(number), TeamAddresses(hosts, addresses, 1, hosts[:1])
-        )
+        hosts = TeamAddresses({self._first: 0, self._name: 1}, addresses, 1, [self._first])
+        self.peers = LinkManager(self, transport, self._clock, random.Random(number), hosts)
         assert mission.registry is not None
         agents = mission.team.deployed
         self._directory = AgentDirectory(mission.registry, agents, self._name, self.peers, self._clock)

@@ -17,7 +17,7 @@ from harness.samples import Contender
 from machine.small import processor_seconds
 
 #: How many vehicles, each told of 5 times a second.
-TEAMS = (2, 10, 50)
+TEAMS = (2, 10, 50, 100)
 #: Seconds of each round, and how often a browser asks.
 MEASURED, ASKED_EVERY = 10.0, 0.2
 PROCESSOR, MEMORY, LATCH, LOOK = "processor", "resident", "from a latch to the page", "a look"

@@ -243,6 +243,26 @@ def test_the_round_trip_the_loss_and_the_bytes_of_each_link(capsys):
     ]
 
 
+def test_of_a_hundred_hosts_the_worst_links_are_listed_and_json_has_all(capsys):
+    names = [f"h{n}" for n in range(100)]
+    answers = {}
+    for number, name in enumerate(names):
+        others = [names[(number + step) % 100] for step in range(1, 9)]
+        links = [LinkStatus(other, None, 0.001 * (number + 1), 0.0, 10, 10) for other in others]
+        if name == "h7":
+            links[2:4] = [LinkStatus(others[2], None, 0.001, 0.25, 10, 10), LinkStatus(others[3], 40.0)]
+        answers[name] = Status(name, f"{name}:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [])
+    states = states_of(answers)
+    told = json.loads(team_status_view.as_json(states))
+    assert sum(len(host["links"]) + len(host["away"]) for host in told.values()) == 800
+    team_status_view.show(states)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    listed = rows[next(n for n, row in enumerate(rows) if row[1:3] == ["LINK", "WITH"]) + 1 :]
+    assert [row[:2] for row in listed[:3]] == [["h7", "h11"], ["h7", "h10"], ["h99", "h0"]]
+    assert len(listed) == team_status_view.WORST_LINKS + 1
+    assert listed[-1][:1] == ["799"]
+
+
 def test_what_is_reserved_and_for_how_long_yet(capsys):
     reserved = [ReservedStatus("near", "tom", 2, 12.25, 4.5)]
     status = Status("alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], [], [], reserved=reserved)

@@ -38,7 +38,8 @@ class Contacts:
 
 def ears(host: str, incarnation: int = 1, now: float = 0.0, hosts=HOSTS) -> Membership:
     here = hosts.index(host)
-    return Membership(hosts, here, incarnation, now, Overlay(hosts, here), Contacts())
+    numbers = {host: number for number, host in enumerate(hosts)}
+    return Membership(hosts, numbers, here, incarnation, now, Overlay(hosts, here), Contacts())
 
 
 def missing(hearsay: Membership, now: float, lost_after: float = 10.0) -> tuple[set[str], set[str]]:
@@ -352,7 +353,8 @@ def test_a_host_that_nobody_answers_comes_round_to_everybody():
 
 def test_the_liveness_of_a_host_is_what_came_from_it_and_since_when_it_has_no_link() -> None:
     contacts = Contacts(down={"b": 12.0, "c": 15.0}, heard={"b": 11.0})
-    one = Membership(HOSTS, 0, 1, 10.0, Overlay(HOSTS, 0), contacts)
+    numbers = {host: number for number, host in enumerate(HOSTS)}
+    one = Membership(HOSTS, numbers, 0, 1, 10.0, Overlay(HOSTS, 0), contacts)
     assert [one.last_contact(host) for host in "bcd"] == [11.0, None, None]
     assert [one.missing_for(host, 20.0) for host in "bcd"] == [8.0, 5.0, 0.0]
     one.on_linked("b", 7)
