@@ -159,7 +159,8 @@ class PathHost:
         self.hybrid_clock = HybridClock(0.0, 0.0)
         self.events: list[tuple[float, str]] = []
         self.transport = PathTransport(network, name)
-        team = TeamAddresses(HOSTS, PLACES, HOSTS.index(name), {self.other})
+        numbers = {host: number for number, host in enumerate(HOSTS)}
+        team = TeamAddresses(numbers, PLACES, HOSTS.index(name), {self.other})
         self.peers = LinkManager(self, self.transport, LoopClock(), random.Random(1), team)
 
     async def open(self) -> None:
