@@ -6,8 +6,8 @@ arrives with the block that this program has sent. A batch of records is durable
 that number was, or at once after that.
 
 Another program may pause where the recorded one did not. So a coordinator arrives after this program has sent
-it, also if the recorded one was earlier, a confirmation of a hop waits for the hop, and the program gets time
-after the end of the recording.
+it, also if the recorded one was earlier, a confirmation of a hop waits for the hop, a probe of another host
+is answered at once, and the program gets time after the end of the recording.
 """
 
 from __future__ import annotations
@@ -38,11 +38,12 @@ from lfield.replay.host_recording import HostRecording, Turn
 from lfield.replay.host_replay import HostReplay
 from lfield.replay.recording_files import TeamRecording
 from lfield.replay.team_order import TeamOrder, TransferKey, arrival_in
-from lfield.replication.transfer.effects import SendTransfer
+from lfield.replication.transfer.effects import Send, SendTransfer
 from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
 from lfield.wire.coordinator_messages import TransferAccepted
+from lfield.wire.messages import QUESTION, Ping, Pong
 
 #: The blocks that were sent, with their headers as the receiver gets them.
 SentBlocks = dict[TransferKey, TransferArrived]
@@ -184,6 +185,9 @@ class ProgramRun:
                     hop = TransferKey(header.agent, header.generation, header.sequence, effect.host)
                     block = memoryview(bytes(effect.block))
                     self._sent[hop] = TransferArrived(self._host, header, block)
+                case Send(host=host, message=Ping(token=token)) if self._is_other and token == QUESTION:
+                    # The recorded program may not have probed this host, or at another time.
+                    self._run(MessageArrived(host, Pong(QUESTION)))
                 case PersistRecords():
                     self._issued = effect.number
                     if effect.number <= self._durable or effect.number > self._last_durable:

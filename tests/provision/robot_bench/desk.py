@@ -18,7 +18,7 @@ import msgspec
 
 from lfield.provision.lock_file import needed_pins, pip_lock, read_lock, text_digest
 from lfield.provision.own_wheel import deployment_file, describe_wheel, repack
-from lfield.provision.wheel_cache import LOCK, WheelCollection
+from lfield.provision.wheel_cache import LOCK, ZENOH, WheelCollection
 from lfield.provision.wheel_target import WheelTarget
 
 #: What lfield imports without drivers, and pip.
@@ -63,7 +63,8 @@ class Desk:
         folder.mkdir(parents=True, exist_ok=True)
         for path in made.glob("*.whl"):
             (folder / path.name).hardlink_to(path)
-        pins = needed_pins(read_lock(deployment_file(LOCK).decode(), LOCK), target)
+        lock = [pin for pin in read_lock(deployment_file(LOCK).decode(), LOCK) if pin.name != ZENOH]
+        pins = needed_pins(lock, target)
         collection = WheelCollection(tuple(describe_wheel(path) for path in sorted(folder.glob("*.whl"))))
         index = folder / f"lock-{text_digest(pip_lock(pins))}.json"
         index.write_bytes(msgspec.json.encode(collection))
