@@ -9,6 +9,7 @@ from __future__ import annotations
 import atexit
 import itertools
 import threading
+import time
 from collections.abc import Callable
 from queue import SimpleQueue
 from typing import Any
@@ -22,6 +23,8 @@ MAX_QUEUED = 4 << 20
 #: Seconds between two attempts to open the session, for a query of tokens, and for what is queued when the
 #: session is closed.
 RETRY, QUERY_TIMEOUT, FLUSH_TIMEOUT = 0.5, 2.0, 3.0
+#: Seconds for the threads of handlers at the end of the process: until the last callback, and after it.
+HANDLER_TIMEOUT, HANDLER_PAUSE = 2.0, 0.05
 
 #: Called in a thread of Zenoh, with the key and the bytes of a publication.
 OnPacket = Callable[[str, bytes], None]
@@ -109,13 +112,15 @@ class ZenohSession:
         """The interpreter must not end while the thread is in a call of Zenoh."""
         self.close()
         self._thread.join(FLUSH_TIMEOUT)
+        # Nor while a thread of Zenoh is in a callback: the process would be aborted.
+        _HANDLERS.wait(HANDLER_TIMEOUT)
+        time.sleep(HANDLER_PAUSE)
 
     # --- the thread of the session ------------------------------------------------------------------------
 
     def _run(self) -> None:
         self._open()
         self._work()
-        atexit.unregister(self._close_at_exit)
 
     def _work(self) -> None:
         while (session := self._session) is not None:
@@ -193,13 +198,46 @@ class ZenohSession:
             session.close()  # type: ignore[no-untyped-call]
 
 
+class _Handlers:
+    """Counts the handlers of this process: each has a thread of Zenoh, which ends some time after its use."""
+
+    def __init__(self) -> None:
+        self._changed, self._count = threading.Condition(), 0
+
+    def on_made(self) -> None:
+        """A handler was made."""
+        with self._changed:
+            self._count += 1
+
+    def on_dropped(self) -> None:
+        """Zenoh calls a handler no more."""
+        with self._changed:
+            self._count -= 1
+            self._changed.notify_all()
+
+    def wait(self, bound: float) -> None:
+        """Return when no handler is left, at most after `bound` seconds."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._count <= 0, bound)
+
+
+_HANDLERS = _Handlers()
+
+
 def _handler(call: Callable[[Any], None], drop: Callable[[], None] | None = None) -> Any:
     """A handler in a thread of its own.
 
     In the thread of the network it would wait for the interpreter's lock while it holds one of Zenoh. A call
     of Zenoh that holds the interpreter's lock and needs the other one would stop the process for ever.
     """
-    return zenoh.handlers.Callback(call, drop, indirect=True)
+
+    def dropped() -> None:
+        if drop is not None:
+            drop()
+        _HANDLERS.on_dropped()
+
+    _HANDLERS.on_made()
+    return zenoh.handlers.Callback(call, dropped, indirect=True)
 
 
 def _zenoh_config(config: ZenohConfig) -> zenoh.Config:
