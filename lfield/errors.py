@@ -315,7 +315,7 @@ class MissingZenoh(AddressError):
 
 
 class ZenohUnreachable(AddressError):
-    """No router or peer of the Zenoh fabric can be reached; lfield goes on trying."""
+    """No router or peer of the Zenoh fabric can be reached; lfield retries."""
 
     code, remedy = "zenoh-unreachable", "start the router, or correct `zenoh` in the inventory"
 

@@ -126,7 +126,7 @@ class RouterNetwork:
 
 
 def free_ports(count: int) -> list[int]:
-    """Ports of loopback that nobody listens at, below those that the system gives to callers."""
+    """Ports of loopback without a listener, below those that the system gives to callers."""
     found: list[int] = []
     while len(found) < count:
         port = random.SystemRandom().randrange(20000, 32000)

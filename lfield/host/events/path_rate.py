@@ -6,6 +6,7 @@ measurements ignores batches that were lost and repeated.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from statistics import median
 
@@ -25,16 +26,12 @@ class PathRate:
 
     def __init__(self) -> None:
         #: The smallest batch, and the quickest acknowledgement.
-        self._smallest: int | None = None
-        self._quickest = 0.0
+        self._smallest = self._quickest = math.inf
         self._seconds_per_byte: deque[float] = deque(maxlen=SAMPLES)
 
     def add(self, size: int, took: float) -> None:
         """A batch of this size was acknowledged after so many seconds."""
-        if self._smallest is None or size < self._smallest:
-            self._smallest = size
-            self._quickest = took if not self._quickest else min(took, self._quickest)
-        self._quickest = min(took, self._quickest)
+        self._smallest, self._quickest = min(size, self._smallest), min(took, self._quickest)
         if size >= self._smallest + MIN_EXTRA:
             self._seconds_per_byte.append(max(0.0, took - self._quickest) / (size - self._smallest))
 

@@ -112,15 +112,13 @@ class ZenohSession:
         """The interpreter must not end while the thread is in a call of Zenoh."""
         self.close()
         self._thread.join(FLUSH_TIMEOUT)
-        # Nor while a thread of Zenoh is in a callback: the process would be aborted.
-        _HANDLERS.wait(HANDLER_TIMEOUT)
-        time.sleep(HANDLER_PAUSE)
 
     # --- the thread of the session ------------------------------------------------------------------------
 
     def _run(self) -> None:
         self._open()
         self._work()
+        atexit.unregister(self._close_at_exit)
 
     def _work(self) -> None:
         while (session := self._session) is not None:
@@ -202,12 +200,12 @@ class _Handlers:
     """Counts the handlers of this process: each has a thread of Zenoh, which ends some time after its use."""
 
     def __init__(self) -> None:
-        self._changed, self._count = threading.Condition(), 0
+        self._changed, self._count, self._is_used = threading.Condition(), 0, False
 
     def on_made(self) -> None:
         """A handler was made."""
         with self._changed:
-            self._count += 1
+            self._count, self._is_used = self._count + 1, True
 
     def on_dropped(self) -> None:
         """Zenoh calls a handler no more."""
@@ -215,13 +213,18 @@ class _Handlers:
             self._count -= 1
             self._changed.notify_all()
 
-    def wait(self, bound: float) -> None:
-        """Return when no handler is left, at most after `bound` seconds."""
+    def wait_at_exit(self) -> None:
+        """Wait for the threads of handlers: a callback at the end of the interpreter aborts the process."""
+        if not self._is_used:
+            return
         with self._changed:
-            self._changed.wait_for(lambda: self._count <= 0, bound)
+            self._changed.wait_for(lambda: self._count <= 0, HANDLER_TIMEOUT)
+        time.sleep(HANDLER_PAUSE)
 
 
 _HANDLERS = _Handlers()
+# Registered before the sessions, so it is called after they have closed.
+atexit.register(_HANDLERS.wait_at_exit)
 
 
 def _handler(call: Callable[[Any], None], drop: Callable[[], None] | None = None) -> Any:

@@ -163,7 +163,7 @@ class ZenohTransport:
         """Why there is no session."""
         where = " or ".join(self._config.connect) or "the network"
         detail = f" ({endpoint.failure})" if endpoint.failure else ""
-        return f"no Zenoh router answers at {where}{detail}; lfield goes on trying"
+        return f"no Zenoh router answers at {where}{detail}; lfield retries"
 
 
 def _split(address: str) -> tuple[str, int]:

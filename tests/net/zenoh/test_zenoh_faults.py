@@ -204,7 +204,7 @@ def _ping(pair: Pair) -> bool:
 
 
 def test_a_participant_without_keys_of_the_team_gets_no_link(router, team):
-    """A fabric is open to others: whoever takes the name of a host is found out by TLS."""
+    """A fabric is open to others: TLS rejects a peer that uses the name of a host."""
     bench = bench_at(router.endpoint, tls=TlsIdentity(team.host("alpha")))
     stranger = bench_at(router.endpoint, tls=TlsIdentity(Team().host("alpha")))
     stranger.loop.close()
