@@ -17,15 +17,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from lfield.errors import WireError
 from lfield.net.coding.delta import encode_delta, expand_delta
-from lfield.wire.codec import MAX_TRANSFER_HEADER, TRANSFER, TRANSFER_DELTA
+from lfield.wire.codec import MAX_TRANSFER_HEADER, TRANSFER_DELTA
+from lfield.wire.framing import HEADER_SIZE, frame
 
 if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
 
 #: Maximum bytes kept for a link; the coordinators that have not used it for the longest time are evicted.
 MAX_KEPT = 512 << 10
-#: Up to this round trip in seconds a transfer is sent whole: the network takes less time for the bytes than
-#: the processor for the delta.
+#: Up to this round trip in seconds nothing is coded: the network takes less time for the bytes than the
+#: processor for coding them.
 FAST_PATH = 0.001
 
 _START = struct.Struct(">I8sH")
@@ -62,21 +63,21 @@ class TransferHistory:
         self._kept: dict[str, tuple[Buffer, bool]] = {}
         self._size = 0
 
-    def encode(self, agent: str, payload: Buffer, round_trip: float | None) -> tuple[int, Buffer]:
-        """Kind and payload of the frame for a transfer; keeps it as the next reference.
+    def encode(self, agent: str, whole: bytes, *, is_fast: bool) -> bytes:
+        """The frame to send for a transfer, given as a TRANSFER frame; keeps that as the next reference.
 
-        `round_trip` is that of the link in seconds, None if not measured.
+        `is_fast`: whether the network takes less time for the bytes than the processor for the delta.
         """
-        kept = self._kept.get(agent)
+        kept, payload = self._kept.get(agent), memoryview(whole)[HEADER_SIZE:]
         self.keep(agent, payload, is_sent=True)
-        if kept is None or (round_trip is not None and round_trip <= FAST_PATH):
-            return TRANSFER, payload
+        if kept is None or is_fast:
+            return whole
         reference = kept[0]
         name, delta = agent.encode(), encode_delta(payload, reference)
         if len(delta) >= len(payload):
-            return TRANSFER, payload
+            return whole
         start = _START.pack(len(payload), _digest(reference), len(name))
-        return TRANSFER_DELTA, b"".join((start, name, delta))
+        return frame(TRANSFER_DELTA, b"".join((start, name, delta)))
 
     def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> None:
         """Keep a transfer that was sent or has arrived; `payload` must not change."""
