@@ -72,8 +72,6 @@ class TlsIdentity:
             raise KeysError(
                 "the keys are damaged or mismatched: copy them again from the output of 'lfield keys'"
             ) from None
-        # The session itself stays here; the peer gets its number.
-        self._called.options |= ssl.OP_NO_TICKET
         #: The sessions of dialled addresses.
         self._sessions: dict[str, ssl.SSLSession] = {}
 
@@ -203,6 +201,8 @@ class TlsChannel:
 
 def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
     context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_3
+    # Sessions stay in the process that accepts links; its peer gets the number of one.
+    context.options |= ssl.OP_NO_TICKET
     context.check_hostname = False
     context.verify_mode = ssl.CERT_REQUIRED
     context.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)
