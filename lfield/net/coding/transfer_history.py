@@ -1,8 +1,8 @@
 """Encodes transfers as deltas against the last transfer of the same coordinator on a link. Sans-IO.
 
-Both ends of a link keep the last transfer of each coordinator, in either direction. A delta names its
-reference by agent and digest. If the receiver does not have it (the two transfers crossed, or it was
-evicted), it requests the whole transfer.
+Both ends of a link keep the last transfer of each coordinator, in either direction, as far as they fit. A
+delta names its reference by agent and digest. If the receiver does not have it (two transfers crossed), it
+requests the whole transfer.
 
 A delta frame contains: size of the whole transfer (4 bytes), digest of the reference (8), length of the
 agent's name (2), name, delta. Numbers are big-endian. It needs no checksum, because the expanded transfer has
@@ -23,8 +23,10 @@ from lfield.wire.framing import HEADER_SIZE, frame
 if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
 
-#: Maximum bytes kept for a link; the coordinators that have not used it for the longest time are evicted.
-MAX_KEPT = 512 << 10
+#: Maximum bytes kept for a link. What does not fit is not kept and sent whole, instead of evicting what is
+#: in use: coordinators that take turns would evict one another. Both ends forget a coordinator after so many
+#: transfers of others.
+MAX_KEPT, FORGET_AFTER = 512 << 10, 64
 #: Up to this round trip in seconds nothing is coded: the network takes less time for the bytes than the
 #: processor for coding them.
 FAST_PATH = 0.001
@@ -59,9 +61,9 @@ class TransferHistory:
     """The last transfers of a link, as payloads of TRANSFER frames, by coordinator."""
 
     def __init__(self) -> None:
-        #: The payload, and whether this end sent it; the least recently used first.
-        self._kept: dict[str, tuple[Buffer, bool]] = {}
-        self._size = 0
+        #: The payload, whether this end sent it, and its number; the least recently used first.
+        self._kept: dict[str, tuple[Buffer, bool, int]] = {}
+        self._size = self._count = 0
 
     def encode(self, agent: str, whole: bytes, *, is_fast: bool) -> bytes:
         """The frame to send for a transfer, given as a TRANSFER frame; keeps that as the next reference.
@@ -69,8 +71,8 @@ class TransferHistory:
         `is_fast`: whether the network takes less time for the bytes than the processor for the delta.
         """
         kept, payload = self._kept.get(agent), memoryview(whole)[HEADER_SIZE:]
-        self.keep(agent, payload, is_sent=True)
-        if kept is None or is_fast:
+        is_kept = self.keep(agent, payload, is_sent=True)
+        if kept is None or is_fast or not is_kept:
             return whole
         reference = kept[0]
         name, delta = agent.encode(), encode_delta(payload, reference)
@@ -79,17 +81,24 @@ class TransferHistory:
         start = _START.pack(len(payload), _digest(reference), len(name))
         return frame(TRANSFER_DELTA, b"".join((start, name, delta)))
 
-    def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> None:
-        """Keep a transfer that was sent or has arrived; `payload` must not change."""
+    def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> bool:
+        """Keep a transfer that was sent or has arrived, if it fits; `payload` must not change."""
+        self._count += 1
+        self._forget(agent)
+        while self._kept:
+            last = next(iter(self._kept))
+            if self._count - self._kept[last][2] <= FORGET_AFTER:
+                break
+            self._forget(last)
+        if self._size + len(payload) > MAX_KEPT:
+            return False
+        self._kept[agent] = payload, is_sent, self._count
+        self._size += len(payload)
+        return True
+
+    def _forget(self, agent: str) -> None:
         if (before := self._kept.pop(agent, None)) is not None:
             self._size -= len(before[0])
-        if len(payload) > MAX_KEPT:
-            return
-        self._kept[agent] = payload, is_sent
-        self._size += len(payload)
-        while self._size > MAX_KEPT:
-            evicted, _ = self._kept.pop(next(iter(self._kept)))
-            self._size -= len(evicted)
 
     def decode(self, payload: memoryview) -> Delta | MissingReference:
         """The delta of a frame. Raises WireError."""

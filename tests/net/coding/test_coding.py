@@ -6,11 +6,18 @@ import random
 import zlib
 
 import pytest
+from msgspec.structs import replace
 
 from lfield.errors import WireError
 from lfield.net.coding.delta import CHUNK, encode_delta, expand_delta
 from lfield.net.coding.link_compression import LinkCompression
-from lfield.net.coding.transfer_history import MAX_KEPT, Delta, MissingReference, TransferHistory
+from lfield.net.coding.transfer_history import (
+    FORGET_AFTER,
+    MAX_KEPT,
+    Delta,
+    MissingReference,
+    TransferHistory,
+)
 from lfield.net.framed_link import FramedLink
 from lfield.testing.transport_kit import Recorder, transfer
 from lfield.wire.codec import CONTROL, TRANSFER, TRANSFER_DELTA, encode_transfer
@@ -131,14 +138,32 @@ def test_a_reference_with_another_digest_is_missing():
     assert TransferHistory().decode(delta) == MissingReference(AGENT)
 
 
-def test_what_is_kept_is_bounded():
+def test_what_is_kept_is_bounded_and_not_evicted_by_others_that_do_not_fit():
     near = TransferHistory()
-    for number in range(20):
-        near.keep(f"c{number}", bytes(100_000), is_sent=True)
-    assert near._size == sum(len(data) for data, _ in near._kept.values()) <= MAX_KEPT
-    assert "c19" in near._kept
-    near.keep("large", bytes(MAX_KEPT + 1), is_sent=True)
-    assert "large" not in near._kept
+    kept = [near.keep(f"c{number}", bytes(100_000), is_sent=True) for number in range(20)]
+    assert kept == [True] * (MAX_KEPT // 100_000) + [False] * (20 - MAX_KEPT // 100_000)
+    assert near._size == sum(len(data) for data, *_ in near._kept.values()) <= MAX_KEPT
+    assert not near.keep("large", bytes(MAX_KEPT + 1), is_sent=True)
+    assert near.whole("c0") is not None
+    for _ in range(FORGET_AFTER):
+        assert near.keep("c19", b"small", is_sent=True)
+    assert near.whole("c0") is None
+    assert near._size == len(near.whole("c19"))
+
+
+def test_coordinators_that_do_not_fit_together_are_delivered_and_those_that_fit_as_deltas():
+    """Five large states take turns, and some transfers cross."""
+    near, far = ends(1 << 20)
+    rng = random.Random(1)
+    blocks = {f"w{number}": rng.randbytes(190_000) for number in range(5)}
+    for turn in range(40):
+        sender = (near, far)[turn // 5 % 2]
+        for agent, block in blocks.items():
+            sender.send_transfer(replace(transfer(len(block), turn), agent=agent), changed(block, rng, 9))
+    assert (near.closed, far.closed) == (False, False)
+    deltas = [data for data in near.written + far.written if kind(data) == TRANSFER_DELTA]
+    assert len(deltas) >= 2 * 39
+    assert max(map(len, deltas)) < 2000
 
 
 class End(FramedLink):
