@@ -84,21 +84,15 @@ class TransferHistory:
     def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> bool:
         """Keep a transfer that was sent or has arrived, if it fits; `payload` must not change."""
         self._count += 1
-        self._forget(agent)
-        while self._kept:
-            last = next(iter(self._kept))
-            if self._count - self._kept[last][2] <= FORGET_AFTER:
-                break
-            self._forget(last)
+        if (before := self._kept.pop(agent, None)) is not None:
+            self._size -= len(before[0])
+        while self._kept and self._kept[oldest := next(iter(self._kept))][2] < self._count - FORGET_AFTER:
+            self._size -= len(self._kept.pop(oldest)[0])
         if self._size + len(payload) > MAX_KEPT:
             return False
         self._kept[agent] = payload, is_sent, self._count
         self._size += len(payload)
         return True
-
-    def _forget(self, agent: str) -> None:
-        if (before := self._kept.pop(agent, None)) is not None:
-            self._size -= len(before[0])
 
     def decode(self, payload: memoryview) -> Delta | MissingReference:
         """The delta of a frame. Raises WireError."""
