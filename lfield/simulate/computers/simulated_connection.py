@@ -18,7 +18,7 @@ from typing import Any
 from lfield.simulate.computers.process_loop import ProcessLoop
 from lfield.simulate.computers.simulated_machine import NetworkPath, NetworkPaths
 
-#: Bytes that a kernel buffers before a transport does: few (`TCP_NOTSENT_LOWAT`), so that links queue by kind.
+#: Bytes that a kernel buffers before a transport does (`TCP_NOTSENT_LOWAT`): links queue the others.
 SEND_BUFFER = 1 << 10
 
 #: A host's address and a port.
