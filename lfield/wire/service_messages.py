@@ -62,14 +62,13 @@ class BundleInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A proposal that all `hosts` activate the bundle `digest`; b"" for none.
 
-    `id` is random. `by` is who proposed it, `without` are the hosts of the mission that do not take part.
+    `id` is random. `by` is who proposed it.
     """
 
     id: OrderId
     digest: Hash
     hosts: Annotated[list[Name], Meta(min_length=1, max_length=MAX_HOSTS)]
     by: Text
-    without: Annotated[list[Name], Meta(max_length=MAX_HOSTS)] = []
 
 
 class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=51):

@@ -6,7 +6,6 @@ import asyncio
 from hashlib import sha256
 
 import pytest
-from msgspec.structs import replace
 from service_fakes import (
     HOSTS,
     NEW,
@@ -206,7 +205,8 @@ def test_a_file_that_another_desk_has_stored_meanwhile_is_confirmed() -> None:
 
 
 def _without_bravo(number: int = 1) -> Ballot:
-    return replace(ballot(number, hosts=["alpha"]), without=["bravo"])
+    """As of `push --without bravo`, or of a mission that bravo has no part in."""
+    return ballot(number, hosts=["alpha"])
 
 
 @pytest.mark.parametrize("state", ["runs", "stopped", "killed service"])
