@@ -314,7 +314,8 @@ class Service:
                 self._runner.end_run()
             if gone:
                 self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
-            return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED])
+            checked = "" if self._runner.record.unsafe else unsafe
+            return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED], checked)
         active = self._activation.active
         refusal = self._start_refusal(active)
         if not refusal and command.digest not in (b"", active):

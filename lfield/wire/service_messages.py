@@ -233,12 +233,17 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class CommandResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=64):
-    """The state after a command. `trouble` is why it was not executed; `discarded` are the coordinators that
-    it has ended."""
+    """The state after a command.
+
+    `trouble` is why it was not executed, or after a stop why vehicles may not be at rest. `discarded` are the
+    coordinators that it has ended. `checked` is how a host had ended before a stop, which says that its
+    vehicles have been checked.
+    """
 
     run: RunInfo
     trouble: Text = ""
     discarded: Annotated[list[Name], Meta(max_length=MAX_UNFINISHED)] = []
+    checked: Text = ""
 
 
 #: The messages to and from a service.

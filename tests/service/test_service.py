@@ -450,7 +450,8 @@ def test_a_stop_that_was_sent_before_the_host_was_killed_does_not_say_that_its_v
         await robot.service.on_votes(ballot().id, {"bravo": "no"})
         assert (await robot.propose(ballot(2))).votes == {"alpha": "no"}
         # The next one is sent by an operator who has read that.
-        assert not (await robot.command(MissionCommand("stop"))).trouble
+        answer = await robot.command(MissionCommand("stop"))
+        assert (answer.trouble, answer.checked) == ("", "killed by signal 9")
         assert (await robot.propose(ballot(3))).votes == {"alpha": "yes"}
 
     run_jumping(story())
