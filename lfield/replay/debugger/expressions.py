@@ -40,8 +40,8 @@ _OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
 
 #: Operators whose results are true or false.
 _CONDITIONS = frozenset({"!", "&&", "||", "<", "<=", ">", ">=", "==", "!="})
-#: What an expression without a value has; null is a value.
-NO_VALUE = object()
+#: What an expression without a value has; null is a value. AWAY: its coordinator is on another host.
+NO_VALUE, AWAY = object(), object()
 
 
 class ValueUnknown(Exception):

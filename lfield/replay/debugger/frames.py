@@ -101,6 +101,28 @@ def frame_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
     return [*found, *_places(moment, caller.id, only_thread(caller.block))] if _is_here(caller) else found
 
 
+def coordinator_key(moment: Moment, name: str) -> ThreadKey | None:
+    """The thread of a coordinator on this host; None if it is not here."""
+    agent = live_agents(moment).get(name)
+    if agent is None or agent.member.kind != "coordinator":
+        return None
+    return ThreadKey(name, name, only_thread(agent.block))
+
+
+def followed_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
+    """The frames of a thread, or of the coordinator that it worked for: a thread of a portal ends.
+
+    A coordinator that is on its way to another host has none.
+    """
+    if key.agent != key.logical and (found := frame_places(moment, key)):
+        return found
+    caller = coordinator_key(moment, key.logical)
+    agent = moment.agents.get(key.logical)
+    if caller is None or agent is None or (agent.frozen and moment.core.coordinators.is_departing(agent)):
+        return []
+    return frame_places(moment, caller)
+
+
 def _is_here(caller: object) -> TypeGuard[Agent]:
     return isinstance(caller, Agent)
 

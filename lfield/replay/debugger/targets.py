@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 from lfield.host.effects import CallDevice, Effect
-from lfield.replay.debugger.expressions import NO_VALUE
+from lfield.replay.debugger.expressions import AWAY, NO_VALUE
 from lfield.replay.debugger.moment import Moment, Phase, Target, ThreadKey
 from lfield.replay.debugger.statement_table import SourceLine
 from lfield.wire.events import Event
@@ -168,6 +168,8 @@ class EffectTarget:
 class ConditionTarget:
     """A condition that did not hold becomes true. `value` returns None where it has no value.
 
+    It returns AWAY while the coordinator is on another host: an arrival changes nothing.
+
     `stops` are the statements at which it may have changed, None for all.
     """
 
@@ -182,13 +184,14 @@ class ConditionTarget:
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
         before, self._held = self._held, self._value(moment)
-        return self._held is True and before is not True
+        return self._held is True and before is not True and before is not AWAY
 
 
 class ChangeTarget:
-    """A value changes. Where there is none, as while its coordinator is on another host, nothing changes.
+    """A value changes. `value` returns NO_VALUE where there is none, and nothing changes there.
 
-    `value` returns NO_VALUE there. `stops` are the statements at which it may have changed, None for all.
+    It returns AWAY while the coordinator is on another host: its value at its arrival is no change.
+    `stops` are the statements at which it may have changed, None for all.
     """
 
     def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
@@ -205,7 +208,9 @@ class ChangeTarget:
         if value is NO_VALUE:
             return False
         known, self._known = self._known, value
-        return known is not NO_VALUE and (type(known) is not type(value) or known != value)
+        if known is NO_VALUE or known is AWAY or value is AWAY:
+            return False
+        return type(known) is not type(value) or known != value
 
 
 class AnyTarget:
