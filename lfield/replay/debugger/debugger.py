@@ -331,15 +331,15 @@ class Debugger:
         if not expression.may_be_condition:
             raise UsageError(f"'{text}' is no condition: write a comparison, as battery < 0.3")
         self._require_known(expression)
-        return ConditionTarget(
-            self._value_of(expression, expression.value_or_none), self._stops_of(expression)
-        )
+        value = self._value_of(expression, expression.value_or_none)
+        return ConditionTarget(value, of_readings=self._is_of_readings(expression))
 
     def change_target(self, text: str) -> Target:
         """The value of an expression changes. Raises UsageError."""
         expression = WatchExpression(text)
         self._require_known(expression)
-        return ChangeTarget(self._value_of(expression, expression.content), self._stops_of(expression))
+        value = self._value_of(expression, expression.content)
+        return ChangeTarget(value, of_readings=self._is_of_readings(expression))
 
     def _require_known(self, expression: WatchExpression) -> None:
         """Raises UsageError for a name that means nothing in this mission at any time."""
@@ -353,15 +353,18 @@ class Debugger:
         for name in sorted(expression.names - known):
             raise UsageError(f"'{name}' is no variable or reading of this mission")
 
-    def _stops_of(self, expression: WatchExpression) -> frozenset[int] | None:
-        # A core gets new readings at the input of a turn.
-        return None if expression.names & self.team.table.variables else frozenset()
+    def _is_of_readings(self, expression: WatchExpression) -> bool:
+        return bool(expression.names) and not expression.names & self.team.table.variables
 
     def _value_of(
         self, expression: WatchExpression, read: Callable[[WatchScope], object]
     ) -> Callable[[Moment], object]:
-        focus = self.focus
+        focus, top = self.focus, self._top
         is_of_program = expression.names <= self.team.table.variables
+        if self._is_of_readings(expression):
+            # Of two readings with that name, that of the agent which is shown now.
+            agent = "" if top is None else top.key.agent
+            return lambda moment: read(WatchScope(moment, agent=agent))
 
         def value(moment: Moment) -> object:
             frames = [] if focus is None else followed_places(moment, focus)

@@ -169,12 +169,12 @@ class ConditionTarget:
     """A condition that did not hold becomes true. `value` returns None where it has no value.
 
     It returns AWAY while the coordinator is on another host: an arrival changes nothing.
-
-    `stops` are the statements at which it may have changed, None for all.
+    `of_readings`: it depends on readings of devices only.
     """
 
-    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
-        self._value, self.stops = value, stops
+    def __init__(self, value: Callable[[Moment], object], *, of_readings: bool = False) -> None:
+        self._value, self.of_readings = value, of_readings
+        self.stops: frozenset[int] | None = _NONE if of_readings else None
         self._held: object = None
 
     def start(self, moment: Moment) -> None:
@@ -191,11 +191,12 @@ class ChangeTarget:
     """A value changes. `value` returns NO_VALUE where there is none, and nothing changes there.
 
     It returns AWAY while the coordinator is on another host: its value at its arrival is no change.
-    `stops` are the statements at which it may have changed, None for all.
+    `of_readings`: it depends on readings of devices only.
     """
 
-    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
-        self._value, self.stops = value, stops
+    def __init__(self, value: Callable[[Moment], object], *, of_readings: bool = False) -> None:
+        self._value, self.of_readings = value, of_readings
+        self.stops: frozenset[int] | None = _NONE if of_readings else None
         self._known: object = NO_VALUE
 
     def start(self, moment: Moment) -> None:
@@ -211,6 +212,11 @@ class ChangeTarget:
         if known is NO_VALUE or known is AWAY or value is AWAY:
             return False
         return type(known) is not type(value) or known != value
+
+
+def is_of_readings(target: Target) -> bool:
+    """Whether a target depends on readings of devices only, which are in the records of a recording."""
+    return isinstance(target, ConditionTarget | ChangeTarget) and target.of_readings
 
 
 class AnyTarget:
