@@ -103,8 +103,8 @@ def frame_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
 
 def coordinator_key(moment: Moment, name: str) -> ThreadKey | None:
     """The thread of a coordinator on this host; None if it is not here."""
-    agent = live_agents(moment).get(name)
-    if agent is None or agent.member.kind != "coordinator":
+    agent = moment.agents.get(name)
+    if agent is None or agent.ended or agent.member.kind != "coordinator":
         return None
     return ThreadKey(name, name, only_thread(agent.block))
 
@@ -116,11 +116,11 @@ def followed_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
     """
     if key.agent != key.logical and (found := frame_places(moment, key)):
         return found
-    caller = coordinator_key(moment, key.logical)
     agent = moment.agents.get(key.logical)
-    if caller is None or agent is None or (agent.frozen and moment.core.coordinators.is_departing(agent)):
+    if agent is None or (agent.frozen and moment.core.coordinators.is_departing(agent)):
         return []
-    return frame_places(moment, caller)
+    caller = coordinator_key(moment, key.logical)
+    return [] if caller is None else frame_places(moment, caller)
 
 
 def _is_here(caller: object) -> TypeGuard[Agent]:
@@ -139,8 +139,8 @@ def _places(moment: Moment, name: str, thread: int) -> list[tuple[str, int]]:
 
 def _served(moment: Moment, coordinator: Agent) -> Iterator[ThreadKey]:
     """The threads of resources in which a coordinator waits."""
-    for name, agent in live_agents(moment).items():
-        if agent.member.kind != "resource":
+    for name, agent in moment.agents.items():
+        if agent.member.kind != "resource" or agent.ended:
             continue
         for place in threads(agent.block):
             thread = agent.block.w[place + THREAD_ID]
