@@ -325,12 +325,17 @@ class Debugger:
         """The call of a device instruction."""
         return EffectTarget()
 
-    def condition_target(self, text: str) -> Target:
-        """A condition becomes true. Raises UsageError."""
+    def condition(self, text: str) -> WatchExpression:
+        """An expression that can be true or false, and has names of this mission. Raises UsageError."""
         expression = WatchExpression(text)
         if not expression.may_be_condition:
             raise UsageError(f"'{text}' is no condition: write a comparison, as battery < 0.3")
         self._require_known(expression)
+        return expression
+
+    def condition_target(self, text: str) -> Target:
+        """A condition becomes true. Raises UsageError."""
+        expression = self.condition(text)
         value = self._value_of(expression, expression.value_or_none)
         return ConditionTarget(value, of_readings=self._is_of_readings(expression))
 
