@@ -18,11 +18,11 @@ from lfield.wire.codec import (
     PART,
     TRANSFER,
     TRANSFER_DELTA,
+    compress_frame,
     decode,
     decode_compressed,
     decode_transfer,
     encode,
-    encode_compressed,
     encode_transfer,
     frame_decoder,
     limits,
@@ -35,8 +35,6 @@ from lfield.wire.messages import (
     DirectoryUpdate,
     GossipUpdate,
     HandshakeRefused,
-    Hello,
-    IncompatibleHello,
     Ping,
     Pong,
     RevocationUpdate,
@@ -69,8 +67,6 @@ _URGENT = (*_ORDERS, Ping, Pong)
 _NEVER_WITHHELD = (*_URGENT, HandshakeRefused)
 #: Sent regularly by hosts that have nothing to do with each other.
 _BACKGROUND = (Ping, Pong, DirectoryUpdate, GossipUpdate, Backpressure, RevocationUpdate)
-#: Messages with frames of their own.
-_HANDSHAKE = (Hello, IncompatibleHello, HandshakeRefused)
 
 
 class FramedLink:
@@ -88,7 +84,7 @@ class FramedLink:
         self.closed = self.is_answered = False
         #: Data withheld while coordinators and answers are withheld, else None; how much has arrived since,
         #: and which coordinators.
-        self._withheld: list[Buffer] | None = None
+        self._withheld: list[tuple[Buffer, TrafficKind]] | None = None
         self._weight, self._withheld_weight = 0, set[str]()
         #: See `Link.work` and `Link.traffic`.
         self.work, self.traffic = 0, TrafficBytes()
@@ -99,23 +95,40 @@ class FramedLink:
         self._compression: LinkCompression | None = None
         #: Whether the peer is known to understand compressed messages; how long they may be.
         self._may_compress, self._longest = False, 0
-        #: The measured round trip in seconds.
-        self._round_trip: float | None = None
+        #: Whether the peer is on this computer, and whether the network takes less time for bytes than the
+        #: processor for coding them.
+        self._is_local = self._is_fast = False
         self._decoder = frame_decoder(self._oversize)
         #: Decoder of a frame that arrives in parts.
         self._parts = frame_decoder(self._oversize)
 
     def write(self, data: Buffer) -> None:
-        """Queue raw bytes. Only `send`, `send_transfer` and tests of malformed bytes call it."""
+        """Write raw bytes. Only this class, transports, and tests of malformed bytes call it."""
         raise NotImplementedError
 
+    def write_frame(self, data: Buffer, kind: TrafficKind) -> None:
+        """Write a frame, or queue it by its kind; a queue passes it to `coded` when it is due."""
+        self.write(self.coded(data, kind))
+
     def write_now(self, data: Buffer) -> None:
-        """Write bytes immediately after queued data; same as `write` in transports without a difference."""
+        """Write a coordinator immediately if nothing waits; same as `write` in transports without a queue."""
         self.write(data)
 
     def write_urgent(self, data: Buffer) -> None:
         """Write a frame before all queued data; same as `write` in transports without a queue."""
         self.write(data)
+
+    def coded(self, data: Buffer, kind: TrafficKind) -> Buffer:
+        """A frame as it is sent: messages are compressed unless that is too slow, stops never. Called in the
+        order of sending."""
+        if self._is_fast or not self._may_compress or kind == TrafficKind.STOP:
+            return data
+        if data[HEADER_SIZE - 1] != CONTROL:
+            return data
+        self._compression = self._compression or LinkCompression()
+        compressed = compress_frame(data, self._compression.encode)
+        self.traffic.add(kind, len(compressed) - len(data))
+        return compressed
 
     def close(self) -> None:
         """Send queued data, then close; sets `closed`."""
@@ -134,7 +147,11 @@ class FramedLink:
 
     def set_round_trip(self, round_trip: float) -> None:
         """See `Link.set_round_trip`."""
-        self._round_trip = round_trip
+        self._is_fast = self._is_local or round_trip <= FAST_PATH
+
+    def mark_local(self) -> None:
+        """The peer is on this computer: transfers are sent whole and not kept. Both ends call it, or none."""
+        self._is_local = self._is_fast = True
 
     def on_idle(self) -> None:
         """See `Link.on_idle`: no effect without a socket."""
@@ -155,40 +172,30 @@ class FramedLink:
         """See `Link.set_handler`."""
         self.handler = handler
 
-    def send(self, message: Message) -> int:
+    def send(self, message: Message) -> None:
         """Queue a message, before queued data if urgent. Raises AddressError on a closed link."""
         self._require_open()
         self.work += not isinstance(message, _BACKGROUND)
+        data, kind = encode(message), kind_of(message)
+        self.traffic.add(kind, len(data))
         if isinstance(message, _URGENT):
-            self.write_urgent(data := encode(message))
+            self.write_urgent(data)
+        elif self._withheld is None or isinstance(message, _NEVER_WITHHELD):
+            self.write_frame(data, kind)
         else:
-            data = self._encode(message)
-            if self._withheld is None or isinstance(message, _NEVER_WITHHELD):
-                self.write(data)
-            else:
-                self._withheld.append(data)
-        self.traffic.add(kind_of(message), len(data))
-        return len(data)
-
-    def _encode(self, message: Message) -> bytes:
-        """The frame of a message that is sent in order."""
-        is_fast = self._round_trip is not None and self._round_trip <= FAST_PATH
-        if is_fast or not self._may_compress or isinstance(message, _HANDSHAKE):
-            return encode(message)
-        self._compression = self._compression or LinkCompression()
-        return encode_compressed(message, self._compression.encode)
+            self._withheld.append((data, kind))
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Send a coordinator immediately. Raises AddressError on a closed link."""
         if self.closed:
             self._require_open()
         self.work += 1
-        whole = b"".join((encode_transfer(header, block), block))
-        kind, payload = self._history.encode(header.agent, memoryview(whole)[HEADER_SIZE:], self._round_trip)
-        data = whole if kind == TRANSFER else frame(kind, payload)
+        data = b"".join((encode_transfer(header, block), block))
+        if not self._is_local:
+            data = self._history.encode(header.agent, data, is_fast=self._is_fast)
         self.traffic.counts[TrafficKind.HOP] += len(data)
         if self._withheld is not None:
-            self._withheld.append(data)
+            self._withheld.append((data, TrafficKind.HOP))
         else:
             self.write_now(data)
 
@@ -266,8 +273,9 @@ class FramedLink:
         self.work += 1
         if self._withheld is not None:
             self._weigh(header.agent)
-        # Before the handler, which may send the coordinator back.
-        self._history.keep(header.agent, payload, is_sent=False)
+        if not self._is_local:
+            # Before the handler, which may send the coordinator back.
+            self._history.keep(header.agent, payload, is_sent=False)
         self.handler.on_transfer(self, header, block)
 
     def _on_delta(self, payload: memoryview) -> None:
@@ -290,9 +298,9 @@ class FramedLink:
             raise WireError(f"a whole transfer of {agent} was requested, and none was sent last")
         data = frame(TRANSFER, payload)
         if self._withheld is not None:
-            self._withheld.append(data)
+            self._withheld.append((data, TrafficKind.HOP))
         else:
-            self.write(data)
+            self.write_frame(data, TrafficKind.HOP)
 
     def withhold(self, *, on: bool) -> None:
         """Withhold coordinators and answers from now on, or send those withheld.
@@ -304,8 +312,8 @@ class FramedLink:
             self._weight, self._withheld_weight = 0, set()
             self._decoder.reset_skipped()
             self._parts.reset_skipped()
-        for data in waiting or ():
-            self.write(data)
+        for data, kind in waiting or ():
+            self.write_frame(data, kind)
 
     @property
     def weight(self) -> int:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, cast
 
 from lfield.authority.identity import ANONYMOUS, Identity
 from lfield.errors import AddressError, CpuBudgetExceeded, WireError
+from lfield.net.coding.traffic_kinds import TrafficKind
 from lfield.net.framed_link import FramedLink
 from lfield.net.health.tcp_options import (
     delay_acknowledgements,
@@ -65,8 +66,8 @@ class StreamLink(FramedLink, asyncio.Protocol):
         self._on_link, self._scheduler, self._identify = on_link, scheduler, identify
         self._loop = asyncio.get_running_loop()
         #: Frames of this turn, and frames that the connection does not accept yet.
-        self._waiting: list[Buffer] = []
-        self._sending = SendQueue()
+        self._waiting: list[tuple[Buffer, TrafficKind]] = []
+        self._sending = SendQueue(self.coded)
         self._flush_timer: asyncio.TimerHandle | None = None
         #: Whether a message waits as that of a guest, and whether the peer is an observer.
         self._is_direct, self._is_greeted_observer = calls, False
@@ -90,49 +91,61 @@ class StreamLink(FramedLink, asyncio.Protocol):
         """
 
     def write(self, data: Buffer) -> None:
+        """See `FramedLink.write`."""
+        self._flush()
+        if not self._transport.is_closing():
+            self._put(data)
+
+    def write_frame(self, data: Buffer, kind: TrafficKind) -> None:
         """Send messages of one turn together: a system call costs more than the rest of a hop."""
         if not self._waiting:
             self._loop.call_soon(self._flush)
-        self._waiting.append(data)
+        self._waiting.append((data, kind))
 
     def write_now(self, data: Buffer) -> None:
         """Write at once if no frame waits: mostly a coordinator is sent alone."""
         if self._waiting:
-            self._waiting.append(data)
+            self._waiting.append((data, TrafficKind.HOP))
             self._flush()
         elif self._transport.is_closing():
             return
         elif not self._sending.is_idle or len(data) > self._sending.part:
-            self._queue_frame(data)
+            self._queue_frame(data, TrafficKind.HOP)
         else:
             self._put(data)
 
     def write_urgent(self, data: Buffer) -> None:
         """See `FramedLink.write_urgent`. Only frames of this turn, such as a Hello, may precede. If none
         waits, it is sent with this turn."""
-        if not self._sending.is_busy and sum(map(len, self._waiting)) <= HIGH_WATER:
-            self.write(data)
+        if not self._sending.is_busy and self._waiting_size <= HIGH_WATER:
+            self.write_frame(data, TrafficKind.STOP)
             return
         self._flush()
         if not self._transport.is_closing():
             self._put(data)
 
-    def _flush(self) -> None:
-        waiting, self._waiting = self._waiting, []
-        if not waiting or self._transport.is_closing():
-            return
-        if not self._sending.is_busy and sum(map(len, waiting)) <= self._sending.part:
-            self._put(waiting[0] if len(waiting) == 1 else b"".join(waiting))
-            return
-        for data in waiting:
-            self._queue_frame(data)
+    @property
+    def _waiting_size(self) -> int:
+        return sum(len(data) for data, _ in self._waiting)
 
-    def _queue_frame(self, data: Buffer) -> None:
+    def _flush(self) -> None:
+        if not self._waiting or self._transport.is_closing():
+            self._waiting.clear()
+            return
+        is_short = not self._sending.is_busy and self._waiting_size <= self._sending.part
+        waiting, self._waiting = self._waiting, []
+        if is_short:
+            self._put(b"".join(self.coded(data, kind) for data, kind in waiting))
+            return
+        for data, kind in waiting:
+            self._queue_frame(data, kind)
+
+    def _queue_frame(self, data: Buffer, kind: TrafficKind) -> None:
         """Pass a frame to the transport, or queue it until that accepts data."""
         if not self._sending.is_busy and len(data) <= self._sending.part:
-            self._put(data)
+            self._put(self.coded(data, kind))
             return
-        self._sending.add(data)
+        self._sending.add(data, kind)
         self._send_on()
         if self._sending.size > self._max_pending:
             self._error = WireError(f"peer does not read: over {self._max_pending} bytes queued")
@@ -202,12 +215,12 @@ class StreamLink(FramedLink, asyncio.Protocol):
         made = transport.get_extra_info("socket")
         if made.family == socket.AF_UNIX:
             self.who = identity_of_listener(made) if self._calls else identity_of_caller(made)
-            super().set_round_trip(0.0)
+            self.mark_local()
         else:
             set_options(made)
             self._socket = made
             if is_this_computer(self.peer):
-                super().set_round_trip(0.0)
+                self.mark_local()
             self.who = self._identify(self.peer)
         self._transport.set_write_buffer_limits(high=HIGH_WATER)
         self.handler = self._on_link(self)

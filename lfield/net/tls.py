@@ -4,7 +4,9 @@ OpenSSL checks the signature of the team's CA, but not the validity period, whic
 `lfield.authority.peer_verification`. `who` is the peer, a stranger until both certificates are verified;
 until then no application data is sent.
 
-Sessions are never resumed: each link has new keys.
+Between two processes that had a link, the next one resumes its session (RFC 8446, 2.2): without certificates,
+a third of the bytes, with new keys. Sessions are in memory only, for two hours. OpenSSL keeps the certificate
+of the peer with them, and every link is judged by it again: a revoked or expired one is refused as before.
 """
 
 from __future__ import annotations
@@ -12,7 +14,7 @@ from __future__ import annotations
 import os
 import ssl
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from lfield.authority.identity import ANONYMOUS, Identity, identity_of
@@ -44,6 +46,9 @@ _NO_CERTIFICATE = ("PEER_DID_NOT_RETURN_A_CERTIFICATE",)
 _CERTIFICATE_REQUIRED = ("ALERT_CERTIFICATE_REQUIRED",)
 
 
+#: Sessions that may be resumed, of peers that dialled, and of peers that were dialled.
+MAX_SESSIONS = 256
+
 #: Called with a verified certificate: DER and name.
 OnVerified = Callable[[bytes, Identity], None]
 
@@ -67,7 +72,8 @@ class TlsIdentity:
             raise KeysError(
                 "the keys are damaged or mismatched: copy them again from the output of 'lfield keys'"
             ) from None
-        self._called.num_tickets = 0
+        #: The sessions of dialled addresses.
+        self._sessions: dict[str, ssl.SSLSession] = {}
 
     def own_identity(self) -> Identity:
         """The identity of a host with these keys, checked by a handshake with itself. Raises KeysError."""
@@ -80,25 +86,60 @@ class TlsIdentity:
             raise KeysError(f"keys rejected for a host: {error}") from None
         return far.who
 
-    def channel(self, *, calls: bool) -> TlsChannel:
-        """One end of a new link, accepting or dialling."""
-        return TlsChannel(self._calling if calls else self._called, self._on_verified, calls=calls)
+    def channel(self, *, calls: bool, address: str = "") -> TlsChannel:
+        """One end of a new link, accepting or dialling; `address`: what it dials."""
+        if calls:
+            session = self._sessions.pop(address, None)
+            return TlsChannel(self._calling, self._on_verified, calls=True, session=session)
+        is_full = self._called.session_stats()["number"] >= MAX_SESSIONS
+        self._called.num_tickets = 0 if is_full else 1
+        return TlsChannel(self._called, self._on_verified, calls=False)
+
+    def keep_session(self, address: str, channel: TlsChannel) -> None:
+        """A link that was dialled has ended: the next one to that address may resume its session."""
+        if (session := channel.session) is not None:
+            self._sessions.pop(address, None)
+            self._sessions[address] = session
+            if len(self._sessions) > MAX_SESSIONS:
+                self._sessions.pop(next(iter(self._sessions)))
 
 
 class TlsChannel:
     """One end of a TLS link, from its handshake on."""
 
-    def __init__(self, context: ssl.SSLContext, on_verified: OnVerified, *, calls: bool) -> None:
+    def __init__(
+        self,
+        context: ssl.SSLContext,
+        on_verified: OnVerified,
+        *,
+        calls: bool,
+        session: ssl.SSLSession | None = None,
+    ) -> None:
         self._on_verified = on_verified
         #: Protocol data to send besides encrypted text is in `outgoing`.
         self._incoming, self.outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
-        self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls)
+        self._tls = context.wrap_bio(self._incoming, self.outgoing, server_side=not calls, session=session)
         self._has_received = 0
         #: The peer; a stranger until authenticated.
         self.who: Identity = ANONYMOUS
         self.proven = False
         if calls:
             self._do_handshake()
+
+    @property
+    def session(self) -> ssl.SSLSession | None:
+        """The session that a later link with this peer may resume; None for none."""
+        return self._tls.session if self.proven else None
+
+    @property
+    def is_resumed(self) -> bool:
+        """Whether it has resumed a session."""
+        return bool(self._tls.session_reused)
+
+    def end(self) -> None:
+        """The link has ended, perhaps without notice. Otherwise OpenSSL would discard the session."""
+        with suppress(ssl.SSLError):
+            self._tls.unwrap()
 
     def receive(self, data: Buffer) -> Iterator[bytes]:
         """Process received bytes; returns the plain text of each completed record.
@@ -160,6 +201,8 @@ class TlsChannel:
 
 def _prepare(context: ssl.SSLContext, keys: Keys) -> None:
     context.minimum_version = context.maximum_version = ssl.TLSVersion.TLSv1_3
+    # Sessions stay in the process that accepts links; its peer gets the number of one.
+    context.options |= ssl.OP_NO_TICKET
     context.check_hostname = False
     context.verify_mode = ssl.CERT_REQUIRED
     context.verify_flags |= ssl.VerifyFlags(NO_CHECK_TIME)

@@ -84,8 +84,8 @@ class Link(Protocol):
     def traffic(self) -> TrafficBytes:
         """The bytes sent and received, by kind."""
 
-    def send(self, message: Message) -> int:
-        """Queue a message; returns the bytes of its frame. Raises AddressError on a closed link."""
+    def send(self, message: Message) -> None:
+        """Queue a message. Raises AddressError on a closed link."""
 
     def send_transfer(self, header: Transfer, block: Buffer) -> None:
         """Queue a coordinator. The block must not change until an answer arrives or the link is closed.

@@ -114,9 +114,10 @@ def encode(message: Message) -> bytes:
     return frame(CONTROL, _with_checksum(message, 0))
 
 
-def encode_compressed(message: Control, compress: Callable[[bytes], bytes]) -> bytes:
-    """The whole frame of a message that is compressed."""
-    return frame(COMPRESSED, _checked(compress(_encode(message)), 0))
+def compress_frame(whole: Buffer, compress: Callable[[Buffer], bytes]) -> bytes:
+    """The COMPRESSED frame for a CONTROL frame."""
+    body = memoryview(whole)[HEADER_SIZE + _CHECKSUM.size :]
+    return frame(COMPRESSED, _checked(compress(body), 0))
 
 
 def encode_transfer(header: Transfer, block: Buffer) -> bytes:

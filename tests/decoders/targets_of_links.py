@@ -433,7 +433,7 @@ def payloads() -> Mapping[int, Sequence[bytes]]:
         ],
         codec.TRANSFER_DELTA: _deltas(),
         codec.COMPRESSED: [
-            codec.encode_compressed(example(kind), LinkCompression().encode)
+            codec.compress_frame(codec.encode(example(kind)), LinkCompression().encode)
             for kind in Control.__args__  # type: ignore[attr-defined]
         ],
     }
@@ -452,10 +452,10 @@ def _deltas() -> Sequence[bytes]:
         history.keep(header.agent, whole, is_sent=False)
         named = msgspec.structs.replace(header, size=len(changed))
         sent = codec.encode_transfer(named, changed)[HEADER_SIZE:] + changed
-        frames.append(frame(*history.encode(header.agent, sent, None)))
+        frames.append(history.encode(header.agent, frame(codec.TRANSFER, sent), is_fast=False))
     other = TransferHistory()
     other.keep(header.agent, block, is_sent=False)
-    frames.append(frame(*other.encode(header.agent, whole, None)))
+    frames.append(other.encode(header.agent, frame(codec.TRANSFER, whole), is_fast=False))
     return [*frames, frame(codec.TRANSFER_DELTA, frames[0][HEADER_SIZE:-3]), frame(codec.TRANSFER_DELTA, b"")]
 
 

@@ -144,7 +144,7 @@ class Hops:
     """Transfers to the host, which answers each when it has worked for it."""
 
     def __init__(self, inn: Inn, caller, cost: float) -> None:
-        self._inn, self._caller, self._cost, self._read = inn, caller, cost, len(caller.wire.said)
+        self._inn, self._caller, self._cost, self._read = inn, caller, cost, caller.read
         self._frames = FrameDecoder(limits("host", 1 << 20))
         caller.hears.on_transfer = self._answer
         caller.hears.on_oversize = lambda link, header, size: self._answer(link, header, b"")

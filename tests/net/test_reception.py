@@ -112,6 +112,8 @@ class TlsCaller(Caller):
         self.link.data_received(self._channel.data_to_send())
         assert list(self._channel.receive(self.wire.said)) == []
         assert self._channel.proven
+        #: The bytes of the host that were read.
+        self.read = len(self.wire.said)
 
     def say(self, data: bytes, record: int = 550) -> None:
         parts = (data[start : start + record] for start in range(0, len(data), record))

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from lfield.authority.identity import ALL_RIGHTS, ANONYMOUS, Right, uri_of
 from lfield.authority.pem import certificate_in, private_in
 from lfield.errors import HandshakeError, KeysError, LfieldError, WireError
-from lfield.net.tls import MAX_HANDSHAKE, TlsChannel, TlsIdentity
+from lfield.net.tls import MAX_HANDSHAKE, MAX_SESSIONS, TlsChannel, TlsIdentity
 
 TEAM, OTHER = Team(), Team()
 ALPHA, BRAVO = TEAM.host("alpha"), TEAM.host("bravo")
@@ -23,8 +23,8 @@ CALLING, CALLED = TlsIdentity(ALPHA), TlsIdentity(BRAVO)
 class Ends:
     """Two ends and what went between them; `told` is what each was told when it broke."""
 
-    def __init__(self, calling: TlsIdentity, called: TlsIdentity) -> None:
-        self.near, self.far = calling.channel(calls=True), called.channel(calls=False)
+    def __init__(self, calling: TlsIdentity, called: TlsIdentity, address: str = "") -> None:
+        self.near, self.far = calling.channel(calls=True, address=address), called.channel(calls=False)
         self.heard: dict[TlsChannel, bytes] = {self.near: b"", self.far: b""}
         self.told: dict[TlsChannel, LfieldError] = {}
         self.sizes: list[int] = []
@@ -130,6 +130,58 @@ def test_whoever_calls_says_nothing_to_a_host_of_another_authority():
 def test_a_certificate_that_names_nobody_proves_nothing():
     for uris in ([], [uri_of("host", "a"), uri_of("host", "b")], ["lfield://host/", "https://host/alpha"]):
         assert Ends(TlsIdentity(TEAM.odd(*uris)), TlsIdentity(BRAVO)).far.who == ANONYMOUS
+
+
+class Dials:
+    """Links between two processes, one after another, each ended in order."""
+
+    def __init__(self) -> None:
+        self.known: list[tuple[bytes, str]] = []
+        note = lambda certificate, who: self.known.append((certificate, str(who)))  # noqa: E731
+        self.calling, self.called = TlsIdentity(ALPHA, note), TlsIdentity(BRAVO, note)
+
+    def again(self, called: TlsIdentity | None = None) -> tuple[Ends, int]:
+        ends = Ends(self.calling, called or self.called, "bravo:1")
+        # The number of the session comes with the first bytes.
+        ends.give(ends.near, ends.far.encrypt(b"hello"))
+        size = sum(ends.sizes)
+        ends.far.end()
+        self.calling.keep_session("bravo:1", ends.near)
+        return ends, size
+
+
+def test_the_next_link_resumes_the_session_with_the_certificates_of_the_first():
+    dials = Dials()
+    first, whole = dials.again()
+    assert not first.near.is_resumed
+    for _ in range(3):
+        ends, size = dials.again()
+        assert (ends.near.is_resumed, ends.far.is_resumed) == (True, True)
+        assert (str(ends.near.who), str(ends.far.who)) == ("host bravo", "host alpha")
+        assert size < 0.4 * whole
+    assert len(dials.known) == 8
+    assert len(set(dials.known)) == 2
+
+
+def test_a_session_is_resumed_only_by_the_process_that_has_it():
+    dials = Dials()
+    dials.again()
+    ends, _ = dials.again(TlsIdentity(BRAVO))
+    assert ends.near.proven
+    assert not ends.near.is_resumed
+
+
+def test_a_bounded_number_of_sessions_is_kept():
+    dials = Dials()
+    for number in range(MAX_SESSIONS + 10):
+        ends = Ends(dials.calling, dials.called)
+        ends.give(ends.near, ends.far.encrypt(b"hello"))
+        ends.far.end()
+        dials.calling.keep_session(f"bravo:{number}", ends.near)
+    assert len(dials.calling._sessions) <= MAX_SESSIONS
+    assert dials.called._called.session_stats()["number"] == MAX_SESSIONS
+    dials.calling._sessions["bravo:1"] = dials.calling._sessions[f"bravo:{MAX_SESSIONS - 1}"]
+    assert all(dials.again()[0].near.is_resumed for _ in range(3))
 
 
 def test_whoever_shows_no_certificate_is_told_so():

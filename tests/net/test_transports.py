@@ -145,6 +145,22 @@ class TestTls(TransportKit):
         return tls
 
 
+def test_links_after_the_first_resume_its_session_even_after_a_loss_without_notice(tls):
+    pair, found = Pair(tls), []
+    link, near = pair.link, pair.near
+    for _ in range(3):
+        far = pair.accepted[-1]
+        link.send(Ping(1))
+        far.link.send(Ping(2))
+        tls.until(lambda near=near, far=far: bool(near.messages and far.messages))
+        assert str(far.link.who) == str(link.who) == "host alpha"
+        found += [end._channel.is_resumed for end in (link, far.link)]
+        link.abort()
+        tls.until(lambda near=near, far=far: bool(near.ends and far.ends))
+        link, near = pair.connect()
+    assert found == [False, False, True, True, True, True]
+
+
 class UnixBench(TcpBench):
     """The same transport at Unix sockets, each with a path of its own."""
 

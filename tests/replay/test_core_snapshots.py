@@ -139,7 +139,6 @@ def local_object() -> object:
         1j,
         OSError("x"),
     ],
-    ids=repr,
 )
 def test_what_cannot_be_restored_is_refused_when_it_is_written(value: object) -> None:
     with pytest.raises(RecordingError):

@@ -105,6 +105,8 @@ def foreign_assignments(trees: Trees) -> list[Finding]:
                 continue
             kinds = {kind for each in class_names(base, scope) for kind in ancestors(each, bases)}
             inferred = [each for each in owners if each.cls.name in kinds]
+            if kinds & imported:
+                continue  # It is annotated as a class of a library: `ssl.SSLContext`.
             if not inferred and kinds & bases.keys() and kinds - bases.keys():
                 continue  # It is inherited from a class of a library.
             if not may_assign(file, scope, inferred or owners, sure=bool(inferred)):

@@ -63,8 +63,10 @@ class EventSubscription:
         #: When the unacknowledged batches were sent; the one of them with telemetry, 0 for none; the round
         #: trip in seconds, and when telemetry may be sent again.
         self._sent: dict[int, float] = {}
-        self._sizes: dict[int, int] = {}
-        self._path = PathRate()
+        #: For each of these batches, the bytes that the link had carried for subscriptions before it.
+        self._positions: dict[int, int] = {}
+        #: The bytes of the last batch whose size is known.
+        self._size, self._path = 0, PathRate()
         self._full, self._is_full = 0, False
         self._round_trip: float | None = None
         self._rest_until = up
@@ -76,13 +78,16 @@ class EventSubscription:
         """Continue a subscription that is renewed: its unreported losses are still to be reported."""
         self._lost.update(before._lost)
 
-    def on_ack(self, batch: int, up: float) -> None:
-        """The subscriber has processed batches up to this one."""
+    def on_ack(self, batch: int, up: float, position: int = 0) -> None:
+        """The subscriber has processed batches up to this one; see `on_sending` for `position`."""
         if not self._acknowledged < batch <= self._batch:
             return
         self._acknowledged, self._last_ack_at = batch, up
-        if batch in self._sizes:
-            self._path.add(self._sizes[batch], up - self._sent[batch])
+        if batch in self._positions:
+            self._size = self._positions.get(batch + 1, position) - self._positions[batch]
+            self._path.add(self._size, up - self._sent[batch])
+            if batch == self._batch:
+                self.next_batch_at = self._sent[batch] + self._interval
         if self._full and self._full <= batch:
             self._rest_until, self._full = up + self._rest(up - self._sent[self._full]), 0
         else:
@@ -90,7 +95,7 @@ class EventSubscription:
             before = took if self._round_trip is None else self._round_trip
             self._round_trip = min(took, before + CREEP * (took - before))
         self._sent = {number: at for number, at in self._sent.items() if number > batch}
-        self._sizes = {number: size for number, size in self._sizes.items() if number > batch}
+        self._positions = {number: at for number, at in self._positions.items() if number > batch}
 
     def _rest(self, took: float) -> float:
         """The pause of telemetry after a batch that was acknowledged after so many seconds."""
@@ -120,6 +125,11 @@ class EventSubscription:
     @property
     def _is_behind(self) -> bool:
         return self._batch - self._acknowledged >= WINDOW
+
+    @property
+    def _interval(self) -> float:
+        """Seconds between a batch of the last known size and the next one."""
+        return max(MIN_INTERVAL, self._path.pause(self._size))
 
     def on_sample(self, values: TelemetrySample, at: float, up: float, stamp: int = 0) -> None:
         """Process a telemetry sample with the timestamp `stamp`; changed values are pending from then on."""
@@ -153,16 +163,15 @@ class EventSubscription:
         self._sent[self._batch] = up
         if self._is_full:
             self._full, self._is_full = self._batch, False
-        self.next_batch_at = up + MIN_INTERVAL
+        self.next_batch_at = up + self._interval
         lost, self._lost = dict(self._lost), Counter()
         return EventBatch(
             self._incarnation, self._batch, at, up, after, self._event_log.latest, events, lost, shown
         )
 
-    def on_sent(self, size: int, up: float) -> None:
-        """The last batch was sent as so many bytes."""
-        self._sizes[self._batch] = size
-        self.next_batch_at = max(self.next_batch_at, up + self._path.pause(size))
+    def on_sending(self, position: int) -> None:
+        """The last batch is sent on a link that has carried so many bytes for subscriptions."""
+        self._positions[self._batch] = position
 
     def final_batch(self, at: float, up: float) -> EventBatch:
         """The last batch of a dropped subscription: its losses until now."""

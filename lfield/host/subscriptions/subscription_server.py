@@ -95,7 +95,7 @@ class SubscriptionServer:
     def on_ack(self, message: EventAck, link: Link) -> None:
         """A subscriber acknowledges batches."""
         if (watcher := self._subscriptions.get(link)) is not None:
-            watcher.on_ack(message.batch, self._recorder.up)
+            watcher.on_ack(message.batch, self._recorder.up, link.traffic.subscription_bytes)
             self._on_event()
 
     def flush_and_close(self) -> None:
@@ -148,7 +148,8 @@ class SubscriptionServer:
                 self._send(link, watcher.final_batch(at, up))
                 self._end(link, f"what it watches was not read for {READ_TIMEOUT:g} s")
             elif batch := self._batch(watcher, up):
-                watcher.on_sent(self._send(link, batch), up)
+                watcher.on_sending(link.traffic.subscription_bytes)
+                self._send(link, batch)
         if self._subscriptions:
             self._schedule()
         else:
@@ -162,13 +163,11 @@ class SubscriptionServer:
     def _batch(self, watcher: EventSubscription, up: float) -> EventBatch | None:
         return watcher.next_batch(self._clock.time(), up, self._status)
 
-    def _send(self, link: Link, message: EventBatch) -> int:
-        """Send a batch; returns its bytes."""
+    def _send(self, link: Link, message: EventBatch) -> None:
         try:
-            return link.send(message)
+            link.send(message)
         except AddressError:
             self._subscriptions.pop(link, None)
-            return 0
 
     def _end(self, link: Link, reason: str) -> None:
         self._subscriptions.pop(link, None)

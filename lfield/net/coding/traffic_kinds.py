@@ -15,9 +15,10 @@ from lfield.wire.coordinator_messages import (
     TransferRefused,
 )
 from lfield.wire.events import TELEMETRY
-from lfield.wire.messages import RelayedMessage, WholeTransferRequest
+from lfield.wire.messages import HandshakeRefused, RelayedMessage, WholeTransferRequest
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
 from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
+from lfield.wire.reservation_messages import ReleaseReservation, RenewReservation
 from lfield.wire.service_messages import BundlePiece, PieceRequest, PieceStored
 from lfield.wire.subscription_messages import EventAck, EventBatch, Subscribe
 
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
 class TrafficKind(IntEnum):
     """In order of priority.
 
-    Stops with their answers precede everything. Messages about coordinators are of the same kind as the
-    coordinators, because they must not overtake them; everything else between hosts is control.
+    Stops with their answers precede everything. Messages about coordinators and what they have reserved are
+    of the same kind as the coordinators, because they must not overtake them, and so is the last message of a
+    link; everything else between hosts is control.
     """
 
     STOP = 0
@@ -50,6 +52,9 @@ _HOP = (
     Located,
     RelayedMessage,
     WholeTransferRequest,
+    RenewReservation,
+    ReleaseReservation,
+    HandshakeRefused,
 )
 _KINDS: dict[type, TrafficKind] = {
     **dict.fromkeys(
@@ -79,6 +84,11 @@ class TrafficBytes:
     def add(self, kind: TrafficKind, size: int) -> None:
         """Count a frame."""
         self.counts[kind] += size
+
+    @property
+    def subscription_bytes(self) -> int:
+        """Bytes of events and telemetry."""
+        return self.counts[TrafficKind.EVENTS] + self.counts[TrafficKind.TELEMETRY]
 
     def by_name(self) -> dict[str, int]:
         """The kinds that occurred, by name in lower case."""

@@ -1,8 +1,8 @@
 """Encodes transfers as deltas against the last transfer of the same coordinator on a link. Sans-IO.
 
-Both ends of a link keep the last transfer of each coordinator, in either direction. A delta names its
-reference by agent and digest. If the receiver does not have it (the two transfers crossed, or it was
-evicted), it requests the whole transfer.
+Both ends of a link keep the last transfer of each coordinator, in either direction, as far as they fit. A
+delta names its reference by agent and digest. If the receiver does not have it (two transfers crossed), it
+requests the whole transfer.
 
 A delta frame contains: size of the whole transfer (4 bytes), digest of the reference (8), length of the
 agent's name (2), name, delta. Numbers are big-endian. It needs no checksum, because the expanded transfer has
@@ -17,15 +17,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from lfield.errors import WireError
 from lfield.net.coding.delta import encode_delta, expand_delta
-from lfield.wire.codec import MAX_TRANSFER_HEADER, TRANSFER, TRANSFER_DELTA
+from lfield.wire.codec import MAX_TRANSFER_HEADER, TRANSFER_DELTA
+from lfield.wire.framing import HEADER_SIZE, frame
 
 if TYPE_CHECKING:
     from lfield.wire.framing import Buffer
 
-#: Maximum bytes kept for a link; the coordinators that have not used it for the longest time are evicted.
-MAX_KEPT = 512 << 10
-#: Up to this round trip in seconds a transfer is sent whole: the network takes less time for the bytes than
-#: the processor for the delta.
+#: Maximum bytes kept for a link. What does not fit is not kept and sent whole, instead of evicting what is
+#: in use: coordinators that take turns would evict one another. Both ends forget a coordinator after so many
+#: transfers of others.
+MAX_KEPT, FORGET_AFTER = 512 << 10, 64
+#: Up to this round trip in seconds nothing is coded: the network takes less time for the bytes than the
+#: processor for coding them.
 FAST_PATH = 0.001
 
 _START = struct.Struct(">I8sH")
@@ -58,37 +61,38 @@ class TransferHistory:
     """The last transfers of a link, as payloads of TRANSFER frames, by coordinator."""
 
     def __init__(self) -> None:
-        #: The payload, and whether this end sent it; the least recently used first.
-        self._kept: dict[str, tuple[Buffer, bool]] = {}
-        self._size = 0
+        #: The payload, whether this end sent it, and its number; the least recently used first.
+        self._kept: dict[str, tuple[Buffer, bool, int]] = {}
+        self._size = self._count = 0
 
-    def encode(self, agent: str, payload: Buffer, round_trip: float | None) -> tuple[int, Buffer]:
-        """Kind and payload of the frame for a transfer; keeps it as the next reference.
+    def encode(self, agent: str, whole: bytes, *, is_fast: bool) -> bytes:
+        """The frame to send for a transfer, given as a TRANSFER frame; keeps that as the next reference.
 
-        `round_trip` is that of the link in seconds, None if not measured.
+        `is_fast`: whether the network takes less time for the bytes than the processor for the delta.
         """
-        kept = self._kept.get(agent)
-        self.keep(agent, payload, is_sent=True)
-        if kept is None or (round_trip is not None and round_trip <= FAST_PATH):
-            return TRANSFER, payload
+        kept, payload = self._kept.get(agent), memoryview(whole)[HEADER_SIZE:]
+        is_kept = self.keep(agent, payload, is_sent=True)
+        if kept is None or is_fast or not is_kept:
+            return whole
         reference = kept[0]
         name, delta = agent.encode(), encode_delta(payload, reference)
         if len(delta) >= len(payload):
-            return TRANSFER, payload
+            return whole
         start = _START.pack(len(payload), _digest(reference), len(name))
-        return TRANSFER_DELTA, b"".join((start, name, delta))
+        return frame(TRANSFER_DELTA, b"".join((start, name, delta)))
 
-    def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> None:
-        """Keep a transfer that was sent or has arrived; `payload` must not change."""
+    def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> bool:
+        """Keep a transfer that was sent or has arrived, if it fits; `payload` must not change."""
+        self._count += 1
         if (before := self._kept.pop(agent, None)) is not None:
             self._size -= len(before[0])
-        if len(payload) > MAX_KEPT:
-            return
-        self._kept[agent] = payload, is_sent
+        while self._kept and self._kept[oldest := next(iter(self._kept))][2] < self._count - FORGET_AFTER:
+            self._size -= len(self._kept.pop(oldest)[0])
+        if self._size + len(payload) > MAX_KEPT:
+            return False
+        self._kept[agent] = payload, is_sent, self._count
         self._size += len(payload)
-        while self._size > MAX_KEPT:
-            evicted, _ = self._kept.pop(next(iter(self._kept)))
-            self._size -= len(evicted)
+        return True
 
     def decode(self, payload: memoryview) -> Delta | MissingReference:
         """The delta of a frame. Raises WireError."""

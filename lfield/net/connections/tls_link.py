@@ -59,7 +59,7 @@ class TlsLink(StreamLink):
         super().connection_made(transport)
         self._source = source_of(self.peer)
         if self._calls:
-            self._channel = self._tls.channel(calls=True)
+            self._channel = self._tls.channel(calls=True, address=self.peer)
             self._transport.write(self._channel.data_to_send())
 
     def data_received(self, data: bytes) -> None:
@@ -186,6 +186,10 @@ class TlsLink(StreamLink):
         super().connection_lost(exc)
 
     def on_eof(self, error: LfieldError | None) -> None:
+        if self._channel is not None and self._channel.proven:
+            self._channel.end()
+            if self._calls:
+                self._tls.keep_session(self.peer, self._channel)
         # Release now, not at garbage collection: links of strangers would accumulate until then.
         self._channel = None
         if not self._calls or (self._proven.done() and not self._proven.cancelled()):

@@ -19,8 +19,9 @@ SUSPECT_AFTER, LOST_AFTER, MAX_SILENCE = 2.0, 3.0, 8.0
 #: Seconds between two heartbeats of an idle link on a good path, and of silence after which it is closed. On
 #: a path whose answers may come late, heartbeats are more frequent.
 IDLE_PING_EVERY, IDLE_LOST_AFTER = 6.5, 9.0
-#: Time-outs allow this many consecutive answers as late as the latest.
-LATE_FACTOR = 4.0
+#: Time-outs allow this many consecutive answers as late as the latest, and those of idle links so many, since
+#: they have one heartbeat for each time-out.
+LATE_FACTOR, IDLE_LATE_FACTOR = 4.0, 2.0
 #: Maximum number of unanswered heartbeats that are remembered.
 MAX_PENDING = 16
 #: Gains of a new sample in mean and variation, and the number of variations added to the mean (RFC 6298,
@@ -110,7 +111,7 @@ class Heartbeats:
         """Seconds between two heartbeats."""
         if not is_idle:
             return PING_EVERY
-        late = LATE_FACTOR * self.round_trip.longest(now)
+        late = IDLE_LATE_FACTOR * self.round_trip.longest(now)
         return min(self._idle_interval, max(PING_EVERY, IDLE_LOST_AFTER - PING_EVERY - late))
 
     def is_due(self, now: float, silent: float, *, is_idle: bool = False) -> bool:

@@ -31,7 +31,7 @@ class MonitoredLink(Protocol):
     def traffic(self) -> TrafficBytes:
         """The bytes sent and received, by kind."""
 
-    def send(self, message: Ping | Pong, /) -> int:
+    def send(self, message: Ping | Pong, /) -> None:
         """Queue a message. Raises AddressError on a closed link."""
 
     def set_round_trip(self, round_trip: float, /) -> None:

@@ -1,16 +1,22 @@
-"""Send queue of a connection with priorities and adaptive fragmentation. Sans-IO.
+"""Send queue of a connection: priorities and shares by kind of traffic, adaptive fragmentation. Sans-IO.
+
+Frames of one kind keep their order. Stops precede everything. Of the other kinds that wait, each gets its
+share of what the connection accepts (start-time fair queueing), and the first of them starts.
 
 Kernel and transport hold little unsent data (`TCP_NOTSENT_LOWAT`, `HIGH_WATER`), so that a stop order waits
 behind at most that and one fragment. Long frames are sent in fragments, short ones on a slow radio (low
-delay), long ones on a fast network (low overhead). The owner of the connection passes the time.
+delay), long ones on a fast network (low overhead). Whole frames of other kinds may be sent between two
+fragments. The owner of the connection passes the time.
 """
 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 
-from lfield.wire.codec import MAX_PART, PART, may_be_fragmented
-from lfield.wire.framing import Buffer, frame
+from lfield.net.coding.traffic_kinds import TrafficKind
+from lfield.wire.codec import COMPRESSED, MAX_PART, PART, may_be_fragmented
+from lfield.wire.framing import HEADER_SIZE, Buffer, frame
 
 #: Maximum bytes buffered in the transport.
 HIGH_WATER = 2 << 10
@@ -18,13 +24,29 @@ HIGH_WATER = 2 << 10
 INITIAL_PART, MIN_PART, LARGEST_PART = 4 << 10, 1 << 10, MAX_PART
 #: A fragment accepted within this many seconds makes the next one longer, otherwise shorter.
 FAST_DRAIN, SLOW_DRAIN = 0.005, 0.05
+#: Shares of the kinds, relative to one another; a kind without waiting frames leaves its share to the others.
+SHARES = {
+    TrafficKind.CONTROL: 8,
+    TrafficKind.HOP: 8,
+    TrafficKind.EVENTS: 2,
+    TrafficKind.TELEMETRY: 1,
+    TrafficKind.UPDATE: 1,
+}
+
+#: Changes a whole frame before it is sent: called in the order of sending.
+Coding = Callable[[Buffer, TrafficKind], Buffer]
 
 
 class SendQueue:
     """The waiting frames, and the length of the next fragment."""
 
-    def __init__(self) -> None:
-        self._waiting: deque[Buffer] = deque()
+    def __init__(self, code: Coding = lambda data, kind: data) -> None:
+        self._code = code
+        self._waiting: dict[TrafficKind, deque[Buffer]] = {}
+        #: The virtual time, and when the next frame of each kind starts.
+        self._time, self._starts = 0.0, dict.fromkeys(SHARES, 0.0)
+        #: The unsent rest of a frame in fragments, with its kind and whether it is compressed.
+        self._rest, self._rest_kind, self._is_rest_compressed = memoryview(b""), TrafficKind.HOP, False
         #: The length of the next fragment.
         self.part = INITIAL_PART
         #: Waiting bytes.
@@ -40,7 +62,11 @@ class SendQueue:
         return not self.is_idle
 
     def _update(self) -> None:
-        self.is_idle = not self._waiting and self._full_since is None
+        self.is_idle = not self._is_waiting and self._full_since is None
+
+    @property
+    def _is_waiting(self) -> bool:
+        return bool(self._waiting or self._rest)
 
     @property
     def is_full(self) -> bool:
@@ -50,34 +76,72 @@ class SendQueue:
     @property
     def is_due(self) -> bool:
         """Whether `next` is to be called."""
-        return bool(self._waiting) and self._full_since is None
+        return self._is_waiting and self._full_since is None
 
-    def add(self, data: Buffer) -> None:
+    def add(self, data: Buffer, kind: TrafficKind) -> None:
         """Queue a whole frame."""
         # Copied, since its buffer may change before it is sent.
         kept = data if isinstance(data, bytes) else bytes(data)
-        self._waiting.append(kept)
+        if kind not in self._waiting:
+            self._waiting[kind] = deque()
+            if kind in SHARES and not (self._rest and self._rest_kind == kind):
+                self._starts[kind] = max(self._starts[kind], self._time)
+        self._waiting[kind].append(kept)
         self.size += len(kept)
         self.is_idle = False
 
     def next(self) -> Buffer:
         """The bytes to send next; the queue must not be empty."""
-        data = self._waiting.popleft()
+        kind = self._next_kind()
+        data = self._next_fragment() if kind is None else self._next_frame(kind)
+        charged = self._rest_kind if kind is None else kind
+        if charged in SHARES:
+            self._time = max(self._time, self._starts[charged])
+            self._starts[charged] += len(data) / SHARES[charged]
         self._update()
-        if len(data) <= self.part or not (isinstance(data, memoryview) or may_be_fragmented(data)):
-            self.size -= len(data)
-            # The rest of a fragmented frame is sent in fragments too.
-            return frame(PART, data) if isinstance(data, memoryview) else data
-        view = memoryview(data)
-        self._waiting.appendleft(view[self.part :])
-        self.is_idle = False
-        self.size -= self.part
-        return frame(PART, view[: self.part])
+        return data
+
+    def _next_kind(self) -> TrafficKind | None:
+        """The kind of the frame to send next; None for the next fragment."""
+        if TrafficKind.STOP in self._waiting:
+            return TrafficKind.STOP
+        kinds = self._waiting.keys() | ({self._rest_kind} if self._rest else set())
+        first = min(kinds, key=lambda kind: (self._starts[kind], kind))
+        if not self._rest:
+            return first
+        # Only one frame at a time is in fragments, and frames of its kind follow it.
+        if first == self._rest_kind or len(self._waiting[first][0]) > self.part:
+            return None
+        return first
+
+    def _next_frame(self, kind: TrafficKind) -> Buffer:
+        """The next frame of a kind, or its first fragment."""
+        frames = self._waiting[kind]
+        plain = frames.popleft()
+        if not frames:
+            del self._waiting[kind]
+        self.size -= len(plain)
+        if self._rest and self._is_rest_compressed:
+            # The peer expands compressed frames in the order in which they are complete.
+            return plain
+        data = self._code(plain, kind)
+        is_whole = self._rest or len(data) <= self.part or kind == TrafficKind.STOP
+        if is_whole or not may_be_fragmented(data):
+            return data
+        self._rest, self._rest_kind = memoryview(data), kind
+        self._is_rest_compressed = data[HEADER_SIZE - 1] == COMPRESSED
+        self.size += len(data)
+        return self._next_fragment()
+
+    def _next_fragment(self) -> Buffer:
+        fragment, self._rest = self._rest[: self.part], self._rest[self.part :]
+        self.size -= len(fragment)
+        return frame(PART, fragment)
 
     def rest(self) -> list[Buffer]:
         """All waiting bytes, in the order of `next`."""
         found = []
-        while self._waiting:
+        while self._is_waiting:
             found.append(self.next())
         return found
 
@@ -103,5 +167,5 @@ class SendQueue:
     def clear(self) -> None:
         """Discard all waiting frames."""
         self._waiting.clear()
-        self.size = 0
+        self._rest, self.size = memoryview(b""), 0
         self._update()

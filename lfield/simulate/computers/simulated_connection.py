@@ -18,8 +18,8 @@ from typing import Any
 from lfield.simulate.computers.process_loop import ProcessLoop
 from lfield.simulate.computers.simulated_machine import NetworkPath, NetworkPaths
 
-#: Bytes that the kernels at both ends buffer before a transport does.
-SEND_BUFFER = 1 << 20
+#: Bytes that a kernel buffers before a transport does (`TCP_NOTSENT_LOWAT`): links queue the others.
+SEND_BUFFER = 1 << 10
 
 #: A host's address and a port.
 Address = tuple[str, int]

@@ -44,14 +44,15 @@ def test_no_path_is_so_slow_that_nothing_is_sent():
 def test_a_subscription_keeps_to_the_share_after_it_has_measured_the_path():
     log = EventLog()
     watcher = EventSubscription(log, 7, Subscribe(7), 0.0)
-    up, sent = 0.0, []
+    up, sent, position = 0.0, [], 0
     for number in range(60):
         up = max(up, watcher.due)
         assert watcher.next_batch(1.7e9, up, lambda: None) is not None
         size = 60 + 150 * (number % 2)
-        watcher.on_sent(size, up)
+        watcher.on_sending(position)
+        position += size
         sent.append((up, size))
-        watcher.on_ack(number + 1, up + 0.1 + size / RADIO)
+        watcher.on_ack(number + 1, up + 0.1 + size / RADIO, position)
         up = max(up + MIN_INTERVAL, watcher.next_batch_at)
     (began, _), (ended, _) = sent[20], sent[-1]
     carried = sum(size + OVERHEAD for _, size in sent[20:-1])

@@ -6,14 +6,21 @@ import random
 import zlib
 
 import pytest
+from msgspec.structs import replace
 
 from lfield.errors import WireError
 from lfield.net.coding.delta import CHUNK, encode_delta, expand_delta
 from lfield.net.coding.link_compression import LinkCompression
-from lfield.net.coding.transfer_history import FAST_PATH, MAX_KEPT, Delta, MissingReference, TransferHistory
+from lfield.net.coding.transfer_history import (
+    FORGET_AFTER,
+    MAX_KEPT,
+    Delta,
+    MissingReference,
+    TransferHistory,
+)
 from lfield.net.framed_link import FramedLink
 from lfield.testing.transport_kit import Recorder, transfer
-from lfield.wire.codec import TRANSFER, TRANSFER_DELTA, encode_transfer
+from lfield.wire.codec import CONTROL, TRANSFER, TRANSFER_DELTA, encode_transfer
 from lfield.wire.framing import HEADER_SIZE, frame
 from lfield.wire.messages import Backpressure, WholeTransferRequest
 
@@ -98,39 +105,65 @@ def test_both_ends_keep_the_same_reference():
     for number in range(20):
         sender, receiver = ends[number % 2], ends[1 - number % 2]
         sent = payload(changed(BLOCK, random.Random(number), 4), number)
-        kind, data = sender.encode(AGENT, sent, None)
-        assert kind == (TRANSFER_DELTA if number else TRANSFER)
-        if kind == TRANSFER_DELTA:
-            delta = receiver.decode(memoryview(data))
+        data = sender.encode(AGENT, frame(TRANSFER, sent), is_fast=False)
+        assert kind(data) == (TRANSFER_DELTA if number else TRANSFER)
+        if number:
+            delta = receiver.decode(memoryview(data)[HEADER_SIZE:])
             assert isinstance(delta, Delta)
             assert delta.expand() == sent
             assert len(data) < 120
         receiver.keep(AGENT, sent, is_sent=False)
 
 
+def whole(number: int) -> bytes:
+    return frame(TRANSFER, payload(BLOCK, number))
+
+
+def kind(data: bytes) -> int:
+    return data[HEADER_SIZE - 1]
+
+
 def test_a_transfer_is_sent_whole_on_a_fast_path():
     near = TransferHistory()
-    assert [near.encode(AGENT, payload(BLOCK, n), FAST_PATH)[0] for n in range(3)] == [TRANSFER] * 3
-    assert near.encode(AGENT, payload(BLOCK, 3), 2 * FAST_PATH)[0] == TRANSFER_DELTA
+    assert [near.encode(AGENT, whole(n), is_fast=True) for n in range(3)] == [whole(n) for n in range(3)]
+    assert kind(near.encode(AGENT, whole(3), is_fast=False)) == TRANSFER_DELTA
 
 
 def test_a_reference_with_another_digest_is_missing():
     near, far = TransferHistory(), TransferHistory()
     near.keep(AGENT, payload(BLOCK, 1), is_sent=False)
     far.keep(AGENT, payload(BLOCK, 2), is_sent=False)
-    _, data = near.encode(AGENT, payload(BLOCK, 3), None)
-    assert far.decode(memoryview(data)) == MissingReference(AGENT)
-    assert TransferHistory().decode(memoryview(data)) == MissingReference(AGENT)
+    delta = memoryview(near.encode(AGENT, whole(3), is_fast=False))[HEADER_SIZE:]
+    assert far.decode(delta) == MissingReference(AGENT)
+    assert TransferHistory().decode(delta) == MissingReference(AGENT)
 
 
-def test_what_is_kept_is_bounded():
+def test_what_is_kept_is_bounded_and_not_evicted_by_others_that_do_not_fit():
     near = TransferHistory()
-    for number in range(20):
-        near.keep(f"c{number}", bytes(100_000), is_sent=True)
-    assert near._size == sum(len(data) for data, _ in near._kept.values()) <= MAX_KEPT
-    assert "c19" in near._kept
-    near.keep("large", bytes(MAX_KEPT + 1), is_sent=True)
-    assert "large" not in near._kept
+    kept = [near.keep(f"c{number}", bytes(100_000), is_sent=True) for number in range(20)]
+    assert kept == [True] * (MAX_KEPT // 100_000) + [False] * (20 - MAX_KEPT // 100_000)
+    assert near._size == sum(len(data) for data, *_ in near._kept.values()) <= MAX_KEPT
+    assert not near.keep("large", bytes(MAX_KEPT + 1), is_sent=True)
+    assert near.whole("c0") is not None
+    for _ in range(FORGET_AFTER):
+        assert near.keep("c19", b"small", is_sent=True)
+    assert near.whole("c0") is None
+    assert near._size == len(near.whole("c19"))
+
+
+def test_coordinators_that_do_not_fit_together_are_delivered_and_those_that_fit_as_deltas():
+    """Five large states take turns, and some transfers cross."""
+    near, far = ends(1 << 20)
+    rng = random.Random(1)
+    blocks = {f"w{number}": rng.randbytes(190_000) for number in range(5)}
+    for turn in range(40):
+        sender = (near, far)[turn // 5 % 2]
+        for agent, block in blocks.items():
+            sender.send_transfer(replace(transfer(len(block), turn), agent=agent), changed(block, rng, 9))
+    assert (near.closed, far.closed) == (False, False)
+    deltas = [data for data in near.written + far.written if kind(data) == TRANSFER_DELTA]
+    assert len(deltas) >= 2 * 39
+    assert max(map(len, deltas)) < 2000
 
 
 class End(FramedLink):
@@ -171,6 +204,18 @@ def test_a_hop_without_a_reference_is_sent_again_whole():
     near.send_transfer(transfer(600, 3), BLOCK)
     assert near.written[-1][HEADER_SIZE - 1] == TRANSFER_DELTA
     assert far.handler.messages[-1] == (transfer(600, 3), BLOCK)
+
+
+def test_nothing_is_coded_within_a_computer_whatever_round_trip_is_measured():
+    near, far = ends()
+    near.mark_local()
+    far.mark_local()
+    near.set_round_trip(1.0)
+    for number in range(3):
+        near.send_transfer(transfer(600, number), BLOCK)
+        near.send(Backpressure("behind"))
+    assert [kind(data) for data in near.written] == [TRANSFER, CONTROL] * 3
+    assert near._history.whole(AGENT) is None
 
 
 def test_hops_that_cross_close_the_link_when_neither_can_be_repeated():

@@ -104,9 +104,10 @@ class Sender:
 
 
 class End:
-    """One end of a link, as `lfield.net.link_manager` keeps it: a look each second."""
+    """One end of a link, as `lfield.net.link_manager` keeps it: it is checked each second."""
 
-    def __init__(self, simulation: Simulation, *, first: bool) -> None:
+    def __init__(self, simulation: Simulation, *, first: bool, is_idle: bool) -> None:
+        self._is_idle = is_idle
         self.beats = Heartbeats(first=first)
         self.beats.on_link_made(0.0)
         self.last_received = 0.0
@@ -135,18 +136,20 @@ class End:
     def _check(self) -> None:
         now = self.simulation.now
         silent = now - self.last_received
-        if silent > self.beats.lost_after(now):
+        if silent > self.beats.lost_after(now, is_idle=self._is_idle):
             self.lost.append(now)
             self.last_received = now
-        elif self.beats.is_due(now, silent):
+        elif self.beats.is_due(now, silent, is_idle=self._is_idle):
             self.sender.send(("ping", self.beats.send(now)))
         self.simulation.later(PING_EVERY, self._check)
 
 
-def ends_after(seconds: float, path: Path, kernel: Kernel, seed: int) -> tuple[End, End]:
+def ends_after(
+    seconds: float, path: Path, kernel: Kernel, seed: int, *, is_idle: bool = False
+) -> tuple[End, End]:
     """Both ends of a link that was kept for so many seconds."""
     simulation = Simulation(seed, path, kernel)
-    near, far = End(simulation, first=True), End(simulation, first=False)
+    near, far = (End(simulation, first=first, is_idle=is_idle) for first in (True, False))
     near.other, far.other = far, near
     near.sender.back, far.sender.back = far.sender, near.sender
     simulation.run(seconds)

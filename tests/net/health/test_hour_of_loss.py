@@ -22,6 +22,17 @@ def test_no_link_is_given_up_in_an_hour_at_20_percent_loss(kernel, path, seed):
         assert end.beats.round_trip.mean is not None
 
 
+@pytest.mark.few(2)
+@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize(
+    ("path", "every"), [(NEAR, 5.5), (FAR, 3.5), (Path(0.05, 0.05), 6.4)], ids=["20 ms", "200 ms", "5 %"]
+)
+def test_no_idle_link_is_given_up_either_and_its_heartbeats_stay_rare(path, every, seed):
+    ends = ends_after(HOUR, path, OLD, seed, is_idle=True)
+    assert [end.lost for end in ends] == [[], []]
+    assert sum(end.beats._token for end in ends) <= HOUR / every
+
+
 def test_the_same_with_a_fixed_time_out_is_too_short(monkeypatch):
     """So the hour above is hard enough to tell a good time-out from a bad one."""
     monkeypatch.setattr(link_heartbeats, "MAX_SILENCE", LOST_AFTER)

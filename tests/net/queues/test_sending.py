@@ -1,4 +1,4 @@
-"""What a link has to send: orders to stop pass between the parts of long frames, all else keeps its order."""
+"""What a link has to send: stops precede everything, other kinds share the link, and each keeps its order."""
 
 from __future__ import annotations
 
@@ -10,15 +10,18 @@ import pytest
 
 from lfield.authority.identity import ANONYMOUS
 from lfield.errors import WireError
+from lfield.net.coding.traffic_kinds import TrafficKind
 from lfield.net.framed_link import FramedLink
 from lfield.net.scheduling.link_schedulers import LinkScheduler
-from lfield.net.scheduling.send_queue import INITIAL_PART, LARGEST_PART, MIN_PART, SendQueue
+from lfield.net.scheduling.send_queue import INITIAL_PART, LARGEST_PART, MIN_PART, SHARES, SendQueue
 from lfield.net.stream_link import StreamLink
 from lfield.testing.transport_kit import Recorder, transfer
 from lfield.wire.codec import CONTROL, HELLO, PART, encode
+from lfield.wire.events import Event, LineLogged
 from lfield.wire.framing import frame
 from lfield.wire.messages import Backpressure, Ping
 from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult
+from lfield.wire.subscription_messages import EventBatch
 
 STOP = EmergencyStop(bytes(16), "fire")
 
@@ -122,9 +125,76 @@ def test_a_stop_passes_between_two_parts_of_a_block():
         assert slow.said[-1] == encode(STOP)
         while slow._link._sending.is_busy:
             slow.drain()
-        assert heard(slow.said) == [STOP, (transfer(len(block)), block), Backpressure("behind")]
+        assert heard(slow.said) == [STOP, Backpressure("behind"), (transfer(len(block)), block)]
 
     in_loop(story)
+
+
+def test_each_kind_keeps_its_order_and_is_read_whatever_passes_it():
+    """Compressed messages, coordinators and long reports in one link, which accepts a little at a time."""
+
+    def story():
+        slow, rng = Slow(700), random.Random(1)
+        link = slow.link()
+        sent: dict[str, list[object]] = {"control": [], "hops": [], "events": [], "stops": []}
+        for number in range(300):
+            size = rng.choice((10, 300, 6000))
+            match rng.choice(tuple(sent)):
+                case "control":
+                    sent["control"].append(Backpressure(rng.randbytes(min(size, 1000)).hex()))
+                    link.send(sent["control"][-1])
+                case "hops":
+                    block = rng.randbytes(size)
+                    sent["hops"].append((transfer(size, number), block))
+                    link.send_transfer(*sent["hops"][-1])
+                case "events":
+                    lines = [LineLogged(rng.randbytes(900).hex()) for _ in range(size // 300)]
+                    events = [Event(number, 0.0, 0.0, 0, line) for line in lines]
+                    sent["events"].append(EventBatch(1, number, 0.0, 0.0, 0, 0, events))
+                    link.send(sent["events"][-1])
+                case "stops":
+                    sent["stops"].append(STOP)
+                    link.send(STOP)
+            if rng.random() < 0.5:
+                link._flush()
+            if rng.random() < 0.02:
+                slow.drain()
+        link._flush()
+        assert slow._link._sending.is_busy
+        while slow._link._sending.is_busy:
+            slow.drain()
+        found = heard(slow.said)
+        assert [each for each in found if isinstance(each, Backpressure)] == sent["control"]
+        assert [each for each in found if isinstance(each, EventBatch)] == sent["events"]
+        assert [each for each in found if isinstance(each, tuple)] == sent["hops"]
+        assert sum(each == STOP for each in found) == len(sent["stops"])
+        assert link.traffic.counts[TrafficKind.EVENTS] > 0
+        assert link.traffic.counts[TrafficKind.STOP] == len(encode(STOP)) * len(sent["stops"])
+
+    in_loop(story)
+
+
+def test_kinds_that_wait_share_the_connection():
+    queue = SendQueue()
+    for kind in SHARES:
+        for _ in range(2000):
+            queue.add(frame(CONTROL, bytes(100)) + bytes([kind]), kind)
+    sent = [queue.next()[-1] for _ in range(2000)]
+    assert TrafficKind(sent[0]) == TrafficKind.CONTROL
+    for kind, share in SHARES.items():
+        assert sent.count(kind) == pytest.approx(2000 * share / sum(SHARES.values()), abs=2)
+
+
+def test_a_kind_that_had_nothing_to_send_gets_no_more_than_its_share_later():
+    queue = SendQueue()
+    for _ in range(1000):
+        queue.add(frame(CONTROL, bytes(100)), TrafficKind.HOP)
+    for _ in range(500):
+        queue.next()
+    for _ in range(500):
+        queue.add(frame(CONTROL, bytes(10)), TrafficKind.CONTROL)
+    sizes = [len(queue.next()) for _ in range(100)]
+    assert sum(size for size in sizes if size > 50) == pytest.approx(sum(s for s in sizes if s < 50), abs=110)
 
 
 def test_answers_to_stops_and_heartbeats_precede_what_observers_are_told():
@@ -191,7 +261,7 @@ def test_what_waits_is_sent_before_a_link_is_closed():
 
 def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():
     slow, now = SendQueue(), 0.0
-    slow.add(frame(CONTROL, bytes(1 << 20)))
+    slow.add(frame(CONTROL, bytes(1 << 20)), TrafficKind.CONTROL)
     lengths = []
     for _ in range(12):
         lengths.append(len(slow.next()))
@@ -201,7 +271,7 @@ def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():
     assert slow.part == MIN_PART
     assert lengths[-1] <= MIN_PART + 5
     fast = SendQueue()
-    fast.add(frame(CONTROL, bytes(1 << 20)))
+    fast.add(frame(CONTROL, bytes(1 << 20)), TrafficKind.CONTROL)
     for _ in range(12):
         fast.next()
         fast.on_accepted()
@@ -211,7 +281,7 @@ def test_parts_are_short_on_a_slow_connection_and_long_on_a_fast_one():
 def test_a_greeting_is_never_sent_in_parts():
     sending = SendQueue()
     hello = frame(HELLO, bytes(4 * INITIAL_PART))
-    sending.add(hello)
+    sending.add(hello, TrafficKind.CONTROL)
     assert sending.next() == hello
     assert not sending.is_busy
 

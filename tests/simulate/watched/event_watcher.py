@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from lfield.mission.loader import load_mission
+from lfield.net.coding.traffic_kinds import TrafficBytes
 from lfield.simulate.host_fleet import Fleet
 from lfield.wire import events
 from lfield.wire.codec import decode, encode
@@ -49,6 +50,7 @@ class EventWatcher:
     batches: list[EventBatch] = field(default_factory=list)
     refused: str = ""
     others: list[Control] = field(default_factory=list)
+    traffic: TrafficBytes = field(default_factory=TrafficBytes)
 
     def say(self, message: Control) -> None:
         life = self.fleet.lives.get(self.host)
@@ -59,7 +61,7 @@ class EventWatcher:
         """An order that names what the host says of itself now."""
         self.say(with_epoch(message, self.fleet.lives[self.host].core.orders.epochs))
 
-    def send(self, message: object) -> int:
+    def send(self, message: object) -> None:
         """The host's end of the link."""
         frame = encode(message)  # type: ignore[arg-type]
         message = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:])
@@ -71,7 +73,6 @@ class EventWatcher:
             self.refused = message.reason
         else:
             self.others.append(message)  # type: ignore[arg-type]
-        return len(frame)
 
     def close(self) -> None:
         """The host's end of the link."""
