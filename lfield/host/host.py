@@ -194,7 +194,7 @@ class Host:
     async def stop(self) -> dict[str, str]:
         """Make the devices safe, wait until they are at rest, then close everything. Meanwhile no agent runs.
 
-        Returns the devices that were not confirmed at rest in their safe states, with their last known states.
+        Returns the devices that were not confirmed at rest in their safe states, with their last states.
         """
         if self._stopped:
             return {}
