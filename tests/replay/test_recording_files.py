@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
@@ -194,21 +195,28 @@ def test_another_bundle_that_is_named_differs_or_is_refused(team, tmp_path, caps
     refused(capsys, folder, "--bundle", path)
 
 
-def test_a_file_of_a_newer_version_is_refused(team, tmp_path, capsys):
+@pytest.mark.parametrize(("change", "text"), [(1, "a newer lfield"), (-1, "the lfield that recorded it")])
+def test_a_file_of_another_format_is_refused(change, text, team, tmp_path, capsys):
     folder = write_folder(tmp_path, team)
     path = folder / "core-000001.lfrec"
     data = path.read_bytes()
-    path.write_bytes(MAGIC[:-1] + bytes([MAGIC[-1] + 1]) + data[len(MAGIC) :])
-    assert "newer" in refused(capsys, folder)
+    path.write_bytes(MAGIC[:-1] + bytes([MAGIC[-1] + change]) + data[len(MAGIC) :])
+    assert text in refused(capsys, folder)
+    assert main(["debug", str(folder), "-c", "where"]) == exit_status.DATA
+    assert main(["export", str(folder), "--csv", str(tmp_path / "tables")]) == exit_status.DATA
 
 
-@pytest.mark.parametrize("name", ["nothing", "empty", "an empty file", "text"])
+@pytest.mark.parametrize("name", ["nothing", "empty", "an empty file", "text", "a pipe", "a folder"])
 def test_what_is_no_recording_is_refused(name, tmp_path, capsys):
     path = tmp_path / "place"
     if name != "nothing":
         path.mkdir()
     if name in ("an empty file", "text"):
         (path / "core-000001.lfrec").write_bytes(b"" if name == "an empty file" else b"hello " * 100)
+    if name == "a pipe":
+        os.mkfifo(path / "core-000001.lfrec")
+    if name == "a folder":
+        (path / "core-000001.lfrec").mkdir()
     with pytest.raises((RecordingError, InputFileError)):
         load_team([path])
     assert main(["replay", str(path)]) in (exit_status.DATA, exit_status.NO_INPUT)
