@@ -155,7 +155,10 @@ def decision_text(decisions: bytes | msgspec.Raw) -> str:
     decoded = msgspec.msgpack.decode(decisions)
     if isinstance(decoded, str):
         return decoded or "start"
-    return ", ".join(_text(*decision) for decision in decoded) or "nothing"
+    try:
+        return ", ".join(_text(*decision) for decision in decoded) or "nothing"
+    except (LookupError, TypeError):  # a damaged recording
+        return f"no decisions: {decoded!r}"
 
 
 def _decision(effect: Effect) -> Sequence[object]:

@@ -23,6 +23,7 @@ from lfield.recording.segments import SegmentEnd, SegmentReader, format_problem
 
 #: Why a file without a record is of no use.
 NO_RECORD = "it has no record"
+_DAMAGED = "it has a record that is damaged or of another version of lfield"
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +96,10 @@ def read_segment(path: Path) -> GuardSegment:
     start = records[0] if records else None
     if start is not None and not isinstance(start, SegmentStart):
         raise RecordingError("it is not the recording of a guard")
+    if start is not None and not all(
+        _has_quantities(start, record) for record in (*_values_at(start), *records)
+    ):
+        raise RecordingError(_DAMAGED)
     return GuardSegment(path, start, records[1:], reader.end)
 
 
@@ -102,7 +107,16 @@ def _decoded(record: bytes) -> GuardRecord:
     try:
         return decode_record(record)
     except (msgspec.MsgspecError, UnicodeDecodeError):
-        raise RecordingError("it has a record that is damaged or of another version of lfield") from None
+        raise RecordingError(_DAMAGED) from None
+
+
+def _has_quantities(start: SegmentStart, record: GuardRecord) -> bool:
+    """Whether the telemetry of a record is that of a device of the guard."""
+    if not isinstance(record, TelemetryRecord):
+        return True
+    devices = start.state.devices
+    known = devices[record.device].manifest.telemetry if 0 <= record.device < len(devices) else []
+    return all(0 <= at < len(known) for at in record.values)
 
 
 def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
@@ -116,13 +130,17 @@ def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
         start = segment.start
         if start is None:
             continue
-        if not segment.follows(before):
-            for device, values in enumerate(start.values):
-                yield from _values(start, TelemetryRecord(start.monotonic, device, values))
+        for record in () if segment.follows(before) else _values_at(start):
+            yield from _values(start, record)
         for record in segment.records:
             if isinstance(record, TelemetryRecord):
                 yield from _values(start, record)
         before = segment
+
+
+def _values_at(start: SegmentStart) -> Iterator[TelemetryRecord]:
+    """The values at the start of a segment."""
+    return (TelemetryRecord(start.monotonic, device, values) for device, values in enumerate(start.values))
 
 
 def _values(start: SegmentStart, record: TelemetryRecord) -> Iterator[TelemetryValue]:

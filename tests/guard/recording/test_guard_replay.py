@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import random
+
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,7 +22,7 @@ from lfield.guard.recording.guard_records import (
     framed,
 )
 from lfield.guard.recording.guard_replay import replay_guard
-from lfield.guard.recording.guard_segments import read_segment, rings_in
+from lfield.guard.recording.guard_segments import read_segment, rings_in, telemetry_in
 from lfield.guard.recording.heartbeat_pulses import MOST_PULSES, PulseCollector, pulses_in
 from lfield.recording.folders import guard_folder
 from lfield.recording.segments import MAGIC, SegmentReader, frame
@@ -126,6 +129,33 @@ def test_a_damaged_file_is_refused_or_ends_there(tmp_path):
         result = replay_guard([path])
         assert result.digests < whole
         assert list(result.cut) == [path]
+
+
+def changed(rng, value):
+    """A value with another one somewhere in it."""
+    if isinstance(value, list | dict) and value:
+        places = list(value) if isinstance(value, dict) else range(len(value))
+        place = rng.choice(places)
+        value[place] = changed(rng, value[place])
+        return value
+    if isinstance(value, int) and rng.random() < 0.5:
+        return value + rng.choice([1, -1, 1000])
+    return rng.choice([None, -1, 1 << 40, "x", b"x", [], {}, [1], True, float("nan")])
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_changed_record_below_a_valid_checksum_is_refused_or_differs(tmp_path, seed):
+    rng = random.Random(seed)
+    guard = DrawnStory(4, RecordedGuard()).run(12)
+    guard.recorder.close()
+    (path,) = guard.ring.stored(tmp_path)
+    records = list(SegmentReader(path.read_bytes()))
+    place = rng.randrange(len(records))
+    records[place] = msgspec.msgpack.encode(changed(rng, msgspec.msgpack.decode(records[place])))
+    path.write_bytes(MAGIC + b"".join(map(frame, records)))
+    result = replay_guard([path])
+    assert result.digests or result.missing
+    assert [value.device for value in telemetry_in([path])].count("") == 0
 
 
 @pytest.mark.parametrize(
