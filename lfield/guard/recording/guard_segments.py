@@ -130,8 +130,8 @@ def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
         start = segment.start
         if start is None:
             continue
-        for record in () if segment.follows(before) else _values_at(start):
-            yield from _values(start, record)
+        for values in () if segment.follows(before) else _values_at(start):
+            yield from _values(start, values)
         for record in segment.records:
             if isinstance(record, TelemetryRecord):
                 yield from _values(start, record)
