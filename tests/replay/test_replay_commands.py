@@ -235,6 +235,23 @@ def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path)
 
 
 @pytest.mark.process
+def test_an_export_that_fails_leaves_no_part_of_it(recorded: Path, tmp_path: Path) -> None:
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000));"
+        "from lfield.__main__ import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-c", code, "export", str(recorded / "records"), "--csv", "tables"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 73
+    assert not any((tmp_path / "tables").iterdir())
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "file").touch()
+    ran = lfield("export", recorded / "records", "--mcap", "x.mcap", "--csv", "used", cwd=tmp_path)
+    assert ran.returncode == 73
+    assert not (tmp_path / "x.mcap").exists()
+
+
+@pytest.mark.process
 def test_an_export_without_the_package_says_so(recorded: Path, tmp_path: Path) -> None:
     code = "import sys; sys.modules['mcap'] = None; from lfield.__main__ import main; sys.exit(main())"
     command = [sys.executable, "-c", code, "export", str(recorded / "records"), "--mcap", "x.mcap"]
