@@ -67,6 +67,7 @@ def test_another_program_is_compared_by_its_calls(recorded: Path, tmp_path: Path
     assert first["replayed"]["place"] == "mission.L:7"
     ran = lfield("test", "--from", recorded / "records", cwd=tmp_path)
     assert ran.returncode == 1
+    assert lfield("test", "--from", recorded / "records", "-x", cwd=tmp_path).returncode == 64
 
 
 @pytest.mark.process
