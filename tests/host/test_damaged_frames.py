@@ -110,7 +110,9 @@ def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds)
             await asyncio.sleep(10.0)
             logs.update((running.host.name, running.log) for running in hosts)
         print(f"{wanted.__name__}, a bit flipped in every byte: {len(ended)} / {damage.flipped} refused")
-        assert ended == ["bravo:8181"] * damage.flipped
+        assert set(ended) == {"bravo:8181"}
+        # A flip in the unused bits of the last byte of a delta changes nothing.
+        assert damage.flipped - (wanted is is_delta) <= len(ended) <= damage.flipped
         assert damage.place >= damage.last > 0
 
     fleet(story)
