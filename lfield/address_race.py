@@ -1,7 +1,9 @@
 """Connection racing (RFC 8305, "happy eyeballs"): connects to whichever address of a host answers first.
 
 The kernel repeats an unanswered attempt after 1, 2, 4 s ..., so reconnection after an outage can take
-seconds. A caller that needs it sooner repeats attempts in parallel.
+seconds. A caller that needs it sooner repeats attempts in parallel: the longer an address is silent, the less
+often. After a short outage a link is back at once. A robot that is off costs the others little of a slow
+radio, and attempts do not fill a path that has become slow: each is two or three packets of 60 bytes.
 """
 
 from __future__ import annotations
@@ -16,12 +18,12 @@ from typing import Any, Generic, TypeVar
 
 #: Seconds before the next address is tried in parallel (RFC 8305, section 5).
 ATTEMPT_DELAY = 0.25
-
-
-#: Seconds between repeated attempts at one address, and the lifetime of each: about five packets of 60 bytes
-#: per second.
-RETRY_DELAY, ATTEMPT_TIMEOUT = 0.5, 2.0
-
+#: The shortest lifetime of an attempt in seconds.
+ATTEMPT_TIMEOUT = 2.0
+#: Seconds between two attempts at first and at most, and the share of the silence that is the pause.
+FIRST_PAUSE, LONGEST_PAUSE, SHARE = 0.5, 8.0, 1 / 30
+#: Seconds after an attempt after which its address counts as new: nothing is known of it meanwhile.
+FORGET_AFTER = 60.0
 
 #: An address family and a socket address.
 Resolved = TypeVar("Resolved", bound=tuple[int, tuple[Any, ...]])
@@ -30,13 +32,16 @@ Resolved = TypeVar("Resolved", bound=tuple[int, tuple[Any, ...]])
 class _Race(Generic[Resolved]):
     """Parallel attempts at several addresses, until one connects or all have failed.
 
-    With `again`, each address that has not failed is tried anew every AGAIN seconds.
+    Each address that has not failed is tried anew every `retry_pause` seconds, unless that is None.
     """
 
     def __init__(
-        self, addresses: Sequence[Resolved], failures: dict[Resolved, Exception], *, again: bool
+        self,
+        addresses: Sequence[Resolved],
+        failures: dict[Resolved, Exception],
+        retry_pause: float | None,
     ) -> None:
-        self._remaining, self._failures, self._is_retrying = deque(addresses), failures, again
+        self._remaining, self._failures, self._retry_pause = deque(addresses), failures, retry_pause
         self._tasks: dict[asyncio.Task[socket.socket], tuple[Resolved, float]] = {}
         self._now = asyncio.get_running_loop().time
 
@@ -60,10 +65,9 @@ class _Race(Generic[Resolved]):
 
     async def _wait_ended(self) -> list[asyncio.Task[socket.socket]]:
         """Wait for attempts to end, at most until the next one is due."""
-        pause = RETRY_DELAY if self._is_retrying else None
         done, _ = await asyncio.wait(
             self._tasks,
-            timeout=ATTEMPT_DELAY if self._remaining else pause,
+            timeout=ATTEMPT_DELAY if self._remaining else self._retry_pause,
             return_when=asyncio.FIRST_COMPLETED,
         )
         if not done and not self._remaining:
@@ -90,14 +94,17 @@ class _Race(Generic[Resolved]):
 
 
 async def first_connected(
-    addresses: Sequence[Resolved], failures: dict[Resolved, Exception], *, again: bool = False
+    addresses: Sequence[Resolved],
+    failures: dict[Resolved, Exception],
+    *,
+    retry_pause: float | None = None,
 ) -> tuple[socket.socket, Resolved]:
     """A connected socket and its address; failed addresses are added to `failures`.
 
-    With `again`, an address that has not answered within AGAIN seconds is tried again in parallel, for paths
-    that may return at any moment. Raises the OSError of the last address when all have failed.
+    An address that has not answered within `retry_pause` seconds is tried again in parallel, for paths that
+    may return at any moment. Raises the OSError of the last address when all have failed.
     """
-    race = _Race(addresses, failures, again=again)
+    race = _Race(addresses, failures, retry_pause)
     try:
         return await race.run()
     finally:
@@ -140,3 +147,28 @@ def _close(task: asyncio.Task[socket.socket]) -> None:
     """Close the sockets of cancelled attempts."""
     if not task.cancelled() and task.exception() is None:
         task.result().close()
+
+
+def retry_pause(silent: float) -> float:
+    """The pause after an attempt at an address that has been silent for so many seconds."""
+    return min(LONGEST_PAUSE, max(FIRST_PAUSE, SHARE * silent))
+
+
+class RetryPace:
+    """The addresses of one transport that have not answered. Times are in seconds of one clock."""
+
+    def __init__(self) -> None:
+        #: Since when each is silent, and when it was tried last.
+        self._silent: dict[str, tuple[float, float]] = {}
+
+    def on_attempt(self, address: str, now: float) -> float:
+        """An attempt begins. Returns the pause until it is repeated."""
+        since, last = self._silent.get(address, (now, now))
+        if now - last > FORGET_AFTER:
+            since = now
+        self._silent[address] = since, now
+        return retry_pause(now - since)
+
+    def on_answer(self, address: str) -> None:
+        """Something answers at the address."""
+        self._silent.pop(address, None)

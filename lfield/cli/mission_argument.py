@@ -6,7 +6,7 @@ import argparse
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -151,6 +151,29 @@ def selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam
 
     Without a run of this user, and with --inventory, the hosts of the inventory.
     """
+    parties = _selected_teams(args, runs)
+    _configure_zenoh(args, parties)
+    return parties
+
+
+def _configure_zenoh(args: argparse.Namespace, parties: Sequence[TargetTeam]) -> None:
+    """Use the routers of --inventory for addresses in a fabric, else those of the run, else the default
+    inventory's: the addresses may be those of a run."""
+    from lfield.net.transport import has_zenoh
+    from lfield.net.zenoh.config import NETWORK
+
+    addresses = [address for party in parties for address in party.addresses.values()]
+    if NETWORK.config is not None or not any(map(has_zenoh, addresses)):
+        return
+    known = [run.manifest.zenoh for party in parties for run in party.runs if not run.user]
+    config = next((each for each in known if each is not None), None)
+    if config is None or args.inventory is not None:
+        inventory_addresses(args)
+    else:
+        NETWORK.configure(config)
+
+
+def _selected_teams(args: argparse.Namespace, runs: list[Run]) -> list[TargetTeam]:
     from lfield.operator.targets import TargetTeam, open_team, targets_of_runs, targets_of_team
 
     path = named_mission(args)

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from lfield.address_race import RetryPace
 from lfield.errors import AddressError, NoListener
 from lfield.event_loop import SimulatedLoop
 from lfield.net.connections.connection_attempt import ConnectionAttempt
@@ -70,6 +71,7 @@ class TcpTransport:
         self.note: Callable[[LogLine], None] = lambda line: None
         #: Addresses that failed lately.
         self._unanswered: set[ResolvedAddress] = set()
+        self._pace = RetryPace()
 
     def log_to(self, note: Callable[[LogLine], None]) -> None:
         """Write log lines there from now on."""
@@ -129,7 +131,8 @@ class TcpTransport:
         def calling() -> StreamLink:
             return self.new_link(lambda _: handler, plain=plain, calls=True)
 
-        call = ConnectionAttempt(address, calling, self._unanswered, host)
+        pause = self._pace.on_attempt(address, loop.time())
+        call = ConnectionAttempt(address, calling, self._unanswered, pause, host)
         try:
             async with asyncio.timeout(self._connect_timeout) as bound:
                 if plain:
@@ -140,8 +143,13 @@ class TcpTransport:
                         calling, *split_address(split_addresses(address)[0])
                     )
                     return await call.adopt(link)
-                # A path that returns late still leaves the full time for the handshake.
-                return await call.connect(lambda: bound.reschedule(loop.time() + self._connect_timeout))
+
+                def on_connected() -> None:
+                    # A path that returns late still leaves the full time for the handshake.
+                    bound.reschedule(loop.time() + self._connect_timeout)
+                    self._pace.on_answer(address)
+
+                return await call.connect(on_connected)
         except TimeoutError:
             if call.link is not None:
                 call.link.abort()

@@ -192,6 +192,11 @@ def is_zenoh(address: str) -> bool:
     return address.startswith(ZENOH) and not address.removeprefix(ZENOH).isdigit()
 
 
+def has_zenoh(address: str) -> bool:
+    """Whether one of the addresses of a host is in a Zenoh fabric."""
+    return any(map(is_zenoh, split_addresses(address)))
+
+
 def is_lasting(host: str) -> bool:
     """Whether a host is a fixed address; the interface of a zone may return under another number."""
     try:

@@ -36,7 +36,8 @@ from lfield.driver.binding import longest_rest
 from lfield.errors import OutputFileError
 from lfield.mission.mission import Mission
 from lfield.net.peer_credentials import GROUP
-from lfield.net.transport import UNIX
+from lfield.net.transport import UNIX, has_zenoh
+from lfield.net.zenoh.config import NETWORK, ZenohConfig
 from lfield.operator.run_dirs import (
     RunLocation,
     SearchRoot,
@@ -79,7 +80,8 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     `mission` is the file it was started from and `deployment` the digest of its team, in hex; `started` is in
     seconds since 1970; every device must come to rest within `rest_within` seconds. `addresses` has the
     "address:port" of every host of the team, `control_sockets` the name of the socket of
-    each that runs here. The owner is that of the file, and every socket is inside its folder.
+    each that runs here. The owner is that of the file, and every socket is inside its folder. `zenoh` is how
+    this computer reaches addresses in a Zenoh fabric; None without such an address.
     """
 
     mission: Annotated[str, Meta(max_length=4096)]
@@ -95,6 +97,7 @@ class RunManifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         dict[Name, Annotated[str, Meta(pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_.+-]{0,40}$")]],
         Meta(max_length=_MAX_HOSTS),
     ] = msgspec.field(name="doors")
+    zenoh: ZenohConfig | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,14 +146,16 @@ class ControlSockets:
 
 def run_manifest(mission: Mission, file: Path, here: Iterable[str]) -> RunManifest:
     """The manifest of a run of this process: the hosts `here` of a mission from a file."""
+    addresses = mission.team.addresses_by_host
     return RunManifest(
         mission=printable_argument(str(file.absolute())),
         deployment=mission.team.deployment.hex(),
         pid=os.getpid(),
         started=time.time(),
         rest_within=longest_rest(mission.bindings.all),
-        addresses=mission.team.addresses_by_host,
+        addresses=addresses,
         control_sockets={host: _socket_name(number, host) for number, host in enumerate(here)},
+        zenoh=NETWORK.config if any(map(has_zenoh, addresses.values())) else None,
     )
 
 

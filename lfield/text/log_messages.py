@@ -345,7 +345,7 @@ STANDBY_READY = _message("standby-ready", "standby connection with {host} over {
 PATH_CHANGED = _message("path-changed", "link to {host} moves from {old} to {new}: {reason}", "warning")
 LINK_REFUSED = _message("link-refused", "link to {host} refused: {reason}", "error")
 HOST_UNREACHABLE = _message(
-    "host-unreachable", "{host} unreachable at {address}: {reason}; retrying every {interval:g} s", "warning"
+    "host-unreachable", "{host} unreachable at {address}: {reason}; retrying", "warning"
 )
 LINK_CLOSED = _message("link-closed", "link from {caller} closed: {reason}", "warning")
 PEER_REFUSED = _message("peer-refused", "{peer} rejected: {reason}", "warning")

@@ -26,7 +26,8 @@ class ConnectionAttempt:
     """An attempt at `address`; `calling` creates the link of a connection.
 
     An address at which another host than `host` answers counts as failed while others remain. `unanswered`
-    holds addresses of any host that have failed lately; they are tried last. It is updated here.
+    holds addresses of any host that have failed lately; they are tried last. It is updated here. A silent
+    address is tried again after `retry_pause` seconds.
     """
 
     def __init__(
@@ -34,10 +35,11 @@ class ConnectionAttempt:
         address: str,
         calling: Callable[[], StreamLink],
         unanswered: set[ResolvedAddress],
+        retry_pause: float,
         host: str = "",
     ) -> None:
         self._addresses, self._make_link, self._unanswered = split_addresses(address), calling, unanswered
-        self._host = host
+        self._retry_pause, self._host = retry_pause, host
         #: The link that is not authenticated yet.
         self.link: StreamLink | None = None
         self._remaining: list[ResolvedAddress] = []
@@ -91,7 +93,9 @@ class ConnectionAttempt:
             found = [at for at in lookups.found if at not in self._failures]
             self._count = len(lookups.found)
             self._remaining = sorted(found, key=lambda at: at in self._unanswered)
-            race = asyncio.ensure_future(first_connected(self._remaining, self._failures, again=True))
+            race = asyncio.ensure_future(
+                first_connected(self._remaining, self._failures, retry_pause=self._retry_pause)
+            )
             try:
                 await asyncio.wait({race, *lookups.pending}, return_when=asyncio.FIRST_COMPLETED)
                 if race.done() and (not race.exception() or not lookups.pending):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from typing import TYPE_CHECKING, Protocol
 
+from lfield.address_race import retry_pause
 from lfield.clock import Clock
 from lfield.errors import AddressError, HandshakeError, WireError
 from lfield.event_loop import spawn
@@ -17,9 +18,9 @@ if TYPE_CHECKING:
 
     from lfield.net.transport import Transport
 
-#: Seconds between two attempts: the first delay and the longest. An unanswered attempt repeats itself
-#: (`lfield.address_race`), so one starts at most this long after a path works again.
-FIRST_RETRY, LAST_RETRY = 0.05, 0.5
+#: The first pause between two attempts in seconds; `retry_pause` has the longest. An unanswered attempt
+#: repeats itself (`lfield.address_race`).
+FIRST_RETRY = 0.05
 #: A host dialled for less than this may still be starting; that is not logged.
 REPORT_AFTER = 3.0
 
@@ -95,7 +96,7 @@ class Dialler:
                     self._report(session, reason)
             # A slow attempt needs no further delay: the path may just have returned.
             await asyncio.sleep(max(FIRST_RETRY, wait - (now() - start)))
-            wait = min(LAST_RETRY, wait * 1.5)
+            wait = min(retry_pause(now() - self._since), wait * 1.5)
 
     async def _dial(self, session: Session) -> str:
         """Dial, and wait for the end of the link. Returns why it ended, or was not made."""
@@ -133,9 +134,7 @@ class Dialler:
             self._note(log_messages.LINK_REFUSED.line(host=self._host, reason=reason))
         elif self._clock.monotonic() - self._since >= REPORT_AFTER:
             self._note(
-                log_messages.HOST_UNREACHABLE.line(
-                    host=self._host, address=self._address, reason=reason, interval=LAST_RETRY
-                )
+                log_messages.HOST_UNREACHABLE.line(host=self._host, address=self._address, reason=reason)
             )
         else:
             return

@@ -9,6 +9,9 @@ CALLER, RECEIVER and SENDER are inboxes, random numbers of processes; STREAM is 
 A process has one subscription for its inbox and one for each listener, so that a link needs no declaration of
 a subscriber, which would be asynchronous. Tokens at `lfield/v1/at/NAME/PORT` and `lfield/v1/to/RECEIVER` end
 with the process.
+
+Any participant of the fabric may publish with these keys, so what it can make a process do is limited:
+packets that wait for the event loop, streams that it opens, answers to packets of unknown streams.
 """
 
 from __future__ import annotations
@@ -20,8 +23,9 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from lfield.net.transport import ZENOH
-from lfield.net.zenoh.packets import Kind, Packet, decode_packet
+from lfield.net.zenoh.packets import HEADER_SIZE, Kind, Packet, decode_packet
 from lfield.net.zenoh.pipe import ZenohPipe
+from lfield.net.zenoh.send_window import MAX_SEGMENT
 from lfield.net.zenoh.stream import NumberedStream
 
 if TYPE_CHECKING:
@@ -33,8 +37,51 @@ ROOT = "lfield/v1"
 #: Bytes of the random numbers in keys.
 ID_SIZE = 8
 
+#: Bytes of the packets of one subscription that wait for the event loop, and what a waiting packet counts in
+#: addition. Further packets are dropped, and their streams repeat them.
+MAX_WAITING, WAITING_PACKET = 4 << 20, 1 << 10
+#: Streams that callers may open, and packets of unknown streams that are answered, in any second. A
+#: legitimate caller repeats its request.
+MAX_OPENED, MAX_RESETS = 64, 64
+
 #: Adopts a new pipe of a caller.
 OnPipe = Callable[[ZenohPipe], None]
+
+
+class _PerSecond:
+    """Permits a number of events in each second."""
+
+    def __init__(self, limit: int) -> None:
+        self._limit, self._count, self._end = limit, 0, 0.0
+
+    def is_permitted(self, now: float) -> bool:
+        """Count an event; whether it is within the limit."""
+        if now >= self._end:
+            self._count, self._end = 0, now + 1.0
+        self._count += 1
+        return self._count <= self._limit
+
+
+class _Inflow:
+    """The packets of one subscription, from its thread to the event loop."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, deliver: Callable[[str, bytes], None]) -> None:
+        self._loop, self._deliver = loop, deliver
+        #: Bytes that arrived and that were delivered; each is written by one thread only.
+        self._arrived = self._delivered = 0
+
+    def on_packet(self, key: str, data: bytes) -> None:
+        """A packet arrived, in the thread of the subscription."""
+        if len(data) > HEADER_SIZE + MAX_SEGMENT or self._arrived - self._delivered > MAX_WAITING:
+            return
+        self._arrived += len(data) + WAITING_PACKET
+        with suppress(RuntimeError):
+            # The loop may be closed.
+            self._loop.call_soon_threadsafe(self._deliver_one, key, data)
+
+    def _deliver_one(self, key: str, data: bytes) -> None:
+        self._delivered += len(data) + WAITING_PACKET
+        self._deliver(key, data)
 
 
 class ZenohEndpoint:
@@ -55,7 +102,10 @@ class ZenohEndpoint:
         #: Streams by inbox of the peer and number; the inbox is '' until a dialled peer has answered.
         self._pipes: dict[tuple[str, str], ZenohPipe] = {}
         self._listeners: dict[str, tuple[OnPipe, int, int]] = {}
-        self._session.subscribe(f"{ROOT}/to/{self._inbox}/*/*", self._in_loop(self._on_packet))
+        self._openings, self._resets = _PerSecond(MAX_OPENED), _PerSecond(MAX_RESETS)
+        self._session.subscribe(
+            f"{ROOT}/to/{self._inbox}/*/*", _Inflow(self._loop, self._on_packet).on_packet
+        )
         self._session.declare_token(f"{ROOT}/to/{self._inbox}")
         self._session.watch_tokens(f"{ROOT}/to/*", self._in_loop(self._on_token_end))
 
@@ -95,7 +145,8 @@ class ZenohEndpoint:
     def listen(self, name: str, port: int, on_pipe: OnPipe) -> None:
         """Accept streams at a name."""
         key = f"{ROOT}/at/{name}/{port}"
-        subscription = self._session.subscribe(f"{key}/*/*", self._in_loop(self._on_open_request))
+        requests = _Inflow(self._loop, self._on_open_request)
+        subscription = self._session.subscribe(f"{key}/*/*", requests.on_packet)
         self._listeners[f"{name}/{port}"] = (on_pipe, subscription, self._session.declare_token(key))
 
     def stop_listening(self, name: str, port: int) -> None:
@@ -123,6 +174,8 @@ class ZenohEndpoint:
             return
         pipe = self._pipes.get((sender, stream))
         if pipe is None:
+            if not self._openings.is_permitted(self._loop.time()):
+                return
             pipe = self._accepted(sender, stream, (ZENOH + sender, int(port)))
             listener[0](pipe)
         pipe.on_packet(data)
@@ -149,7 +202,8 @@ class ZenohEndpoint:
             pipe.on_packet(data)
             return
         packet = decode_packet(data)
-        if packet is not None and packet.kind is not Kind.RESET:
+        is_answered = packet is not None and packet.kind is not Kind.RESET
+        if is_answered and self._resets.is_permitted(self._loop.time()):
             answer = Packet(Kind.RESET, 0, 0, 0, b"").encode()
             self._session.publish_once(f"{ROOT}/to/{sender}/{self._inbox}/{stream}", answer)
 

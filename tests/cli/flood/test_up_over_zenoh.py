@@ -78,6 +78,27 @@ def test_hosts_wait_for_a_router_that_starts_later(lfield) -> None:
     router.kill()
 
 
+@pytest.mark.parametrize("named", [False, True])
+def test_commands_beside_a_host_reach_the_others_over_the_routers_of_its_run(lfield, routers, alone, named):
+    """The address is that of the run, so the routers are: with and without --inventory."""
+    near, far = (each.endpoint for each in routers)
+    inventory = lfield.write("inventory.yaml", INVENTORY.format(near=near, far=far))
+    deployment = lfield.mission(
+        "resource Post { init(string[] arg) { } }", "//Post:a@alpha\n//Post:b@bravo\n"
+    )
+    lfield.keys.give("alpha", "bravo")
+    words = ("up", "--deploy", deployment, "--inventory", inventory, "--first-start", "--host")
+    alpha = lfield.start(*words, "alpha")
+    # Commands at alpha see no run of bravo.
+    bravo = lfield.start(*words, "bravo", env=alone)
+    alpha.wait_for("link to bravo established")
+    options = ("--inventory", inventory) if named else ()
+    there = {"LFIELD_RUNS": "here"}
+    assert lfield.status(lfield("ps", *options, env=there)) == 0
+    assert lfield.status(lfield("estop", "--no-wait", *options, env=there)) == 0
+    bravo.wait_for("EMERGENCY STOP")
+
+
 def test_a_command_without_the_package_names_it(lfield) -> None:
     """One sentence with a code, and no traceback: in a Python that cannot import it."""
     lfield.write("zenoh.py", "raise ImportError('hidden by the test')\n")

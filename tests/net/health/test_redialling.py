@@ -8,9 +8,17 @@ import socket
 import pytest
 
 from lfield import address_race
-from lfield.address_race import ATTEMPT_TIMEOUT, RETRY_DELAY, first_connected
+from lfield.address_race import (
+    ATTEMPT_TIMEOUT,
+    FIRST_PAUSE,
+    FORGET_AFTER,
+    LONGEST_PAUSE,
+    RetryPace,
+    first_connected,
+    retry_pause,
+)
 from lfield.errors import AddressError
-from lfield.net.connections.dialler import LAST_RETRY, Dialler
+from lfield.net.connections.dialler import Dialler
 from lfield.net.link_owner import RefusedHosts
 from lfield.net.session import Session
 from lfield.simulate.jumping_loop import LoopClock, run_jumping
@@ -47,14 +55,14 @@ class Path:
         self.closed += 1
 
 
-def race(path: Path, *places, again: bool = True):
+def race(path: Path, *places, pause: float | None = FIRST_PAUSE):
     """When a socket was there, and what had failed."""
 
     async def story():
         failures: dict = {}
         path.start = asyncio.get_running_loop().time()
         async with asyncio.timeout(60.0):
-            made, at = await first_connected(places or (PLACE,), failures, again=again)
+            made, at = await first_connected(places or (PLACE,), failures, retry_pause=pause)
         await asyncio.sleep(1.0)
         return asyncio.get_running_loop().time() - path.start - 1.0, made, at, failures
 
@@ -65,7 +73,7 @@ def race(path: Path, *places, again: bool = True):
 def test_an_attempt_begins_at_most_half_a_second_after_the_path_is_back(monkeypatch, back):
     path = Path(monkeypatch, back)
     at, made, where, failures = race(path)
-    assert at <= back + RETRY_DELAY + 0.1 + 1e-6
+    assert at <= back + FIRST_PAUSE + 0.1 + 1e-6
     assert (made, where, failures) == (path, PLACE, {})
     assert path.open == 0
 
@@ -73,14 +81,36 @@ def test_an_attempt_begins_at_most_half_a_second_after_the_path_is_back(monkeypa
 def test_few_attempts_are_under_way_at_once(monkeypatch):
     path = Path(monkeypatch, 30.0)
     race(path)
-    assert path.most <= ATTEMPT_TIMEOUT / RETRY_DELAY + 1
-    assert len(path.began) <= 30.0 / RETRY_DELAY + 2
+    assert path.most <= ATTEMPT_TIMEOUT / FIRST_PAUSE + 1
+    assert len(path.began) <= 30.0 / FIRST_PAUSE + 2
+
+
+def test_an_address_is_tried_less_often_the_longer_it_is_silent():
+    pace, now, count = RetryPace(), 0.0, 0
+    assert pace.on_attempt("b:1", now) == FIRST_PAUSE
+    while now < 3600.0:
+        pause = pace.on_attempt("b:1", now)
+        assert pause == retry_pause(now) <= max(FIRST_PAUSE, now / 10)
+        now, count = now + pause, count + 1
+    # Three packets of 60 bytes each: a robot that is off costs less than an idle link (40 bytes per second).
+    assert count * 180 / 3600.0 < 30.0
+    assert pace.on_attempt("c:1", now) == FIRST_PAUSE
+    pace.on_answer("b:1")
+    assert pace.on_attempt("b:1", now) == FIRST_PAUSE
+
+
+def test_an_address_that_was_not_needed_for_a_while_is_new():
+    pace = RetryPace()
+    for now in range(0, 300, 10):
+        pause = pace.on_attempt("b:1", float(now))
+    assert pause == LONGEST_PAUSE
+    assert pace.on_attempt("b:1", 300.0 + FORGET_AFTER) == FIRST_PAUSE
 
 
 def test_whoever_does_not_ask_for_it_makes_one_attempt(monkeypatch):
     path = Path(monkeypatch, 5.0)
     with pytest.raises(TimeoutError):
-        race(path, again=False)
+        race(path, pause=None)
     assert len(path.began) == 1
 
 
@@ -139,7 +169,7 @@ def test_a_silent_link_is_dialled_beside_and_no_more_when_it_has_woken_up():
         assert owner.calls == []
         owner.link.suspect()
         await asyncio.sleep(5.0)
-        assert len(owner.calls) >= 5.0 / LAST_RETRY - 1
+        assert len(owner.calls) >= 5.0 / FIRST_PAUSE - 1
         # Something comes over it.
         owner.link.linked_at = 0.0
         owner.link._on_accepted(None)
