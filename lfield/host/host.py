@@ -191,10 +191,10 @@ class Host:
         except AddressError as error:
             self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
-    async def stop(self) -> dict[str, str]:
+    async def stop(self, on_rest: Callable[[dict[str, str]], None] = lambda unsafe: None) -> dict[str, str]:
         """Make the devices safe, wait until they are at rest, then close everything. Meanwhile no agent runs.
 
-        Returns the devices that were not confirmed at rest in their safe states, with their last states.
+        Returns the devices that were not confirmed at rest, as `on_rest` gets them before the run ends.
         """
         if self._stopped:
             return {}
@@ -205,7 +205,7 @@ class Host:
         for name, why in unsafe.items():
             self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=why))
         await self._observers.linger_for_observers()
-        # Only now: a host that is killed while its vehicles land must not start the mission again.
+        on_rest(unsafe)
         self.dispatch(inputs.RunEnds())
         self._observers.subscriptions.flush_and_close()
         await self.journal_writer.close()

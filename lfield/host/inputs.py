@@ -272,7 +272,10 @@ class BallotHeld(HostInput, frozen=True, tag=26):
 
 
 class RunEnds(HostInput, frozen=True, tag=27):
-    """The devices of a stopping host are at rest, or are not waited for (`Coordinators.end_run`)."""
+    """The devices of a stopping host are at rest, or are not waited for (`Coordinators.end_run`).
+
+    Not before: a host that is killed while its vehicles land must not start the mission again.
+    """
 
     def enter(self, core: HostCore) -> None:
         core.coordinators.end_run()

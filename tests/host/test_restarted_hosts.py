@@ -7,8 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from lfield.host.process.host_process import run_until_exit
 from lfield.host.process.mission_completion import wait_until_done
-from lfield.journal.records import RecordKey
+from lfield.host.process.shutdown_signals import ShutdownSignals
+from lfield.journal.records import RecordKey, RunMarker
 
 PROGRAM = """
 resource Post {
@@ -259,6 +261,27 @@ def test_a_host_that_is_killed_while_its_vehicles_land_does_not_begin_the_missio
         (again,) = await team.up(mission, "home", keeps=True)
         assert "guest not started again: it has ended (done) in the current run" in again.log
         assert away.output == ["visited"]
+
+    fleet(story)
+
+
+def test_the_result_is_written_before_the_journal_says_that_the_run_has_ended(fleet):
+    """A service begins a new run after a host that was killed without a result."""
+
+    async def story(team):
+        mission = team.mission(VISIT, "//Post:post@home\n//Guest:guest@home?post\n")
+        running = team.make(mission, "home", keeps=True)
+        found = []
+
+        def is_open() -> list[bool]:
+            return [page.open for page in team.disks["home"].pages() if isinstance(page, RunMarker)]
+
+        def ended(status: int) -> None:
+            found.append((status, is_open()))
+
+        signals = ShutdownSignals(running.host.clock)
+        assert await run_until_exit(running.host, signals, 3.0, ended=ended) == 0
+        assert (found, is_open()) == ([(0, [True])], [False])
 
     fleet(story)
 

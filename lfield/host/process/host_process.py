@@ -107,11 +107,14 @@ async def run_host(
     install_signal_handlers(signals)
     if parent_pipe:
         _watch_parent(host, signals)
-    status = await run_until_exit(host, signals, lost_after, _freeze_gc)
+    ended = partial(_write_result, host, result_fd)
+    return await run_until_exit(host, signals, lost_after, _freeze_gc, ended)
+
+
+def _write_result(host: Host, result_fd: int | None, status: int) -> None:
     if result_fd is not None:
         hops = known_hops(host.mobility.known_states())
-        RunResult(hops, failure_reason(status, logbook.errors), status).write(result_fd)
-    return status
+        RunResult(hops, failure_reason(status, host.logbook.errors), status).write(result_fd)
 
 
 def _watch_parent(host: Host, signals: ShutdownSignals) -> None:
@@ -175,32 +178,46 @@ def _identity(
 
 
 async def run_until_exit(
-    host: Host, signals: ShutdownSignals, lost_after: float | None, started: Callable[[], None] = lambda: None
+    host: Host,
+    signals: ShutdownSignals,
+    lost_after: float | None,
+    started: Callable[[], None] = lambda: None,
+    ended: Callable[[int], None] = lambda status: None,
 ) -> int:
     """Run a host until its mission ends, a stop is requested or it fails; returns the exit status.
 
-    `started` is called when it is up.
+    `started` is called when it is up, `ended` with the status before the journal says that the run has ended:
+    a service would begin a new run after a host that was killed in between.
     """
     asyncio.get_running_loop().set_exception_handler(host.on_unhandled)
     life = asyncio.ensure_future(_run_mission(host, lost_after, started))
     stopped = asyncio.ensure_future(signals.first_requested.wait())
     failed = asyncio.ensure_future(host.failed.wait())
+
+    def status(unsafe: dict[str, str]) -> int:
+        if unsafe:
+            return exit_status.UNSAFE
+        if host.failure is not None:
+            return host.failure.exit_status
+        if life.cancelled():
+            # Without --until-done only a stop request ends it.
+            return exit_status.DONE if lost_after is None else exit_status.INTERRUPTED
+        return life.result()
+
+    def on_rest(unsafe: dict[str, str]) -> None:
+        if unsafe or host.failure is not None or life.cancelled() or life.exception() is None:
+            ended(status(unsafe))
+
     try:
         await asyncio.wait([life, stopped, failed], return_when=asyncio.FIRST_COMPLETED)
     finally:
         for task in (life, stopped, failed):
             task.cancel()
         await asyncio.gather(life, stopped, failed, return_exceptions=True)
-        unsafe = await _stop(host, signals)
+        unsafe = await _stop(host, signals, on_rest)
     if unsafe:
         _log_other_failures(life, host)
-        return exit_status.UNSAFE
-    if host.failure is not None:
-        return host.failure.exit_status
-    if life.cancelled():
-        # Without --until-done only a stop request ends it.
-        return exit_status.DONE if lost_after is None else exit_status.INTERRUPTED
-    return life.result()
+    return status(unsafe)
 
 
 def _end_by_force_after(mission: Mission) -> Callable[[], None]:
@@ -213,14 +230,16 @@ def _end_by_force_after(mission: Mission) -> Callable[[], None]:
     return arm
 
 
-async def _stop(host: Host, signals: ShutdownSignals) -> dict[str, str]:
+async def _stop(
+    host: Host, signals: ShutdownSignals, on_rest: Callable[[dict[str, str]], None]
+) -> dict[str, str]:
     """Stop the host; returns the devices that were not confirmed at rest in their safe states."""
     signals.call_on_second(host.guards.stop_waiting)
     report = asyncio.get_running_loop().call_later(
         FLUSH_TIMEOUT, host.note, log_messages.WAITING_FOR_REST.line(host=host.name)
     )
     try:
-        return await host.stop()
+        return await host.stop(on_rest)
     finally:
         report.cancel()
 
