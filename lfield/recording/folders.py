@@ -1,6 +1,6 @@
 """Folders of recordings: one for each incarnation of a host.
 
-DIR/HOST-20261129T173015-1f3a9c02/   host, UTC time of the start, first digits of the incarnation
+DIR/HOST-20261129T173015-1f3a9c02/   host, UTC time of the start, last digits of the incarnation
     core-000001.lfrec                the host's core: inputs, digests, checkpoints
     guard-DEVICE/                    all that a guard may write; DEVICE is the first one of its bus
         guard-000001.lfrec           inputs and decisions
@@ -12,7 +12,9 @@ from __future__ import annotations
 import re
 import shutil
 import time
+from calendar import timegm
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 from urllib.parse import quote, unquote
@@ -23,11 +25,14 @@ from lfield.text.secure_files import new_private_folder, private_folder
 DEFAULT_LIMIT = 64 << 20
 #: The shares of the core and of each guard with its wire logs together in that limit.
 CORE_SHARE = 0.5
-#: How many incarnations of a host a folder keeps, the newest ones.
+#: The newest incarnations of a host, which a directory keeps in any case. Older ones are kept as long as all
+#: have at most so many times the limit of one: a host that restarts again and again replaces no flight.
 INCARNATIONS = 8
+#: How many incarnations of a host a directory keeps at most.
+MAX_INCARNATIONS = 1000
 #: Suffix of the segments of cores and guards.
 SUFFIX = ".lfrec"
-_GUARD = "guard-"
+_GUARD, _TIME = "guard-", "%Y%m%dT%H%M%S"
 _NAME = re.compile(r"(?P<host>.+)-(?P<at>\d{8}T\d{6})-(?P<incarnation>[0-9a-f]{8})")
 
 
@@ -40,19 +45,46 @@ class RecordingFolder(NamedTuple):
     incarnation: str
 
 
-def create_folder(parent: Path, host: str, incarnation: int, wall_time: float) -> Path:
-    """A new private folder for an incarnation; the oldest ones of this host are deleted.
+def create_folder(
+    parent: Path, host: str, incarnation: int, wall_time: float, limit: int = DEFAULT_LIMIT
+) -> Path:
+    """A new private folder for an incarnation, whose files have at most `limit` bytes.
 
-    Raises OutputFileError.
+    The oldest ones of this host are deleted. Raises OutputFileError.
     """
     private_folder(parent)
     old = [found for found in folders_in(parent) if found.host == host]
-    for found in old[: max(0, len(old) - INCARNATIONS + 1)]:
-        shutil.rmtree(found.path, ignore_errors=True)
-    at = time.strftime("%Y%m%dT%H%M%S", time.gmtime(max(0.0, wall_time)))
-    path = parent / f"{host}-{at}-{incarnation & 0xFFFFFFFF:08x}"
+    size = limit
+    for number, found in enumerate(reversed(old), 2):
+        size += _size(found.path)
+        if (number > INCARNATIONS and size > INCARNATIONS * limit) or number > MAX_INCARNATIONS:
+            shutil.rmtree(found.path, ignore_errors=True)
+    # The clock of a computer may be behind after its start: the names keep the order of the starts.
+    at = max([wall_time, 0.0, *(_seconds(found.started) + 1.0 for found in old)])
+    path = parent / f"{host}-{time_name(at)}-{incarnation & 0xFFFFFFFF:08x}"
     new_private_folder(path)
     return path
+
+
+def time_name(wall_time: float) -> str:
+    """A time in seconds since 1970 as in the names of folders."""
+    return time.strftime(_TIME, time.gmtime(wall_time))
+
+
+def _seconds(started: str) -> float:
+    try:
+        return float(timegm(time.strptime(started, _TIME)))
+    except ValueError:  # digits that are no time: not a folder of lfield
+        return 0.0
+
+
+def _size(folder: Path) -> int:
+    """The bytes of the files in a folder. Another process may delete some meanwhile."""
+    size = 0
+    for path in folder.rglob("*"):
+        with suppress(OSError):
+            size += path.lstat().st_size
+    return size
 
 
 def folders_in(parent: Path) -> list[RecordingFolder]:

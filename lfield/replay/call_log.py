@@ -49,6 +49,8 @@ class CallLog:
         self.missed_calls = 0
         #: When the first host halted its agents, or the recording ended.
         self.ended_at = math.inf
+        #: The agents that have ended, and were not halted by their hosts.
+        self.ended: set[str] = set()
 
     @property
     def count(self) -> int:
@@ -59,10 +61,12 @@ class CallLog:
         """The recording has ended."""
         self.ended_at, self.missed_calls = at, missed_calls
 
-    def lacks_calls_of(self, other: CallLog) -> bool:
-        """Whether an agent has made fewer calls than in another log."""
+    def may_follow(self, recorded: CallLog) -> bool:
+        """Whether more time could show whether this program makes the recorded calls, and no others."""
         own = self.by_agent
-        return any(len(own.get(agent, ())) < len(calls) for agent, calls in other.by_agent.items())
+        if any(len(own.get(agent, ())) < len(calls) for agent, calls in recorded.by_agent.items()):
+            return True
+        return bool(recorded.ended - self.ended) and recorded.first_difference(self) is None
 
     def add_device_call(self, core: HostCore, command: CallDevice, at: float) -> None:
         """A resource has given an instruction to a device."""
@@ -79,6 +83,11 @@ class CallLog:
             self._add(agent, text, core, at)
         else:
             self.by_agent.setdefault(caller, []).append(LoggedCall(caller, text, at, core.name, ""))
+
+    def add_departure(self, core: HostCore, caller: str, text: str, at: float) -> None:
+        """A coordinator has left its host for a portal call."""
+        if (agent := core.machine.agents.get(caller)) is not None:
+            self._add(agent, text, core, at)
 
     def _add(self, agent: Agent, text: str, core: HostCore, at: float) -> None:
         location = location_of(agent, core.machine.program)
@@ -99,7 +108,7 @@ class CallLog:
         for number in range(max(len(recorded), len(replayed))):
             one = recorded[number] if number < len(recorded) else None
             two = replayed[number] if number < len(replayed) else None
-            if one is None and two is not None and two.at >= self.ended_at:
+            if one is None and two is not None and two.at >= self.ended_at and agent not in self.ended:
                 # The recorded agent was halted then.
                 return None
             if one is None or two is None or one.text != two.text:

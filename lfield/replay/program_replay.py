@@ -14,13 +14,13 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 
 from lfield.bytecode.program import DeviceCallRecord, Program
 from lfield.errors import RecordingError
-from lfield.host.effects import CallDevice, Effect, PersistRecords
+from lfield.host.effects import CallDevice, Effect, PersistRecords, WakeWaiters
 from lfield.host.inputs import (
     AgentsHalt,
     BatchDurable,
@@ -43,12 +43,15 @@ from lfield.vm.agent import Agent
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
 from lfield.wire.coordinator_messages import TransferAccepted
+from lfield.wire.events import AgentFinished, MigrationStarted
 from lfield.wire.messages import QUESTION, Ping, Pong
 
 #: The blocks that were sent, with their headers as the receiver gets them.
 SentBlocks = dict[TransferKey, TransferArrived]
 #: Seconds that another program has after the end of the recording, and between two turns there.
 EXTRA_TIME, EXTRA_TURN = 60.0, 0.05
+#: The events that are read at once: their number, and their bytes.
+MAX_EVENTS, MAX_EVENT_BYTES = 100_000, 16 << 20
 
 
 class ProgramRun:
@@ -87,6 +90,9 @@ class ProgramRun:
         self._held: dict[tuple[str, str], deque[TurnRecord]] = {}
         #: The last batch of this program; of the recorded one the last durable batch until now, and of all.
         self._issued, self._durable, self._last_durable = 0, 0, _last_durable(recording)
+        #: The number of the last event that was read, and the departures that were.
+        self._last_event = 0
+        self._left: dict[TransferKey, MigrationStarted] = {}
         #: When the recorded host halted its agents, at a common time of the team; infinite before.
         self.halted_at = math.inf
 
@@ -188,10 +194,34 @@ class ProgramRun:
                 case Send(host=host, message=Ping(token=token)) if self._is_other and token == QUESTION:
                     # The recorded program may not have probed this host, or at another time.
                     self._run(MessageArrived(host, Pong(QUESTION)))
+                case WakeWaiters():
+                    self.read_events()
                 case PersistRecords():
                     self._issued = effect.number
                     if effect.number <= self._durable or effect.number > self._last_durable:
                         self._run(BatchDurable(effect.number))
+
+    def read_events(self) -> None:
+        """Note which agents have ended or left since the last call."""
+        recorder = self._core.recorder
+        recorder.drain()
+        log = recorder.event_log
+        found, _ = log.after(self._last_event, MAX_EVENTS, MAX_EVENT_BYTES)
+        self._last_event = log.latest
+        for event in found:
+            match event.what:
+                case AgentFinished(agent=agent):
+                    self._log.ended.add(agent)
+                case MigrationStarted(portal=portal) as left if portal:
+                    self._left[TransferKey(left.agent, left.generation, left.sequence, left.to)] = left
+
+    def log_departures(self, order: TeamOrder, ended: Collection[str]) -> None:
+        """Log the portal calls of hops that are not in the recording, of agents whose recorded ones ended."""
+        self.read_events()
+        for hop in [*self._left.keys() - order.sends.keys()]:
+            left = self._left.pop(hop)
+            if left.agent in ended:
+                self._log.add_departure(self._core, left.agent, f"{left.resource}.{left.portal}", self._at)
 
     def _on_device_call(self, command: CallDevice) -> None:
         self._log.add_device_call(self._core, command, self._at)
@@ -263,12 +293,19 @@ def run_program(
         runs[turn.part].turn(turn.record, turn.at)
         last = turn.at
     log.end(min([last, *(run.halted_at for run in runs)]), sum(run.missed_calls for run in runs))
-    seconds = 0.0
-    while recorded is not None and seconds < EXTRA_TIME and log.lacks_calls_of(recorded):
-        seconds += EXTRA_TURN
-        for run in runs:
-            run.extra_turn(seconds)
+    if recorded is not None:
+        _run_on(runs, order, log, recorded)
     return log
+
+
+def _run_on(runs: Sequence[ProgramRun], order: TeamOrder, log: CallLog, recorded: CallLog) -> None:
+    """Give another program time after the end of the recording, for late calls and for new ones."""
+    seconds = 0.0
+    while seconds < EXTRA_TIME and log.may_follow(recorded):
+        for run in runs:
+            run.log_departures(order, recorded.ended)
+            run.extra_turn(seconds)
+        seconds += EXTRA_TURN
 
 
 def _about(entry: HostInput | None) -> tuple[str, str] | None:

@@ -15,7 +15,7 @@ from lfield.host.recording.host_records import VERSION, StartRecord, TurnRecord
 from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM
 from lfield.mission import bundle
 from lfield.mission.mission import Mission
-from lfield.recording.folders import SUFFIX, parse_folder, segments_of
+from lfield.recording.folders import SUFFIX, parse_folder, segments_of, time_name
 from lfield.recording.segments import MAGIC, SegmentReader, version_of
 from lfield.replay.host_recording import HostRecording, require_valid
 from lfield.text.input_files import read_bytes
@@ -51,8 +51,16 @@ class Incarnation:
     @property
     def started_at(self) -> float:
         """The wall-clock time of its start, in seconds since 1970."""
-        start = self.parts[0].start
-        return start.wall
+        return self.parts[0].start.wall
+
+    @property
+    def started(self) -> tuple[str, float]:
+        """A key that sorts starts: the time in the name of its folder, and that of the clock at its start.
+
+        Names keep the order of the starts of a host also if its clock was wrong.
+        """
+        folder = parse_folder(self.folder)
+        return time_name(max(0.0, self.started_at)) if folder is None else folder.started, self.started_at
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +97,9 @@ def load_team(paths: Sequence[Path], bundle_file: Path | None = None) -> TeamRec
             problems.append(f"{folder}: {error}")
     if not loaded:
         raise RecordingError("; ".join(problems) or "there is no recording here")
-    loaded.sort(key=lambda each: each.started_at)
+    loaded.sort(key=lambda each: each.started)
     groups = _runs(loaded)
-    newest = max(groups, key=lambda group: max(each.started_at for each in group))
+    newest = max(groups, key=lambda group: max(each.started for each in group))
     mission = _mission(newest, bundle_file)
     recorded = {each.host for each in newest}
     missing = tuple(host for host in mission.team.hosts if host not in recorded)
@@ -199,7 +207,7 @@ def _runs(loaded: Sequence[Incarnation]) -> list[list[Incarnation]]:
         groups = [group for group in groups if not group[0] & keys]
         members = [member for group in joined for member in group[1]]
         groups.append((keys.union(*(group[0] for group in joined)), [*members, each]))
-    return [sorted(members, key=lambda each: each.started_at) for _, members in groups]
+    return [sorted(members, key=lambda each: each.started) for _, members in groups]
 
 
 def _peers(recording: HostRecording) -> set[int]:

@@ -2,8 +2,8 @@
 
 The monotonic clock of each recording gets an offset to a common time. The wall clock of its start gives a
 first guess. A hop bounds it: a coordinator arrives after it was sent. Hops in both directions enclose the
-offset of two hosts, and so does the opening of their link, which both notice within LINK_TOLERANCE. A guess
-outside of these bounds is replaced by their middle.
+offset of two hosts, and so does the opening of their link, which both notice within LINK_TOLERANCE. For a
+guess outside of these bounds, both have opened their link at the same time, if hops permit that.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import heapq
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from itertools import permutations
 from typing import Any, NamedTuple
 
 from lfield.host.inputs import Linked, TransferArrived
@@ -140,7 +141,7 @@ class TeamOrder:
                         continue
                     low, high = bounds[one, other]
                     guess = guesses[other] - guesses[one]
-                    offsets[other] = offsets[one] + _within(guess, low, high)
+                    offsets[other] = offsets[one] + _within(guess, low, high, self._opened_at(one, other))
                     queue.append(other)
         return [offsets[number] for number in range(len(self.parts))]
 
@@ -154,19 +155,20 @@ class TeamOrder:
         found: dict[tuple[int, int], tuple[float, float]] = {}
         for one, other in {*low, *((b, a) for a, b in low)}:
             found[one, other] = low.get((one, other), -math.inf), -low.get((other, one), -math.inf)
-        for one, other in self._linked_pairs():
-            met = self._meetings[one, self.parts[other].start.incarnation]
-            met_other = self._meetings[other, self.parts[one].start.incarnation]
-            near = met - met_other - LINK_TOLERANCE, met - met_other + LINK_TOLERANCE
+        for one, other in permutations(range(len(self.parts)), 2):
+            if (opened := self._opened_at(one, other)) is None:
+                continue
+            near = opened - LINK_TOLERANCE, opened + LINK_TOLERANCE
             known = found.get((one, other), (-math.inf, math.inf))
             both = max(near[0], known[0]), min(near[1], known[1])
             found[one, other] = both if both[0] <= both[1] else known
         return found
 
-    def _linked_pairs(self) -> set[tuple[int, int]]:
-        numbers = {part.start.incarnation: number for number, part in enumerate(self.parts)}
-        pairs = {(one, numbers[life]) for one, life in self._meetings if life in numbers}
-        return {(one, other) for one, other in pairs if (other, one) in pairs}
+    def _opened_at(self, one: int, other: int) -> float | None:
+        """The offset of `other` at which both opened their link at the same time; None without a link."""
+        met = self._meetings.get((one, self.parts[other].start.incarnation))
+        met_other = self._meetings.get((other, self.parts[one].start.incarnation))
+        return None if met is None or met_other is None else met - met_other
 
 
 def departures_in(record: Turn) -> list[TransferKey]:
@@ -189,10 +191,12 @@ def _hop(effect: list[Any]) -> TransferKey:
     return TransferKey(agent, generation, sequence, receiver)
 
 
-def _within(guess: float, low: float, high: float) -> float:
-    """The guess if the bounds permit it, else their middle, or the nearest one."""
+def _within(guess: float, low: float, high: float, opened: float | None) -> float:
+    """The guess if the bounds permit it, else the nearest bound to the other one, or their middle."""
     if low <= guess <= high:
         return guess
+    if opened is not None and low <= high:
+        return min(max(opened, low), high)
     if math.isinf(low) or math.isinf(high) or low > high:
         return low if guess < low else high
     return (low + high) / 2.0

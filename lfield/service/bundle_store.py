@@ -60,7 +60,7 @@ class ServiceRecord(Struct, frozen=True):
     held: bool = False
 
 
-#: The name of the file of a bundle. Others may put files there.
+#: The names of bundles and of uploads. Others may put files there.
 _DIGEST = re.compile("[0-9a-f]{64}")
 _encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(ServiceRecord)
 
@@ -159,9 +159,11 @@ class BundleStore:
         self._arrived_of(file).add(number)
 
     def joined(self, file: bytes) -> bytes:
-        """The bytes of all stored pieces of a file, in order."""
+        """The bytes of all stored pieces of a file, in order; b"" if one was deleted meanwhile."""
         folder = self._upload(file)
-        return b"".join((folder / str(number)).read_bytes() for number in sorted(self._arrived_of(file)))
+        with suppress(OSError):
+            return b"".join((folder / str(number)).read_bytes() for number in sorted(self._arrived_of(file)))
+        return b""
 
     def drop(self, file: bytes) -> None:
         """Remove the pieces of a file."""
@@ -172,7 +174,8 @@ class BundleStore:
         """Make room for the pieces of a file: the oldest others that are not `under_way` are removed."""
         folder = private_folder(self._upload(file))
         os.utime(folder)
-        found = sorted(self._staging.iterdir(), key=lambda each: each.stat().st_mtime, reverse=True)
+        uploads = (each for each in self._staging.iterdir() if _DIGEST.fullmatch(each.name))
+        found = sorted(uploads, key=lambda each: each.stat().st_mtime, reverse=True)
         others = [old for old in found if old != folder and bytes.fromhex(old.name) not in under_way]
         for old in others[max(0, KEPT_UPLOADS - 1 - len(under_way)) :]:
             shutil.rmtree(old, ignore_errors=True)

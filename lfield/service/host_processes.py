@@ -105,7 +105,8 @@ class LocalProcesses:
             left = _read_result(file)
         child = self._children.pop(process.pid, None)
         status = child.wait() if child is not None else None
-        if status is None:
+        if status is None or (status < 0 and left.status is not None):
+            # A signal after the end has not changed it.
             status = left.status
         return HostEnd(KILLED if status is None else status, left.reason)
 

@@ -6,6 +6,7 @@ The host is a process of its own session, so it continues when its service ends.
 from __future__ import annotations
 
 import asyncio
+import signal
 from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple, Protocol
@@ -87,6 +88,8 @@ class MissionRunner:
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
+        #: Whether vehicles were at rest when the host was launched, as far as is known.
+        self._was_safe = False
         #: Why the host before the one that runs has failed, '' for none.
         self.last_failure = ""
 
@@ -151,6 +154,7 @@ class MissionRunner:
 
     def _supervise_running(self, host: HostProcess) -> None:
         bundle, self._process = host
+        self._was_safe = False
         self._keep(RunRecord(bundle, self._processes.boot, *self._process, open_run=bundle))
         self._set_phase("running", "", bundle)
         self.note(messages.HOST_ADOPTED.line(bundle=short_digest(bundle), pid=self._process.pid))
@@ -218,7 +222,9 @@ class MissionRunner:
         verdict = judge(end.status, end.reason, self._restarts, now)
         short = short_digest(bundle)
         self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
-        if end.status < 0 or end.status == exit_status.UNSAFE:
+        # A host handles SIGTERM before it opens devices, so this ends only one that has not opened any.
+        is_unopened = end.status == -signal.SIGTERM and self._was_safe
+        if (end.status < 0 and not is_unopened) or end.status == exit_status.UNSAFE:
             # Its vehicles may still move. The next host observes them, or an operator says that they rest.
             self._keep(replace(self._record, unsafe=truncate(verdict.reason)))
         if self._is_stopping:
@@ -249,6 +255,7 @@ class MissionRunner:
     def _launch(self, bundle: bytes) -> None:
         """Store that the host should run, then start it. Raises LfieldError."""
         before = RunRecord(unsafe=self._record.unsafe, open_run=self._record.open_run)
+        self._was_safe = not before.unsafe
         self._set_record(RunRecord(bundle, self._processes.boot, unsafe=before.unsafe, open_run=bundle))
         try:
             self._process = self._processes.start(bundle)

@@ -149,7 +149,7 @@ class Service:
             raise WireError(f"{self._host} does not take part in this ballot")
         refusal = ""
         if self._activation.open_ballot is None:
-            refusal = await self._refusal(ballot.digest, ballot.without)
+            refusal = await self._refusal(ballot.digest, ballot.hosts)
             if not refusal and ballot.digest != self._activation.active:
                 process = self._runner.process
                 # Again when nothing can arm any more: a vehicle may have started in between.
@@ -224,10 +224,10 @@ class Service:
         if self._held and (not self._runner.is_running or not await self._probe.release()):
             self._set_held(False)
 
-    async def _refusal(self, digest: bytes | None, without: Sequence[str] = ()) -> str:
+    async def _refusal(self, digest: bytes | None, hosts: Sequence[str] = ()) -> str:
         """Why this host would vote no, '' if it would not. `digest` is None for any other bundle.
 
-        The hosts `without` do not take part.
+        `hosts` are those that take part, none where they are not known.
         """
         if digest is not None and digest == self._activation.active:
             return ""
@@ -238,23 +238,20 @@ class Service:
         if unfinished := await self._probe.unfinished():
             names = [f"{each.agent} ({each.state})" for each in unfinished[:MAX_UNFINISHED]]
             return f"coordinators have not ended: {listed(names)}; let them end, or 'lfield stop --discard'"
-        return self._unaccounted(without)
+        return self._unaccounted(hosts)
 
-    def _unaccounted(self, without: Sequence[str]) -> str:
-        """Which coordinators of a run that has not ended may exist on hosts that are left out; '' if none.
+    def _unaccounted(self, hosts: Sequence[str]) -> str:
+        """Which coordinators of a run that has not ended may exist on other hosts than these; '' if none.
 
         There is a record of a coordinator only on hosts that it has visited.
         """
         run = self._runner.record.open_run or self._runner.record.bundle
-        if not run or not without:
+        if not run or not hosts:
             return ""
-        options = "".join(f" --without {host}" for host in without)
-        remedy = f"reach these hosts, let the mission end, or 'lfield stop --discard{options}'"
+        remedy = "let it end, or 'lfield stop --discard', with --without for hosts that are lost"
         if (info := self._bundles.info(run)) is None:
-            return (
-                f"the mission has not ended, and its coordinators on {listed(without)} are unknown; {remedy}"
-            )
-        found = [f"{agent} of {home}" for agent, home in info.coordinators.items() if home in without]
+            return f"the mission has not ended, and its coordinators are unknown; {remedy}"
+        found = [f"{agent} of {home}" for agent, home in info.coordinators.items() if home not in hosts]
         if not found:
             return ""
         return f"the mission has not ended, and its coordinators may run elsewhere: {listed(found)}; {remedy}"
@@ -317,7 +314,8 @@ class Service:
                 self._runner.end_run()
             if gone:
                 self.note(messages.DISCARDED.line(agents=listed(gone), operator=operator))
-            return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED])
+            checked = "" if self._runner.record.unsafe else unsafe
+            return CommandResult(self._runner.info, await self._motion(), gone[:MAX_UNFINISHED], checked)
         active = self._activation.active
         refusal = self._start_refusal(active)
         if not refusal and command.digest not in (b"", active):

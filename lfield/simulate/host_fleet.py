@@ -75,7 +75,7 @@ class FleetOptions:
 
     With `lost_after`, hosts exit when all coordinators have ended, as with --until-done. `keeps`: hosts have
     journals. Code takes `slowness` times its usual CPU time. `time_of_day` is that of all computers at the
-    start, None for an arbitrary one of each.
+    start, None for an arbitrary one of each. The rates of their clocks deviate by at most `clock_drift`.
     """
 
     unreachable_after: float = 10.0
@@ -83,6 +83,7 @@ class FleetOptions:
     keeps: bool = True
     slowness: float = 1.0
     time_of_day: float | None = None
+    clock_drift: float = CLOCK_DRIFT
     #: Where the cores are recorded.
     record: RecordingTarget | None = None
 
@@ -143,7 +144,8 @@ class Fleet:
                 self.boot(name)
 
     def _machine(self, name: str, rng: random.Random) -> SimulatedMachine:
-        rate = 1.0 + rng.uniform(-CLOCK_DRIFT, CLOCK_DRIFT)
+        drift = self.options.clock_drift
+        rate = 1.0 + rng.uniform(-drift, drift)
         return SimulatedMachine(name, self.timeline, random.Random(rng.random()), rate)
 
     # --- time -----------------------------------------------------------------------------------------

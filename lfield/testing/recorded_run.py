@@ -34,7 +34,9 @@ def record_mission(
     mission = load_mission(path, simulate=True)
     memory = RecordingMemory()
     fakes = MissionFakes({}, lambda *what: None)
-    options = FleetOptions(mission.bindings.unreachable_after, SETTLE_TIME, time_of_day=DAY[0], record=memory)
+    options = FleetOptions(
+        mission.bindings.unreachable_after, SETTLE_TIME, time_of_day=DAY[0], clock_drift=0.0, record=memory
+    )
     fleet = Fleet(mission, seed, plug=fakes.plug, options=options)
     try:
         _run(fleet, fakes, seconds, on_progress)

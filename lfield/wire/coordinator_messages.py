@@ -108,7 +108,10 @@ class TransferQuery(Struct, frozen=True, array_like=True, forbid_unknown_fields=
 
 
 class Terminated(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=4):
-    """A coordinator has terminated on `host`; repeated until every host has answered with TerminatedAck."""
+    """A coordinator has terminated on `host`; repeated until every host has answered with TerminatedAck.
+
+    `is_of_this_run`: the sender knows that its home does not start it again in this run of the mission.
+    """
 
     agent: Name
     generation: Ordinal
@@ -116,6 +119,7 @@ class Terminated(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
     detail: Text
     host: Name
     stamp: Timestamp = 0
+    is_of_this_run: bool = False
 
 
 class TerminatedAck(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=5):

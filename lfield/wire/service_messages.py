@@ -62,14 +62,13 @@ class BundleInfo(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
 class Ballot(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):
     """A proposal that all `hosts` activate the bundle `digest`; b"" for none.
 
-    `id` is random. `by` is who proposed it, `without` are the hosts of the mission that do not take part.
+    `id` is random. `by` is who proposed it.
     """
 
     id: OrderId
     digest: Hash
     hosts: Annotated[list[Name], Meta(min_length=1, max_length=MAX_HOSTS)]
     by: Text
-    without: Annotated[list[Name], Meta(max_length=MAX_HOSTS)] = []
 
 
 class BallotState(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=51):
@@ -234,12 +233,17 @@ class MissionCommand(Struct, frozen=True, array_like=True, forbid_unknown_fields
 
 
 class CommandResult(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=64):
-    """The state after a command. `trouble` is why it was not executed; `discarded` are the coordinators that
-    it has ended."""
+    """The state after a command.
+
+    `trouble` is why it was not executed, or after a stop why vehicles may not be at rest. `discarded` are the
+    coordinators that it has ended. `checked` is how a host had ended before a stop, which says that its
+    vehicles have been checked.
+    """
 
     run: RunInfo
     trouble: Text = ""
     discarded: Annotated[list[Name], Meta(max_length=MAX_UNFINISHED)] = []
+    checked: Text = ""
 
 
 #: The messages to and from a service.

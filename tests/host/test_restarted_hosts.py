@@ -145,12 +145,12 @@ coordinator Guest {
 ONE_VISIT = "//Post:post@away\n//Guest:guest@home?post\n"
 
 
-async def life(running) -> str:
-    """A host with --until-done, from its start to its end; how the guest ended."""
+async def life(running, lost_after: float = 15.0) -> str:
+    """A host with --until-done, from its start to its end; how the guests ended."""
     await running.host.start()
-    (fate,) = await wait_until_done(running.host, lost_after=15.0)
+    fates = await wait_until_done(running.host, lost_after)
     await running.host.stop()
-    return fate.outcome
+    return ", ".join(fate.outcome for fate in fates)
 
 
 def test_a_host_that_remembers_an_earlier_run_waits_for_the_next(fleet):
@@ -164,6 +164,50 @@ def test_a_host_that_remembers_an_earlier_run_waits_for_the_next(fleet):
             assert away.output == ["visited"]
             if run == 1:
                 team.disks["away"].replace()
+
+    fleet(story)
+
+
+NEVER_AWAY = """
+resource Post { init(string[] arg) { } }
+coordinator Guest { init(string[] arg) { sleep(12.0); } }
+"""
+TWO_HOMES = "//Guest:first@home\n//Guest:second@away\n//Post:post@carol\n"
+
+
+@pytest.mark.parametrize("lost_after", [3.0, 300.0])
+def test_hosts_end_with_coordinators_that_they_have_never_had(fleet, lost_after):
+    """All hosts, as soon as the last coordinator ends; in a second run not before."""
+
+    async def story(team):
+        mission = team.mission(NEVER_AWAY, TWO_HOMES)
+        for _ in range(2):
+            hosts = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
+            begin = hosts[0].host.clock.monotonic()
+            assert await asyncio.gather(*(life(one, lost_after) for one in hosts)) == ["done, done"] * 3
+            assert 12.0 <= hosts[0].host.clock.monotonic() - begin < 16.0
+
+    fleet(story)
+
+
+def test_hosts_that_restart_after_the_last_end_all_end(fleet):
+    """Each home has the end of the other's coordinator only in its journal."""
+
+    async def story(team):
+        mission = team.mission(NEVER_AWAY, TWO_HOMES)
+        before = await team.up(mission, keeps=True)
+        await team.until(lambda: all(len(_ends(one)) == 2 for one in before))
+        # They cannot store that the run is over, like hosts that are killed.
+        for disk in team.disks.values():
+            disk.full, disk.reserve = True, 0
+        for one in before:
+            await one.host.stop()
+        for disk in team.disks.values():
+            disk.full = False
+        after = [team.make(mission, name, keeps=True) for name in mission.team.hosts]
+        assert await asyncio.gather(*(life(one, 300.0) for one in after)) == ["done, done"] * 3
+        log = after[0].log + after[1].log
+        assert "first not started again: it has ended (done) in the current run" in log
 
     fleet(story)
 
@@ -251,4 +295,8 @@ coordinator Guest {
 
 
 def _ended(running) -> bool:
-    return any(row.state == "EXITED" for row in running.host.mobility.known_states())
+    return bool(_ends(running))
+
+
+def _ends(running) -> list[str]:
+    return [row.agent for row in running.host.mobility.known_states() if row.state == "EXITED"]

@@ -152,6 +152,20 @@ def test_a_pause_changes_no_call(seconds: str, recorded: Path, tmp_path: Path) -
     assert lfield("test", "--from", recorded / "records", fewer, cwd=tmp_path).returncode == 1
 
 
+@pytest.mark.process
+@pytest.mark.parametrize("name", ["one", "two"])
+def test_a_call_after_the_recorded_end_of_the_program_is_a_difference(
+    name: str, recorded: Path, tmp_path: Path
+) -> None:
+    more = f'findPost("{name}").climb(5.0); print("climbed'
+    later = write_mission(tmp_path, PROGRAM.replace('print("climbed', more))
+    ran = lfield("replay", recorded / "records", "--program", later, "--json", cwd=tmp_path)
+    found = json.loads(ran.stdout)
+    assert ran.returncode == 1
+    assert found["first"]["recorded"] is None
+    assert found["first"]["replayed"]["call"] == f"{name}.climb"
+
+
 def one_host(recorded: Path, folder: Path, host: str) -> Path:
     """A copy of the recording of one host."""
     (found,) = (recorded / "records").glob(f"{host}-*")

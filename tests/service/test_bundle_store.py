@@ -108,7 +108,7 @@ def test_pieces_of_a_damaged_bundle_are_not_copied(tmp_path: Path) -> None:
     assert len(to.on_offer(offer(DATA), "anna").missing) == len(offer(DATA).pieces)
 
 
-@pytest.mark.parametrize("damage", ["missing", "wrong", "surplus", "no offer"])
+@pytest.mark.parametrize("damage", ["missing", "wrong", "surplus", "no offer", "deleted"])
 def test_pieces_that_do_not_make_the_file_are_refused(tmp_path: Path, damage: str) -> None:
     to = receiver(BundleStore(tmp_path))
     if damage != "no offer":
@@ -118,6 +118,8 @@ def test_pieces_that_do_not_make_the_file_are_refused(tmp_path: Path, damage: st
         to.on_piece(BundlePiece(digest_of(DATA), 3, False, b"other"))
     if damage == "surplus":
         to.on_piece(BundlePiece(digest_of(DATA), 3000, False, b"other"))
+    if damage == "deleted":
+        (tmp_path / "staging" / digest_of(DATA).hex() / "3").unlink()
     result = to.on_stage(StageRequest(digest_of(DATA), digest_of(DATA)))
     assert result.trouble
     assert result.code
@@ -144,6 +146,7 @@ def test_a_full_disk_accepts_no_pieces(tmp_path: Path, monkeypatch: pytest.Monke
 def test_old_bundles_and_uploads_are_removed_but_not_those_in_use(tmp_path: Path) -> None:
     store = BundleStore(tmp_path)
     (tmp_path / "bundles" / "note.lfm").write_bytes(b"a file of another program")
+    (tmp_path / "staging" / "lost+found").mkdir()
     digests = [digest_of(bytes([n])) for n in range(KEPT_BUNDLES + 4)]
     for n, digest in enumerate(digests):
         store.add(digest, bytes([n]), digests[:1])
@@ -154,12 +157,14 @@ def test_old_bundles_and_uploads_are_removed_but_not_those_in_use(tmp_path: Path
         store.start_upload(file, [])
         os.utime(tmp_path / "staging" / file.hex(), (n, n))
     assert {path.name for path in (tmp_path / "staging").iterdir()} == {
-        file.hex() for file in files[-KEPT_UPLOADS:]
+        "lost+found",
+        *(file.hex() for file in files[-KEPT_UPLOADS:]),
     }
     # One that is under way stays, however old it is.
     os.utime(tmp_path / "staging" / files[-1].hex(), (0, 0))
     store.start_upload(files[0], [files[-1]])
-    assert {path.name for path in (tmp_path / "staging").iterdir()} == {files[0].hex(), files[-1].hex()}
+    kept = {"lost+found", files[0].hex(), files[-1].hex()}
+    assert {path.name for path in (tmp_path / "staging").iterdir()} == kept
 
 
 def test_an_upload_under_way_is_not_removed_for_another_one(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import signal
 
 import pytest
 from service_fakes import NEW, OLD, FakeProcesses, run_of
@@ -303,6 +304,27 @@ def test_a_host_that_is_killed_while_it_stops_may_have_left_its_vehicles_in_moti
         computer.processes.end(-9)
         await stopping
         assert (computer.disk.bundle, bool(computer.disk.unsafe)) == (b"", True)
+
+    run_jumping(story())
+
+
+def test_a_host_that_was_stopped_before_it_opened_a_device_has_moved_nothing() -> None:
+    """It handles SIGTERM first: this signal ends only a host that has just been started."""
+
+    async def story() -> None:
+        computer = Computer()
+        computer.processes.obeys = False
+        for before, after in ((0, False), (-9, True)):
+            await computer.runner.start(OLD)
+            if before:
+                computer.processes.end(before)
+                await asyncio.sleep(SOON)
+            stopping = asyncio.create_task(computer.runner.stop("stopped by anna"))
+            await asyncio.sleep(1.0)
+            computer.processes.end(-signal.SIGTERM)
+            await stopping
+            # A vehicle that an earlier host flew may still fly.
+            assert bool(computer.disk.unsafe) is after
 
     run_jumping(story())
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from lfield.cli.debugging import text_views
 from lfield.errors import UsageError
 from lfield.replay.debugger.debugger import Breakpoint, Debugger
-from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
+from lfield.replay.debugger.expressions import ValueUnknown
 from lfield.replay.debugger.frames import StackFrame
 from lfield.replay.debugger.moment import Target
 from lfield.replay.debugger.value_tree import Variable
@@ -46,7 +46,7 @@ _BREAK = re.compile(r"(?:(?P<file>.+):)?(?P<line>\d+)(?:\s+if\s+(?P<condition>.+
 #: Levels of objects that `print` shows.
 PRINT_DEPTH = 2
 _END = "nothing of that kind until the end of the recording"
-_START = "nothing of that kind after the start of the recording"
+_START = "nothing of that kind back to the start of the recording"
 
 
 class DebuggerCommands:
@@ -116,6 +116,8 @@ class DebuggerCommands:
             return self._position()
         if name in self._views and not is_back:
             return self._views[name](argument)
+        if name in self._views:
+            raise UsageError(f"'{name}' does not go backward; these do: {', '.join(self._moves)}")
         known = [*self._moves, *self._views]
         raise UsageError(f"'{name}' is not a command here; {choice(name, known, 'commands:')}")
 
@@ -163,7 +165,7 @@ class DebuggerCommands:
         line = table.next_line(file, int(matched["line"]))
         if line is None:
             raise UsageError(f"{file} has no statement from line {matched['line']} on")
-        condition = WatchExpression(matched["condition"]) if matched["condition"] else None
+        condition = self.debugger.condition(matched["condition"]) if matched["condition"] else None
         self.debugger.add_breakpoint(Breakpoint(file, line, condition))
         return self._breakpoint_lines()[-1:]
 

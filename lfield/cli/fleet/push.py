@@ -110,7 +110,7 @@ async def _push(
         if args.stage:
             report.finish("staged", {}, f"stored on {listed(hosts)}, not active")
             return exit_status.DONE
-        return await vote(desk, links, what.digest, statuses, args.without, report)
+        return await vote(desk, links, what.digest, statuses, report)
     finally:
         links.close()
 
@@ -132,7 +132,6 @@ async def vote(
     links: ServiceLinks,
     digest: bytes,
     statuses: Mapping[str, ServiceStatus],
-    without: list[str],
     report: PushReport,
 ) -> int:
     """Have hosts vote about the activation of a bundle that all have stored; returns the exit status.
@@ -151,7 +150,7 @@ async def vote(
     if silent or reasons:
         report_unreached(silent, "")
         return report.on_refusals(reasons, silent)
-    return report.on_result(await activate(links, new_ballot(digest, hosts, without, desk.user)))
+    return report.on_result(await activate(links, new_ballot(digest, hosts, desk.user)))
 
 
 async def _upload_all(

@@ -78,8 +78,7 @@ async def _rollback(desk: FleetDesk, hosts: list[str], args: argparse.Namespace)
         voting = {host: statuses[host] for host in dict.fromkeys([*now, *then]) if host in statuses}
         report = PushReport(digest, as_json=args.json)
         report.start(f"bundle {short_digest(digest)}")
-        without = [host for host in args.without if info is None or host in info.hosts]
-        return await vote(desk, links, digest, voting, without, report)
+        return await vote(desk, links, digest, voting, report)
     finally:
         links.close()
 

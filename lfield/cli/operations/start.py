@@ -1,12 +1,14 @@
 """`lfield start`: starts the mission on all robots, or coordinators that wait without the missing hosts.
 
 Without a mission it is for the services of the robots of the inventory, if no mission runs on this computer
-or --inventory names a file.
+or --inventory names a file. On a desk with both it refuses: a person who starts robots would get an answer of
+simulated hosts with the same names, or the other way round.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from typing import TYPE_CHECKING
 
@@ -47,6 +49,8 @@ def run(args: argparse.Namespace) -> int:
 
         if (status := start_on_robots(args)) is not None:
             return status
+    if not is_named:
+        _require_one_target()
     from lfield.operator.client import ask_teams, print_unanswered, unanswered_by_name
     from lfield.operator.observer_link import Request
     from lfield.operator.targets import display_names
@@ -65,6 +69,18 @@ def run(args: argparse.Namespace) -> int:
     if waits:
         return exit_status.FAILED
     return exit_status.UNAVAILABLE if unreached else exit_status.DONE
+
+
+def _require_one_target() -> None:
+    """Raises UsageError if the robots of an inventory on a desk may be meant."""
+    from lfield.inventory.location import SYSTEM, inventory_path
+
+    path = inventory_path(None, os.environ)
+    if path not in (None, SYSTEM):
+        raise UsageError(
+            f"a mission runs on this computer, and {path} has robots: --inventory {path} starts them, and a "
+            "mission or --run ID is for this computer"
+        )
 
 
 def _check_hosts(without: list[str], parties: list[TargetTeam]) -> None:

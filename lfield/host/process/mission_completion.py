@@ -16,7 +16,6 @@ from typing import cast
 
 from lfield.host.host import Host
 from lfield.host.inputs import ContactRestored, OutcomesFound, SilenceChecked
-from lfield.journal.records import CoordinatorRecord
 from lfield.replication.locate.outcomes import (
     CoordinatorOutcome,
     OutcomeResolver,
@@ -34,10 +33,6 @@ ASK_EVERY, ANSWER_WITHIN, LINGER = 0.5, 1.0, 2.0
 MAX_PARALLEL_QUERIES = 8
 #: Seconds for which an announced loss is valid without a query: the coordinator may be started again later.
 STATUS_MAX_AGE = 1.5
-#: Seconds after which a linked home has started its coordinators, if it does so at all. A host that waits for
-#: contact longer than `PATIENT` waits until that home has been silent for `GONE_AFTER`: a person may have to
-#: lift a stop, or to start another host.
-SETTLE_TIME, PATIENT, GONE_AFTER = 5.0, 60.0, 15.0
 
 
 async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutcome]:
@@ -83,25 +78,23 @@ async def wait_until_done(host: Host, lost_after: float) -> list[CoordinatorOutc
 class _PendingRestarts:
     """Terminations from journals: they belong to an earlier run if a home starts a new one.
 
+    A person may have to lift a stop first, or to start another host, so no time says that it does not.
+
     `homes` has the home of each coordinator; `lost_after` and `unmet` are as in
     `Membership.unavailable_hosts`.
     """
 
     def __init__(self, host: Host, homes: Mapping[str, str], lost_after: float, unmet: float) -> None:
         self._host, self._homes, self._bounds = host, homes, (lost_after, unmet)
-        pages = (page for page in host.journal_writer.records if isinstance(page, CoordinatorRecord))
-        self._ended = {(page.agent, page.generation) for page in pages if page.state == "EXITED"}
-        #: The starts that were alive since the start of this host, or ended here since.
+        #: The starts that were alive since the start of this host, or have ended in this run.
         self._new_starts: set[tuple[str, int]] = set()
-        #: When each home was first linked.
-        self._first_contact: dict[str, float] = {}
 
     def pending_agents(self) -> set[str]:
         """The coordinators that may still be started again."""
         if not self._host.journal_writer.journal_id:
             return set()
         newest: dict[str, int] = {}
-        self._new_starts |= self._host.mobility.pending_notices - self._ended
+        self._new_starts.update(self._host.mobility.ended_in_this_run)
         for row in self._host.mobility.known_states():
             if row.agent not in self._homes:
                 continue
@@ -113,21 +106,10 @@ class _PendingRestarts:
         return {agent for agent in old if not self._is_settled(self._homes[agent])}
 
     def _is_settled(self, home: str) -> bool:
-        """Whether a home has started its coordinators, or is unreachable."""
+        """Whether this host is a home that has started its coordinators, or a home is unreachable."""
         host = self._host
         if home == host.name:
             return host.core.startup.is_settled
-        now = host.clock.monotonic()
-        if home in host.peers.incarnations:
-            self._first_contact.setdefault(home, now)
-        lost_after, _ = self._bounds
-        if lost_after <= PATIENT:
-            is_over = now >= self._first_contact.get(home, now) + SETTLE_TIME
-        else:
-            contact = host.peers.last_contact_at(home)
-            is_over = contact is not None and now >= contact + GONE_AFTER
-        if is_over:
-            return True
         unavailable = _unavailable_hosts(host, set(host.team.hosts) - {home}, *self._bounds)
         return home in unavailable.ended or home in unavailable.silent_for
 

@@ -87,7 +87,7 @@ class RecordingDirectory:
         self, host: str, incarnation: int, wall_time: float, bundle: bytes, on_failure: Callable[[str], None]
     ) -> RecordSink:
         """See `RecordingTarget`."""
-        folder = create_folder(self._parent, host, incarnation, wall_time)
+        folder = create_folder(self._parent, host, incarnation, wall_time, self._limit)
         write_private(folder / BUNDLE_NAME, bundle)
         self._opened[host, incarnation] = folder
         limit = int(self._limit * CORE_SHARE)

@@ -275,6 +275,8 @@ class Startup(Part):
         for agent, why in against.items():
             if why:
                 self._log(log_messages.START_REFUSED.line(agent=agent, reason=why))
+                # Other hosts have to know that an end in their journals is not followed by a start.
+                self._team.apply_effects(self._team.mobility.announce_end(agent))
             else:
                 self._team.apply_effects(self._team.mobility.start(agent, self._gate.next_generation))
 

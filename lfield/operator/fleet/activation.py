@@ -68,14 +68,10 @@ class BallotResult:
 
 
 def new_ballot(
-    digest: bytes,
-    hosts: Sequence[str],
-    without: Sequence[str],
-    by: str,
-    draw: Callable[[int], bytes] = secrets.token_bytes,
+    digest: bytes, hosts: Sequence[str], by: str, draw: Callable[[int], bytes] = secrets.token_bytes
 ) -> Ballot:
     """A ballot of `hosts`; `draw` gives random bytes for its id."""
-    return Ballot(draw(ID_SIZE), digest, list(hosts), by, list(without))
+    return Ballot(draw(ID_SIZE), digest, list(hosts), by)
 
 
 async def activate(

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from lfield.errors import UsageError
 from lfield.host.effects import CallDevice
 from lfield.replay.debugger.device_readings import DeviceReading, device_readings
-from lfield.replay.debugger.expressions import WatchExpression, WatchScope
+from lfield.replay.debugger.expressions import AWAY, WatchExpression, WatchScope
 from lfield.replay.debugger.frames import (
     StackFrame,
+    coordinator_key,
     display_key,
+    followed_places,
     frame_places,
     live_agents,
     reader_of,
@@ -38,7 +40,6 @@ from lfield.replay.debugger.targets import (
 from lfield.replay.debugger.team_timeline import Place, TeamTimeline
 from lfield.replay.debugger.value_tree import Variable
 from lfield.text.suggestions import choice
-from lfield.vm.memory.threads import only_thread
 from lfield.wire.events import KINDS, Event
 
 
@@ -153,14 +154,18 @@ class Debugger:
 
     def _stack(self, key: ThreadKey | None = None) -> tuple[Moment, list[StackFrame]]:
         chosen = key or self.focus
-        if chosen is not None:
-            if frames := stack_of(self.moment, chosen):
-                return self.moment, frames
-            info = next((each for each in self.threads() if each.key == chosen), None)
-            if info is not None:
-                moment = self.moment_of(info.recording)
-                return moment, stack_of(moment, chosen)
-        return self.moment, []
+        if chosen is None:
+            return self.moment, []
+        if frames := stack_of(self.moment, chosen):
+            return self.moment, frames
+        # A thread of a portal ends: then its coordinator is followed.
+        coordinator = "" if key else chosen.logical
+        found = [each for each in self.threads() if each.key == chosen or each.key.agent == coordinator]
+        if not found:
+            return self.moment, []
+        info = next((each for each in found if each.key == chosen), found[0])
+        moment = self.moment_of(info.recording)
+        return moment, stack_of(moment, info.key)
 
     def variables(self, frame: StackFrame) -> list[Variable]:
         """The named variables of a frame, with `this`."""
@@ -225,7 +230,7 @@ class Debugger:
         if self.moment.running is not None:
             self.focus = display_key(self.moment, self.moment.running)
         elif (arrived := self.team.arrival_at(found)) and isinstance(target, HopTarget):
-            self.focus = self.thread_of(arrived) or self.focus
+            self.focus = coordinator_key(self.moment, arrived) or self.focus
         elif isinstance(target, EffectTarget) and (call := self._device_call) is not None:
             key = thread_key(self.moment.core, call.agent.id, call.thread)
             self.focus = display_key(self.moment, key)
@@ -235,11 +240,6 @@ class Debugger:
     def _device_call(self) -> CallDevice | None:
         """The first call of a device in this turn."""
         return next((each for each in self.moment.effects if isinstance(each, CallDevice)), None)
-
-    def thread_of(self, coordinator: str) -> ThreadKey | None:
-        """The thread of a coordinator on the host of the position."""
-        agent = self.moment.agents.get(coordinator)
-        return None if agent is None else ThreadKey(coordinator, coordinator, only_thread(agent.block))
 
     def enter(self) -> bool:
         """To the first statement of a coordinator, or of any thread if there is none."""
@@ -325,19 +325,26 @@ class Debugger:
         """The call of a device instruction."""
         return EffectTarget()
 
-    def condition_target(self, text: str) -> Target:
-        """A condition becomes true. Raises UsageError."""
+    def condition(self, text: str) -> WatchExpression:
+        """An expression that can be true or false, and has names of this mission. Raises UsageError."""
         expression = WatchExpression(text)
         if not expression.may_be_condition:
             raise UsageError(f"'{text}' is no condition: write a comparison, as battery < 0.3")
         self._require_known(expression)
-        return ConditionTarget(self._value_of(expression.value_or_none), self._stops_of(expression))
+        return expression
+
+    def condition_target(self, text: str) -> Target:
+        """A condition becomes true. Raises UsageError."""
+        expression = self.condition(text)
+        value = self._value_of(expression, expression.value_or_none)
+        return ConditionTarget(value, of_readings=self._is_of_readings(expression))
 
     def change_target(self, text: str) -> Target:
         """The value of an expression changes. Raises UsageError."""
         expression = WatchExpression(text)
         self._require_known(expression)
-        return ChangeTarget(self._value_of(expression.content), self._stops_of(expression))
+        value = self._value_of(expression, expression.content)
+        return ChangeTarget(value, of_readings=self._is_of_readings(expression))
 
     def _require_known(self, expression: WatchExpression) -> None:
         """Raises UsageError for a name that means nothing in this mission at any time."""
@@ -351,16 +358,22 @@ class Debugger:
         for name in sorted(expression.names - known):
             raise UsageError(f"'{name}' is no variable or reading of this mission")
 
-    def _stops_of(self, expression: WatchExpression) -> frozenset[int] | None:
-        # A core gets new readings at the input of a turn.
-        return None if expression.names & self.team.table.variables else frozenset()
+    def _is_of_readings(self, expression: WatchExpression) -> bool:
+        return bool(expression.names) and not expression.names & self.team.table.variables
 
-    def _value_of(self, read: Callable[[WatchScope], object]) -> Callable[[Moment], object]:
-        focus = self.focus
+    def _value_of(
+        self, expression: WatchExpression, read: Callable[[WatchScope], object]
+    ) -> Callable[[Moment], object]:
+        focus, top = self.focus, self._top
+        is_of_program = expression.names <= self.team.table.variables
+        if self._is_of_readings(expression):
+            # Of two readings with that name, that of the agent which is shown now.
+            agent = "" if top is None else top.key.agent
+            return lambda moment: read(WatchScope(moment, agent=agent))
 
         def value(moment: Moment) -> object:
-            frames = [] if focus is None else frame_places(moment, focus)
-            return read(WatchScope(moment, frames))
+            frames = [] if focus is None else followed_places(moment, focus)
+            return AWAY if is_of_program and not frames else read(WatchScope(moment, frames))
 
         return value
 

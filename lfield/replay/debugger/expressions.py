@@ -40,8 +40,8 @@ _OPERATORS: Mapping[str, Callable[[Any, Any], object]] = {
 
 #: Operators whose results are true or false.
 _CONDITIONS = frozenset({"!", "&&", "||", "<", "<=", ">", ">=", "==", "!="})
-#: What an expression without a value has; null is a value.
-NO_VALUE = object()
+#: What an expression without a value has; null is a value. AWAY: its coordinator is on another host.
+NO_VALUE, AWAY = object(), object()
 
 
 class ValueUnknown(Exception):
@@ -59,16 +59,19 @@ class FoundValue(NamedTuple):
 class WatchScope:
     """The names at a moment: of some frames, innermost first, and of the devices of the host.
 
-    A frame is given by its agent and its place. `others` returns the readings of all hosts.
+    A frame is given by its agent and its place. `others` returns the readings of all hosts. Of two readings
+    of one name, that of `agent` is used, by default that of the innermost frame.
     """
 
     def __init__(
         self,
         moment: Moment,
-        frames: Sequence[tuple[str, int]],
+        frames: Sequence[tuple[str, int]] = (),
         others: Callable[[], Sequence[DeviceReading]] = tuple,
+        agent: str = "",
     ) -> None:
         self._moment, self._frames, self._others = moment, frames, others
+        self._agent = agent or (frames[0][0] if frames else "")
 
     def variable(self, name: str) -> FoundValue | None:
         """The variable or field of that name."""
@@ -81,9 +84,8 @@ class WatchScope:
 
     def reading(self, path: tuple[str, ...]) -> object:
         """The value of a device reading. Raises ValueUnknown."""
-        agent = self._frames[0][0] if self._frames else ""
-        found = reading_named(device_readings(self._moment), path, agent)
-        found = found or reading_named(self._others(), path, agent)
+        found = reading_named(device_readings(self._moment), path, self._agent)
+        found = found or reading_named(self._others(), path, self._agent)
         if found is None:
             raise ValueUnknown(f"{'.'.join(path)} is not known here")
         return found.value

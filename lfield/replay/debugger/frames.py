@@ -101,6 +101,28 @@ def frame_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
     return [*found, *_places(moment, caller.id, only_thread(caller.block))] if _is_here(caller) else found
 
 
+def coordinator_key(moment: Moment, name: str) -> ThreadKey | None:
+    """The thread of a coordinator on this host; None if it is not here."""
+    agent = moment.agents.get(name)
+    if agent is None or agent.ended or agent.member.kind != "coordinator":
+        return None
+    return ThreadKey(name, name, only_thread(agent.block))
+
+
+def followed_places(moment: Moment, key: ThreadKey) -> list[tuple[str, int]]:
+    """The frames of a thread, or of the coordinator that it worked for: a thread of a portal ends.
+
+    A coordinator that is on its way to another host has none.
+    """
+    if key.agent != key.logical and (found := frame_places(moment, key)):
+        return found
+    agent = moment.agents.get(key.logical)
+    if agent is None or (agent.frozen and moment.core.coordinators.is_departing(agent)):
+        return []
+    caller = coordinator_key(moment, key.logical)
+    return [] if caller is None else frame_places(moment, caller)
+
+
 def _is_here(caller: object) -> TypeGuard[Agent]:
     return isinstance(caller, Agent)
 
@@ -117,8 +139,8 @@ def _places(moment: Moment, name: str, thread: int) -> list[tuple[str, int]]:
 
 def _served(moment: Moment, coordinator: Agent) -> Iterator[ThreadKey]:
     """The threads of resources in which a coordinator waits."""
-    for name, agent in live_agents(moment).items():
-        if agent.member.kind != "resource":
+    for name, agent in moment.agents.items():
+        if agent.member.kind != "resource" or agent.ended:
             continue
         for place in threads(agent.block):
             thread = agent.block.w[place + THREAD_ID]

@@ -13,11 +13,12 @@ from collections.abc import Callable
 from typing import Any
 
 from lfield.bytecode.program import Program
-from lfield.host.recording.host_records import CheckpointRecord
+from lfield.host.recording.host_records import CheckpointRecord, TurnRecord
 from lfield.mission.mission import Mission
 from lfield.replay.debugger.moment import Moment, Phase, ReplayState, Target
 from lfield.replay.debugger.statement_table import StatementTable
 from lfield.replay.debugger.stepping_engine import SteppingEngine
+from lfield.replay.debugger.targets import is_of_readings
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.host_replay import Divergence, HostReplay
 from lfield.vm.engine_interface import Engine
@@ -27,8 +28,8 @@ from lfield.wire.events import Event
 
 #: Seconds of replaying after which a checkpoint is made in memory, and the bytes of all of them.
 CHECKPOINT_EVERY, MAX_CHECKPOINT_BYTES = 0.1, 128 << 20
-#: Seconds of replaying between two reports of progress.
-REPORT_EVERY = 0.05
+#: Seconds of replaying, and turns that are only read, between two reports of progress.
+REPORT_EVERY, REPORT_TURNS = 0.05, 1000
 #: The bytes of events that are listed.
 MAX_EVENT_BYTES = 1 << 20
 #: Replays that are kept for use again: a rewind costs a quarter of a new one.
@@ -135,6 +136,8 @@ class HostTimeline:
         self._report_due = 0.0
         run = self._run_at(min(after[0], self.turns))
         target.start(run.rest())
+        if is_of_readings(target):
+            return self._find_reading(run, target, after, before, last=last)
         found: list[tuple[int, Step | None]] = []
         stop = min(self.turns, before[0] + (before[1] > 0))
         while run.turn < stop:
@@ -160,6 +163,25 @@ class HostTimeline:
             if matches := self._matches_in(target, turn):
                 return turn, matches[-1]
         return None
+
+    def _find_reading(
+        self, run: _Run, target: Target, after: Step, before: Step, *, last: bool
+    ) -> Step | None:
+        """`find` for readings of devices: the records have them, so that nothing is replayed."""
+        found: Step | None = None
+        for turn, record in self.recording.turns_from(after[0]):
+            if (turn, 0) >= before:
+                break
+            if turn % REPORT_TURNS == 0:
+                self._on_progress(turn)
+            if isinstance(record, TurnRecord) and (record.answers or record.readings):
+                is_met = target.is_met(run.with_readings_of(record))
+                found = (turn, 0) if is_met and after < (turn, 0) else found
+            if found and not last:
+                break
+        # Its readings are not those of its turn any more.
+        self._keep(run)
+        return found
 
     def _first_of(self, target: Target, turn: int) -> Step | None:
         matches = self._matches_in(target, turn)
@@ -284,6 +306,11 @@ class _Run:
     def turn(self) -> int:
         """The number of the next turn."""
         return self.replay.turn
+
+    def with_readings_of(self, record: TurnRecord) -> Moment:
+        """A moment with the readings of a later turn. After that the replay cannot continue, only rewind."""
+        self.replay.environment.apply(record.answers, record.readings)
+        return self._moment(Phase.INPUT, ())
 
     def rest(self) -> Moment:
         """The present moment, between two turns."""

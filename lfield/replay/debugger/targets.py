@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection
 
 from lfield.host.effects import CallDevice, Effect
-from lfield.replay.debugger.expressions import NO_VALUE
+from lfield.replay.debugger.expressions import AWAY, NO_VALUE
 from lfield.replay.debugger.moment import Moment, Phase, Target, ThreadKey
 from lfield.replay.debugger.statement_table import SourceLine
 from lfield.wire.events import Event
@@ -168,11 +168,13 @@ class EffectTarget:
 class ConditionTarget:
     """A condition that did not hold becomes true. `value` returns None where it has no value.
 
-    `stops` are the statements at which it may have changed, None for all.
+    It returns AWAY while the coordinator is on another host: an arrival changes nothing.
+    `of_readings`: it depends on readings of devices only.
     """
 
-    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
-        self._value, self.stops = value, stops
+    def __init__(self, value: Callable[[Moment], object], *, of_readings: bool = False) -> None:
+        self._value, self.of_readings = value, of_readings
+        self.stops: frozenset[int] | None = _NONE if of_readings else None
         self._held: object = None
 
     def start(self, moment: Moment) -> None:
@@ -182,17 +184,19 @@ class ConditionTarget:
     def is_met(self, moment: Moment) -> bool:
         """See `Target`."""
         before, self._held = self._held, self._value(moment)
-        return self._held is True and before is not True
+        return self._held is True and before is not True and before is not AWAY
 
 
 class ChangeTarget:
-    """A value changes. Where there is none, as while its coordinator is on another host, nothing changes.
+    """A value changes. `value` returns NO_VALUE where there is none, and nothing changes there.
 
-    `value` returns NO_VALUE there. `stops` are the statements at which it may have changed, None for all.
+    It returns AWAY while the coordinator is on another host: its value at its arrival is no change.
+    `of_readings`: it depends on readings of devices only.
     """
 
-    def __init__(self, value: Callable[[Moment], object], stops: frozenset[int] | None = None) -> None:
-        self._value, self.stops = value, stops
+    def __init__(self, value: Callable[[Moment], object], *, of_readings: bool = False) -> None:
+        self._value, self.of_readings = value, of_readings
+        self.stops: frozenset[int] | None = _NONE if of_readings else None
         self._known: object = NO_VALUE
 
     def start(self, moment: Moment) -> None:
@@ -205,7 +209,14 @@ class ChangeTarget:
         if value is NO_VALUE:
             return False
         known, self._known = self._known, value
-        return known is not NO_VALUE and (type(known) is not type(value) or known != value)
+        if known is NO_VALUE or known is AWAY or value is AWAY:
+            return False
+        return type(known) is not type(value) or known != value
+
+
+def is_of_readings(target: Target) -> bool:
+    """Whether a target depends on readings of devices only, which are in the records of a recording."""
+    return isinstance(target, ConditionTarget | ChangeTarget) and target.of_readings
 
 
 class AnyTarget:

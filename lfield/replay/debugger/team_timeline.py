@@ -20,6 +20,7 @@ from lfield.mission.mission import Mission
 from lfield.replay.debugger.host_timeline import HostTimeline, Step
 from lfield.replay.debugger.moment import Moment, Target
 from lfield.replay.debugger.statement_table import StatementTable
+from lfield.replay.debugger.targets import is_of_readings
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.team_order import TeamOrder, TransferKey
 
@@ -140,7 +141,8 @@ class TeamTimeline:
 
     def find(self, target: Target, place: Place, *, backward: bool = False) -> Place | None:
         """The next moment after a position, or the last one before it, that meets a target."""
-        at, length = self.time_of(place), FIRST_INTERVAL
+        # Readings are found without a replay, so that a long interval costs little.
+        at, length = self.time_of(place), math.inf if is_of_readings(target) else FIRST_INTERVAL
         low = high = at
         while low >= 0.0 if backward else high <= self.duration:
             if backward:

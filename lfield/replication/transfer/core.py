@@ -362,10 +362,14 @@ class Mobility:
         """Whether one of these hosts has not confirmed a termination that was announced to it."""
         return self._termination.has_unconfirmed(hosts)
 
+    def announce_end(self, agent: str) -> list[Effect]:
+        """The home of a coordinator does not start it again: its last end is that of this run."""
+        return self._termination.announce_end(agent)
+
     @property
-    def pending_notices(self) -> set[tuple[str, int]]:
-        """The starts whose terminations this host announces until the others confirm."""
-        return self._termination.pending_notices
+    def ended_in_this_run(self) -> Collection[tuple[str, int]]:
+        """The starts that are known to have ended in this run of the mission."""
+        return self._termination.ended_in_this_run
 
     def needed_hosts(self) -> set[str]:
         """The hosts that a copy waits for (for a link or an answer), and those with missing confirmations."""

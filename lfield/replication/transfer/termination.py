@@ -32,6 +32,9 @@ class Termination:
     ) -> None:
         self._host, self._hosts, self._copies, self._links = host, hosts, copies, links
         self._unconfirmed: dict[tuple[str, int], tuple[Terminated, set[str]]] = {}
+        #: The starts that are known to have ended in this run of the mission: after such an end in a journal,
+        #: a home may start the coordinator again.
+        self.ended_in_this_run: set[tuple[str, int]] = set()
         #: The losses reported by a host that was shutting down, and the time of the first report.
         self._losses: dict[tuple[str, int], float] = {}
         #: Whether a reported termination must not be stored or confirmed yet.
@@ -49,16 +52,35 @@ class Termination:
         """End a copy here, and notify every host until it confirms."""
         detail = truncate(detail)
         copy.mark_ended(outcome, detail, self._host)
-        message = Terminated(copy.agent, copy.generation, outcome, detail, self._host)
+        return self._copies.persist(copy) + self._announce(copy)
+
+    def announce_end(self, agent: str) -> list[Effect]:
+        """The home of a coordinator does not start it again: its last end is that of this run."""
+        ends = [copy for copy in self._copies.starts_of(agent) if _is_end(copy)]
+        return self._announce(max(ends, key=lambda copy: copy.generation)) if ends else []
+
+    def _announce(self, copy: CoordinatorCopy) -> list[Effect]:
+        """Notify every host of a termination of this run until it confirms."""
+        self.ended_in_this_run.add((copy.agent, copy.generation))
+        message = self._notice(copy)
         self._unconfirmed[copy.agent, copy.generation] = message, set(self._peers)
-        sends: list[Effect] = [Send(host, message) for host in sorted(self._peers & self._links.keys())]
-        return self._copies.persist(copy) + sends
+        return [Send(host, message) for host in sorted(self._peers & self._links.keys())]
+
+    def _notice(self, copy: CoordinatorCopy) -> Terminated:
+        start = copy.agent, copy.generation
+        assert copy.outcome
+        return Terminated(
+            *start,
+            copy.outcome,
+            copy.detail,
+            copy.ended_on,
+            is_of_this_run=start in self.ended_in_this_run,
+        )
 
     def on_restored(self, copy: CoordinatorCopy) -> None:
         """Restore a termination from before a restart: the confirmations are unknown."""
         if copy.outcome and copy.ended_on == self._host:
-            message = Terminated(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
-            self._unconfirmed[copy.agent, copy.generation] = message, set(self._peers)
+            self._unconfirmed[copy.agent, copy.generation] = self._notice(copy), set(self._peers)
 
     def declare_lost(self, agent: str, generations: Iterable[int], detail: str) -> list[Effect]:
         """Announce the proven loss of these starts to all linked hosts.
@@ -84,11 +106,11 @@ class Termination:
         """This host is about to shut down: send every known termination but losses to all linked hosts."""
         effects: list[Effect] = []
         for copy in self._copies:
-            if copy.state == "EXITED" and copy.outcome and copy.outcome != "lost":
-                message = Terminated(copy.agent, copy.generation, copy.outcome, copy.detail, copy.ended_on)
-                _, waiting = self._unconfirmed.setdefault((copy.agent, copy.generation), (message, set()))
+            if _is_end(copy):
+                message = self._notice(copy)
+                _, waiting = self._unconfirmed.get((copy.agent, copy.generation), (message, set[str]()))
                 more = self._links.keys() - waiting - {copy.ended_on}
-                waiting |= more
+                self._unconfirmed[copy.agent, copy.generation] = message, waiting | more
                 effects += [Send(host, message) for host in sorted(more)]
         return effects
 
@@ -101,11 +123,6 @@ class Termination:
         """The hosts that have not confirmed a termination."""
         return {host for _, hosts in self._unconfirmed.values() for host in hosts}
 
-    @property
-    def pending_notices(self) -> set[tuple[str, int]]:
-        """The starts whose terminations this host announces: mostly those that ended here."""
-        return set(self._unconfirmed)
-
     def on_linked(self, host: str) -> list[Effect]:
         """Repeat to a host the announcements that it has not confirmed."""
         return [Send(host, message) for message, hosts in self._unconfirmed.values() if host in hosts]
@@ -114,6 +131,8 @@ class Termination:
         """A host announces a termination."""
         effects = self.on_remote_termination(message)
         key = message.agent, message.generation
+        if message.is_of_this_run:
+            self.ended_in_this_run.add(key)
         copy = self._copies.find(*key)
         if copy is not None and copy.state != "EXITED" and self.is_delayed(message):
             return effects
@@ -258,3 +277,8 @@ class Termination:
             [TerminateCopy(copy.agent, copy.generation, reason)] if copy.state in LIVE_STATES else []
         )
         return stop + self.terminate(copy, "superseded", reason)
+
+
+def _is_end(copy: CoordinatorCopy) -> bool:
+    """Whether a start has ended, and not as lost: that one may be continued elsewhere."""
+    return copy.state == "EXITED" and copy.outcome not in ("", "lost")

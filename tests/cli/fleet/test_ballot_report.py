@@ -17,7 +17,7 @@ DIGEST = bytes(range(32))
 
 def result(**votes: Vote) -> BallotResult:
     """The result of a ballot of alpha and bravo, as told by those that have voted."""
-    found = BallotResult(new_ballot(DIGEST, ["alpha", "bravo"], [], "anna", bytes))
+    found = BallotResult(new_ballot(DIGEST, ["alpha", "bravo"], "anna", bytes))
     for host, vote in votes.items():
         reasons = {host: "lead.fc is off the ground"} if vote == "no" else {}
         found.add(host, BallotState(found.ballot.id, found.ballot, {host: vote}, reasons, "open"))

@@ -151,7 +151,7 @@ def staged(lfield, here, team) -> Callable[[], Ballot]:
     """`staged()`: a ballot about a bundle that both robots have stored."""
     assert here("push", "mission.dL", "--stage").status == 0
     digest = bytes.fromhex(told(here("status", "--json"))["alpha"]["stored"][0])
-    return lambda: new_ballot(digest, ["alpha", "bravo"], [], "anna")
+    return lambda: new_ballot(digest, ["alpha", "bravo"], "anna")
 
 
 @pytest.fixture

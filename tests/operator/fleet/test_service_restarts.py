@@ -83,7 +83,7 @@ def test_a_service_that_restarts_is_asked_again_for_a_bounded_time() -> None:
 async def result(*away: tuple[float, float]) -> tuple[BallotResult, float]:
     """The result of a ballot, and its time."""
     links = DirectLinks(*(ServiceState(host, each) for host, each in zip(HOSTS, away, strict=True)))
-    found = await activate(links, new_ballot(bytes(32), HOSTS, [], "anna"))
+    found = await activate(links, new_ballot(bytes(32), HOSTS, "anna"))
     return found, elapsed()
 
 

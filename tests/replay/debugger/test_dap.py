@@ -184,6 +184,39 @@ def test_times_and_searches(editor):
     assert editor.body("source", sourceReference=1)["content"].startswith("// Two copters")
 
 
+@pytest.mark.parametrize("seconds", ["x", None, True, [1], float("nan")])
+def test_a_time_that_is_no_number_has_one_response_and_moves_nothing(editor, seconds):
+    _started(editor, [])
+    editor.event("stopped")
+    place = editor.move("gotoTime", seconds=3.0)["description"]
+    assert not editor.request("gotoTime", seconds=seconds)["success"]
+    assert not editor.request("gotoTime")["success"]
+    assert editor.move("pause")["description"] == place
+
+
+@pytest.mark.parametrize(
+    ("command", "arguments"),
+    [
+        ("stackTrace", {"threadId": "x"}),
+        ("setExceptionBreakpoints", {"filters": 5}),
+        ("setBreakpoints", {"source": 5}),
+        ("setBreakpoints", {"source": {"path": FILE}, "breakpoints": [5]}),
+    ],
+)
+def test_arguments_of_another_type_are_refused_without_words_of_python(editor, command, arguments):
+    _started(editor, [])
+    answer = editor.request(command, **arguments)
+    assert not answer["success"]
+    assert command in answer["message"]
+
+
+def test_one_wrong_breakpoint_does_not_refuse_the_others(editor):
+    lines = [{"line": LEG}, {"line": "x"}, {}, {"line": LEG, "condition": "nosuch == 1"}]
+    rows = _started(editor, lines, stopOnEntry=False)
+    assert [row["verified"] for row in rows] == [True, False, False, False]
+    assert editor.event("stopped")["reason"] == "breakpoint"
+
+
 def test_requests_in_the_wrong_order_and_unknown_ones_are_refused(editor):
     for command in ("threads", "next", "evaluate", "stackTrace", "scopes", "dance"):
         assert not editor.request(command)["success"]

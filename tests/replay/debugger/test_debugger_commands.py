@@ -63,7 +63,8 @@ def test_quit_ends(commands):
     "text",
     [
         "dance", "time never", "break x.L:1", "break mission.L:9999", "break ?", "delete 1", "frame 77",
-        "thread nobody", "until", "change", "print", "until leg =", "back vars",
+        "thread nobody", "until", "change", "print", "until leg =", "back vars", "back start",
+        "break mission.L:89 if nosuch == 1", "break mission.L:89 if 5",
     ],
 )  # fmt: skip
 def test_a_mistake_is_reported_and_moves_nothing(commands, text):
@@ -71,6 +72,12 @@ def test_a_mistake_is_reported_and_moves_nothing(commands, text):
     with pytest.raises(UsageError):
         commands.execute(text)
     assert commands.debugger.place == place
+
+
+def test_a_command_that_has_no_way_back_is_not_called_unknown(commands):
+    with pytest.raises(UsageError) as refused:
+        commands.execute("back start")
+    assert "does not go backward" in str(refused.value)
 
 
 def test_every_view_prints_lines(commands):

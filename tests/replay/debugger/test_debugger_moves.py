@@ -5,10 +5,11 @@ from __future__ import annotations
 import pytest
 
 from lfield.errors import UsageError
-from lfield.replay.debugger.debugger import Breakpoint
+from lfield.replay.debugger.debugger import Breakpoint, Debugger
 from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
 from lfield.replay.debugger.moment import Phase
-from lfield.replay.debugger.targets import StatementTarget
+from lfield.replay.debugger.targets import AnyTarget, StatementTarget
+from lfield.replay.host_replay import HostReplay
 
 #: Lines of examples/01-first-flight/mission.L.
 LEG, TOGETHER, FLY, OBSERVE, RETURN = 87, 89, 21, 37, 24
@@ -122,22 +123,36 @@ def places(debugger, target, *, backward):
 
 def test_an_object_that_is_assigned_is_a_change_at_any_place_of_the_heap(debugger):
     debugger.enter()
-    pilot = debugger.focus
+    found = places(debugger, lambda: debugger.change_target("first"), backward=False)
     heights = []
-
-    def target():
-        debugger.choose(pilot)
-        return debugger.change_target("first")
-
-    found = places(debugger, target, backward=False)
     for place in found:
         debugger.go_to(place)
-        debugger.choose(pilot)
-        # A hop sends no value that is not read any more: then it is null.
+        # A hop and a record keep no value that is not read any more: then it is null.
         if debugger.evaluate("first")[0] is not None:
             heights.append(debugger.evaluate("first.height")[0])
     assert len(heights) == len(set(heights)) == 4
-    assert places(debugger, target, backward=True) == found[::-1]
+    assert places(debugger, lambda: debugger.change_target("first"), backward=True) == found[::-1]
+
+
+def test_a_hop_is_no_change_of_a_value_and_no_condition_becomes_true_by_it(debugger):
+    debugger.enter()
+    found = places(debugger, lambda: debugger.change_target("leg"), backward=False)
+    assert len(found) == 3
+    assert places(debugger, lambda: debugger.condition_target("leg == 1"), backward=False) == found[:1]
+    assert places(debugger, lambda: debugger.condition_target("leg == 1"), backward=True) == found[:1]
+
+
+def test_a_coordinator_is_followed_when_the_thread_of_its_portal_has_ended(debugger):
+    debugger.add_breakpoint(Breakpoint("mission.L", FLY))
+    assert debugger.resume()
+    assert debugger.focus.agent != "pilot"
+    assert debugger.evaluate("height")[0] > 0.0
+    debugger.search(debugger.event_target(["finished"]), backward=False)
+    debugger.search(debugger.hop_target(), backward=True)
+    debugger.choose(debugger.focus._replace(agent="lead", thread=999))
+    assert debugger.stack()[0].method == "FirstFlight.init"
+    assert debugger.evaluate("leg")[0] == 3
+    assert debugger.search(debugger.condition_target("leg == 1"), backward=True)
 
 
 def test_the_events_of_a_host_are_listed_once(debugger):
@@ -220,10 +235,26 @@ def test_an_expression_without_a_value_says_so(debugger, text):
         debugger.evaluate(text)
 
 
-def test_a_search_for_a_reading_stops_at_no_statement(debugger):
-    assert debugger.condition_target("lead.fc.battery < 0.5").stops == frozenset()
+def test_a_search_for_a_reading_replays_nothing(first_flight, monkeypatch):
+    debugger = Debugger(first_flight)
+    debugger.go_to(debugger.team.end)
+    debugger.search(debugger.condition_target("lead.fc.battery < 0.98"), backward=True)
+    found = debugger.place
+    assert debugger.evaluate("lead.battery < 0.98")[0]
+    debugger.go_to(debugger.team.start)
+    target = debugger.condition_target("lead.fc.battery < 0.98")
+    with monkeypatch.context() as patch:
+        patch.setattr(HostReplay, "_replay", None)
+        assert debugger.team.find(target, debugger.place) == found
+    replayed = AnyTarget([target])
+    assert debugger.team.find(replayed, debugger.place) == found
     assert debugger.condition_target("battery < 0.5 || leg > 1").stops is None
-    assert debugger.change_target("wing.fc.position").stops == frozenset()
+
+
+def test_the_changes_of_a_reading_are_found_in_both_directions(debugger):
+    found = places(debugger, lambda: debugger.change_target("wing.fc.position"), backward=False)
+    assert len(found) > 3
+    assert places(debugger, lambda: debugger.change_target("wing.fc.position"), backward=True) == found[::-1]
 
 
 def test_it_begins_at_a_coordinator_and_finds_its_last_statement_from_the_end(debugger):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+from debugger_recordings import EXAMPLES
 from msgspec.structs import replace
 
 from lfield.errors import RecordingError
@@ -12,6 +13,7 @@ from lfield.host.recording.host_records import StartRecord, decode_frame, encode
 from lfield.replay.debugger.team_timeline import TeamTimeline
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.team_order import TeamOrder
+from lfield.testing.recorded_run import record_mission
 
 YEARS = 3.2e8
 
@@ -48,6 +50,16 @@ def test_hops_are_in_order_and_short(first_flight, rate, ahead):
     assert len(transits) == 11
     assert min(transits) > 0.0
     assert max(transits) < 5.0
+
+
+@pytest.mark.parametrize("ahead", [-YEARS, -0.001, 0.0, 0.001, YEARS])
+def test_hops_in_one_direction_do_not_move_a_host(ahead):
+    """A run of five seconds: the coordinator has gone to the other host, and not returned."""
+    (one, other), mission = record_mission(EXAMPLES / "01-first-flight" / "mission.dL", 5.0)
+    team = TeamTimeline([one, _with_clock(other, 1.0, ahead)], mission)
+    assert len(_transits(team)) == 1
+    assert 0.0 < _transits(team)[0] < 0.1
+    assert 4.5 < team.duration <= 5.0
 
 
 def test_the_times_of_each_host_never_go_back(first_flight):

@@ -103,7 +103,7 @@ def test_it_goes_on_at_the_call_that_it_left_for(left):
         "and later actions are unknown"
     )
     assert effects == [
-        Send("b", Terminated(TOUR, 1, "superseded", detail, "a")),
+        Send("b", Terminated(TOUR, 1, "superseded", detail, "a", is_of_this_run=True)),
         ResumeWithException(TOUR, RECOVERED, 0, "RestartException", reason, recovered=True),
     ]
     assert states(left) == {1: "superseded", RECOVERED: "RUN"}

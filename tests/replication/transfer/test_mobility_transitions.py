@@ -427,7 +427,8 @@ def test_of_very_many_starts_the_first_that_ended_are_forgotten(b):
 def test_an_ending_is_told_until_every_host_confirms(a, b):
     a.mobility.on_linked(b.hello())
     (told,) = a.mobility.on_ended(TOUR, 1, "died", "it fell\n  at line 3")
-    assert told == Send("b", Terminated(TOUR, 1, "died", "it fell\n  at line 3", "a"))
+    ended = Terminated(TOUR, 1, "died", "it fell\n  at line 3", "a", is_of_this_run=True)
+    assert told == Send("b", ended)
     finished, ack = b.mobility.on_message("a", told.message, 0.0)
     assert finished == DropTerminated(TOUR, 1, "died", "it fell\n  at line 3", "a")
     assert a.mobility.on_message("b", ack.message, 0.0) == []

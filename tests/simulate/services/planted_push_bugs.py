@@ -111,10 +111,10 @@ def a_host_is_not_held_for_its_vote(patch: Patch) -> None:
 def a_host_votes_without_a_check_after_its_hold(patch: Patch) -> None:
     refusal = Service._refusal
 
-    async def once(self: Service, digest: bytes | None, without: Sequence[str] = ()) -> str:
+    async def once(self: Service, digest: bytes | None, hosts: Sequence[str] = ()) -> str:
         if self._held:
             return ""
-        return await refusal(self, digest, without)
+        return await refusal(self, digest, hosts)
 
     patch.setattr(Service, "_refusal", once)
 
@@ -194,7 +194,7 @@ def the_end_of_a_vote_ends_the_pause_of_a_person(patch: Patch) -> None:
 
 
 def coordinators_of_left_out_robots_are_forgotten(patch: Patch) -> None:
-    patch.setattr(Service, "_unaccounted", lambda self, without: "")
+    patch.setattr(Service, "_unaccounted", lambda self, hosts: "")
 
 
 PUSH_BUGS = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -11,7 +12,7 @@ from lfield.cli.debugging.dap.dap_values import DapValues, Row
 from lfield.cli.debugging.dap.dap_wire import DapStream, Message, RequestQueue
 from lfield.errors import LfieldError, UsageError
 from lfield.replay.debugger.debugger import Breakpoint, Debugger
-from lfield.replay.debugger.expressions import ValueUnknown, WatchExpression
+from lfield.replay.debugger.expressions import ValueUnknown
 from lfield.replay.debugger.host_timeline import SearchCancelled
 from lfield.replay.debugger.moment import Target
 from lfield.replay.debugger.targets import AnyTarget, StatementTarget
@@ -76,7 +77,7 @@ class DapSession:
             "pause": lambda given: None,
             "cancel": lambda given: None,
             "search": self._check_search,
-            "gotoTime": lambda given: None,
+            "gotoTime": self._check_time,
             "disconnect": self._end,
             "terminate": self._end,
         }
@@ -108,11 +109,16 @@ class DapSession:
             self._after(command, given)
         except SearchCancelled:
             self._stopped("pause", "the search was cancelled")
-        except (LfieldError, ValueUnknown, ValueError, TypeError) as error:
-            self._stream.write({**_reply(request), "success": False, "message": str(error)})
+        except (LfieldError, ValueUnknown) as error:
+            self._refuse(request, str(error))
+        except (ValueError, TypeError, AttributeError):
+            self._refuse(request, f"the arguments of {command} are not those of the protocol")
 
     def _respond(self, request: Message, body: Row | None) -> None:
         self._stream.write({**_reply(request), "success": True, "body": body or {}})
+
+    def _refuse(self, request: Message, why: str) -> None:
+        self._stream.write({**_reply(request), "success": False, "message": why})
 
     def _event(self, name: str, body: Row | None = None) -> None:
         self._stream.write({"type": "event", "event": name, "body": body or {}})
@@ -139,7 +145,7 @@ class DapSession:
         elif command == "configurationDone":
             self._enter()
         elif command == "gotoTime":
-            self._ready.go_to_time(float(given.get("seconds", 0.0)))
+            self._ready.go_to_time(_seconds(given))
             self._stopped("goto")
         elif command == "search":
             found = self._ready.search(self._searched(given), backward=bool(given.get("backward")))
@@ -179,6 +185,9 @@ class DapSession:
 
     def _check_search(self, given: Row) -> None:
         self._searched(given)
+
+    def _check_time(self, given: Row) -> None:
+        _seconds(given)
 
     def _searched(self, given: Row) -> Target:
         """The target of the custom request `search`: `kind`, and `text` where it needs one."""
@@ -245,12 +254,12 @@ class DapSession:
         return {"breakpoints": rows}
 
     def _breakpoint(self, path: str, given: Row, found: list[Breakpoint]) -> Row:
-        table, number = self._ready.team.table, int(given["line"])
-        line = table.next_line(path, number)
+        number, text = given.get("line"), given.get("condition")
+        line = self._ready.team.table.next_line(path, number) if isinstance(number, int) else None
         if line is None:
-            return {"verified": False, "line": number, "message": "no statement from this line on"}
+            return {"verified": False, "message": "no statement from this line on"}
         try:
-            condition = WatchExpression(given["condition"]) if given.get("condition") else None
+            condition = self._ready.condition(str(text)) if text else None
         except UsageError as error:
             return {"verified": False, "line": number, "message": str(error)}
         found.append(Breakpoint(path, line, condition))
@@ -302,6 +311,14 @@ class DapSession:
 
     def _end(self, given: Row) -> None:
         self._is_done = True
+
+
+def _seconds(given: Row) -> float:
+    """The time of `gotoTime`. Raises UsageError."""
+    found = given.get("seconds")
+    if isinstance(found, bool) or not isinstance(found, int | float) or math.isnan(found):
+        raise UsageError("'seconds' must be a number")
+    return float(found)
 
 
 def _reply(request: Message) -> Message:

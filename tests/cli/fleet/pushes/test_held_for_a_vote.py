@@ -28,7 +28,7 @@ def vote_of_alpha(digest: str) -> BallotState:
     async def propose() -> BallotState:
         links = desk.links(["alpha"])
         try:
-            ballot = new_ballot(bytes.fromhex(digest), ["alpha", "bravo"], [], desk.user)
+            ballot = new_ballot(bytes.fromhex(digest), ["alpha", "bravo"], desk.user)
             return await links.ask("alpha", Proposal(ballot), BallotState, 60.0, 60.0)
         finally:
             links.close()

@@ -39,7 +39,9 @@ def test_a_robot_outside_the_mission_takes_no_part_in_start_status_and_rollback(
     assert told(here("rollback", "--json"))["outcome"] == "activated"
 
 
-def test_a_named_inventory_is_meant_where_a_mission_runs_on_this_computer_too(lfield, here, robots) -> None:
+def test_a_start_names_robots_or_mission_where_a_mission_runs_on_this_computer_too(
+    lfield, here, robots
+) -> None:
     team = robots("alpha", "bravo")
     team.up()
     team.mission()
@@ -47,6 +49,11 @@ def test_a_named_inventory_is_meant_where_a_mission_runs_on_this_computer_too(lf
     other = lfield.mission(program(rounds=1000, pause=1.0), TEAM, name="other")
     running = lfield.start("up", "--deploy", other, "--all", "--sim")
     running.wait_for("visit 1")
+    # Both have hosts of these names.
+    refused = here("start")
+    assert refused.status == 64
+    assert str(team.inventory) in refused.err[0]
+    assert here("start", "other.dL").status == 0
     began = here("start", "--inventory", team.inventory, "--json")
     assert (began.status, told(began)["started"]) == (0, True)
     running.signal(signal.SIGINT)

@@ -99,7 +99,7 @@ class SimulatedDesk:
             if answers == step.dies_after:
                 kill_here(process)
 
-        ballot = new_ballot(what.digest, hosts, without, self.name, self._rng.randbytes)
+        ballot = new_ballot(what.digest, hosts, self.name, self._rng.randbytes)
         result = await activate(links, ballot, on_change)
         links.close()
         self._fleet.note(self.name, f"{ballot.id.hex()[:6]} {result.outcome} {result.votes} {result.reasons}")

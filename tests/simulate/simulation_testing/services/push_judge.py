@@ -67,7 +67,8 @@ class PushJudge:
             if not mission.is_at_rest:
                 state = "flies" if mission.is_airborne else f"has coordinators {[*mission.unfinished]}"
                 self.breaches.add("yes without rest", (robot,), f"it {state} at its vote")
-            if mission.open_run and (agents := mission.starts_elsewhere(ballot.without)):
+            others = [host for host in self.missions if host not in ballot.hosts]
+            if mission.open_run and (agents := mission.starts_elsewhere(others)):
                 self.breaches.add("yes with a coordinator elsewhere", (robot,), f"{agents} may still run")
             if mission.host is not None and not mission.held:
                 self.breaches.add("yes without hold", (robot,), "its host can start anything")

@@ -1,0 +1,40 @@
+"""A stop of a robot whose host is killed: its vehicles may not be at rest, and a person has to know it."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+from robots import told
+
+from lfield import exit_status
+
+pytestmark = pytest.mark.process
+
+
+def test_a_host_that_is_killed_while_it_stops_is_reported_and_nothing_is_discarded(
+    lfield, here, robots
+) -> None:
+    team = robots("alpha", "bravo")
+    team.up()
+    team.mission(rounds=1000, pause=0.2)
+    assert here("push", "mission.dL").status == 0
+    assert here("start").status == 0
+    pid = team.state("bravo")["run"]["pid"]
+    # It cannot answer the order.
+    os.kill(pid, signal.SIGSTOP)
+    stopping = lfield.start("stop", "--discard", "--json")
+    team.services["bravo"].wait_for("^stop requested")
+    os.kill(pid, signal.SIGKILL)
+    assert stopping.wait() == exit_status.UNSAFE
+    found = told(stopping)
+    assert ("killed by signal 9" in found["bravo"]["trouble"], found["bravo"]["checked"]) == (True, "")
+    assert (found["alpha"]["trouble"], found["alpha"]["discarded"]) == ("", [])
+    assert told(here("status", "bravo", "--json"))["bravo"]["refusal"]
+    # A person who has read it repeats the command, which says what it has acknowledged.
+    again = here("stop", "--discard", "--json")
+    assert again.status == 0
+    found = told(again)
+    assert (found["bravo"]["trouble"], found["bravo"]["checked"]) == ("", "killed by signal 9")
+    assert found["alpha"]["discarded"] == ["tom"]
