@@ -65,15 +65,15 @@ class ObserverSessions:
         self.order_executor = OrderExecutor(core, guards, dispatch, note, flush)
         #: When the status of the devices was last requested.
         self._last_request = -OBSERVED_WITHIN
-        #: The links that wait for a snapshot, and when the last one was sent.
-        self._waiting: dict[Link, None] = {}
+        #: The links that wait for a snapshot, with the whole directory or not; when the last one was sent.
+        self._waiting: dict[Link, bool] = {}
         self._last_sent = -SNAPSHOT_INTERVAL
 
     def on_message(self, message: Control, link: Link) -> None:
         """A request of an observer. Messages between hosts are not answered."""
         match message:
             case Subscribe(once=True):
-                self._send_snapshot(link)
+                self._send_snapshot(link, directory=message.directory)
             case Subscribe():
                 self.subscriptions.subscribe(message, link)
             case EventAck():
@@ -91,10 +91,10 @@ class ObserverSessions:
             case StartRequest():
                 spawn(self._start_coordinators(message, link))
 
-    def _send_snapshot(self, link: Link) -> None:
+    def _send_snapshot(self, link: Link, *, directory: bool) -> None:
         """Send a snapshot, at most one per interval, so that requests cannot keep a host busy."""
         self._last_request = self._clock.monotonic()
-        waits, self._waiting[link] = bool(self._waiting), None
+        waits, self._waiting[link] = bool(self._waiting), directory
         left = self._last_sent + SNAPSHOT_INTERVAL - self._last_request
         if left <= 0:
             self._send_snapshot_to_all()
@@ -105,9 +105,12 @@ class ObserverSessions:
         self._last_sent = self._clock.monotonic()
         asking, self._waiting = self._waiting, {}
         if asking:
-            batch = self.subscriptions.snapshot_batch()
-            for link in asking:
-                self._answer(link, batch)
+            batches = {
+                directory: self.subscriptions.snapshot_batch(directory=directory)
+                for directory in set(asking.values())
+            }
+            for link, directory in asking.items():
+                self._answer(link, batches[directory])
 
     async def linger_for_observers(self) -> None:
         """After an emergency stop, keep answering observers so that they see its outcome."""

@@ -63,8 +63,9 @@ _MAX_BLOCK = 1 << 20
 
 #: Asks for the state of a host as of its newest event: a subscription that ends with its first batch.
 SNAPSHOT = Request(Subscribe(once=True), EventBatch, 2.0)
-#: The same of hosts that may be busy.
-PATIENT_SNAPSHOT = Request(Subscribe(once=True), EventBatch, 8.0)
+#: The same with all that each host knows of all agents; the other one of hosts that may be busy.
+FULL_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 2.0)
+PATIENT_SNAPSHOT = Request(Subscribe(once=True, directory=True), EventBatch, 8.0)
 
 
 def emergency_stop(

@@ -30,13 +30,15 @@ class Subscribe(Struct, frozen=True, array_like=True, forbid_unknown_fields=True
     `incarnation` 0: from now on. The present incarnation of the host (its `Hello` has it): all stored states
     after number `after`. Another one: all stored states of this incarnation. `telemetry` is the maximum rate
     for each device and agent in 1/s; 0 for never. Answered by `EventBatch`, the first one at once.
-    `once`: the answer is one batch with a snapshot and without events, and no subscription.
+    `once`: the answer is one batch with a snapshot and without events, and no subscription. Its directory has
+    the attributes of agents of other hosts only with `directory`.
     """
 
     incarnation: Count = 0
     after: Ordinal = 0
     telemetry: Annotated[float, Meta(ge=0.0, le=MAX_RATE)] = 0.0
     once: bool = False
+    directory: bool = False
 
 
 class EventBatch(Struct, frozen=True, array_like=True, forbid_unknown_fields=True, tag=41):

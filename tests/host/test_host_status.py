@@ -73,7 +73,7 @@ def test_whatever_devices_tell_the_status_can_be_read(fleet, monkeypatch):
 
     async def story(team):
         (home,) = await team.up(team.mission(PROGRAM, DEPLOYMENT), "home")
-        frame = encode(home.host._observers.subscriptions.snapshot_batch())
+        frame = encode(home.host._observers.subscriptions.snapshot_batch(directory=True))
         one, two = decode(frame[HEADER_SIZE - 1], frame[HEADER_SIZE:]).snapshot.devices
         assert (one.name, one.silent, one.latched) == ("one.fc", MAX_DURATION, "")
         assert (two.name, two.silent, len(two.latched)) == ("two.fc", None, MAX_TEXT)

@@ -224,6 +224,24 @@ def test_a_host_that_was_away_knows_all_after_one_exchange(fleet):
     fleet(story)
 
 
+def test_a_snapshot_has_attributes_of_agents_elsewhere_only_on_request(fleet):
+    """Each host knows those of all agents, so a large team would send them for each pair of hosts."""
+
+    async def story(team):
+        alpha, _, near, far = await two_hosts(team)
+        near.values["near.fc", "battery"] = far.values["far.fc", "battery"] = (0.75, 0.1)
+        await team.until(lambda: "battery" in known(alpha, "far").facts)
+        subscriptions = alpha.host._observers.subscriptions
+        whole, brief = (subscriptions.snapshot_batch(directory=all_of).snapshot for all_of in (True, False))
+        assert "battery" in {t.agent: t for t in whole.directory}["far"].facts
+        found = {t.agent: t for t in brief.directory}
+        assert found.keys() == {t.agent for t in whole.directory}
+        assert "battery" in found["near"].facts
+        assert (found["far"].refusal, found["far"].facts, found["far"].unknown) == ("", {}, {})
+
+    fleet(story)
+
+
 def test_nothing_is_asked_or_sent_for_a_program_that_names_no_capability(fleet):
     program = CRANES + "coordinator Foreman { init(string[] arg) { sleep(1000.0); } }"
 

@@ -33,13 +33,20 @@ def run(args: argparse.Namespace) -> int:
     # First: without a running mission the rest is not imported.
     runs = selected_runs(args)
     from lfield.cli.views import run_table, team_status_view
-    from lfield.operator.client import SNAPSHOT, ask_teams, by_host, print_unanswered, unanswered_by_name
+    from lfield.operator.client import (
+        FULL_SNAPSHOT,
+        SNAPSHOT,
+        ask_teams,
+        by_host,
+        print_unanswered,
+        unanswered_by_name,
+    )
     from lfield.operator.run_dirs import unreadable_hint
     from lfield.operator.targets import display_names
     from lfield.operator.team_model.host_model import host_states
 
     parties = selected_teams(args, runs)
-    answers = ask_teams(parties, SNAPSHOT, args.keys)
+    answers = ask_teams(parties, FULL_SNAPSHOT if args.json else SNAPSHOT, args.keys)
     if named_mission(args) is not None and not any(party.runs for party in parties):
         _require_running(mission_path(args), answers)
     names = display_names(parties)

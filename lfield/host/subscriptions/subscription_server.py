@@ -6,6 +6,8 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 
+from msgspec.structs import replace
+
 from lfield.clock import Clock
 from lfield.devices.device_guards import DeviceGuards
 from lfield.errors import AddressError
@@ -16,7 +18,7 @@ from lfield.host.subscriptions.telemetry_snapshot import snapshot
 from lfield.net.health.link_monitor import LinkFigures
 from lfield.net.transport import Link
 from lfield.wire.messages import HandshakeRefused
-from lfield.wire.observer_messages import Status
+from lfield.wire.observer_messages import DirectoryEntry, Status
 from lfield.wire.subscription_messages import EventAck, EventBatch, Subscribe
 
 #: The maximum number of subscriptions of one host.
@@ -85,10 +87,12 @@ class SubscriptionServer:
         recorder.listen(self._on_event)
         self._send_due()
 
-    def snapshot_batch(self) -> EventBatch:
-        """The state of the host as of its newest event, for an observer that asks for it once."""
+    def snapshot_batch(self, *, directory: bool) -> EventBatch:
+        """The state of the host as of its newest event, for an observer that asks for it once, with the whole
+        `directory` or not."""
         self._recorder.drain()
-        latest, status = self._recorder.event_log.latest, self._status()
+        latest = self._recorder.event_log.latest
+        status = self._status() if directory else self._brief_status()
         now, up = self._clock.time(), self._recorder.up
         return EventBatch(self._core.incarnation, 1, now, up, latest, latest, [], {}, status)
 
@@ -161,7 +165,18 @@ class SubscriptionServer:
         self._wake_at(min(*dues, self._offers_due))
 
     def _batch(self, watcher: EventSubscription, up: float) -> EventBatch | None:
-        return watcher.next_batch(self._clock.time(), up, self._status)
+        return watcher.next_batch(self._clock.time(), up, self._brief_status)
+
+    def _brief_status(self) -> Status:
+        """The status without the attributes of agents of other hosts: every host has those of all agents, so
+        that they grow with the square of the team."""
+        status = self._status()
+        own = {agent.id for agent in status.agents}
+        brief = [
+            entry if entry.agent in own else DirectoryEntry(entry.agent, entry.refusal, {}, {})
+            for entry in status.directory
+        ]
+        return replace(status, directory=brief)
 
     def _send(self, link: Link, message: EventBatch) -> None:
         try:

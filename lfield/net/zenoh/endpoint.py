@@ -85,12 +85,17 @@ class _Inflow:
 
 
 class ZenohEndpoint:
-    """All streams of a session, in the running loop."""
+    """All streams of a session, in the running loop.
+
+    Raises ImportError without the package, and ValueError for a setting that Zenoh rejects.
+    """
 
     def __init__(self, config: ZenohConfig) -> None:
         # The only import of the package, which may be missing.
-        from lfield.net.zenoh.session import ZenohSession
+        from lfield.net.zenoh.session import ZenohSession, rejected_setting
 
+        if reason := rejected_setting(config):
+            raise ValueError(reason)
         self._loop = asyncio.get_running_loop()
         self.is_open = asyncio.Event()
         #: Why the session is not open.

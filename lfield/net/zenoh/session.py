@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import atexit
 import itertools
+import re
 import threading
 import time
 from collections.abc import Callable
@@ -250,15 +251,24 @@ def _zenoh_config(config: ZenohConfig) -> zenoh.Config:
     return made
 
 
-def check_config(config: ZenohConfig) -> str:
-    """Why Zenoh rejects a configuration; '' if it accepts it."""
-    try:
-        _zenoh_config(config)
-    except zenoh.ZError as error:
-        return _first_line(error)
+def rejected_setting(config: ZenohConfig) -> str:
+    """The first setting that Zenoh rejects, and why; '' if it accepts all."""
+    made = zenoh.Config()
+    for key, value in config.options().items():
+        try:
+            made.insert_json5(key, value)
+        except zenoh.ZError as error:
+            found = _QUOTED.search(_first_line(error))
+            return f"{key}: {found[1] if found else _first_line(error)}"
     return ""
 
 
+#: The sentence in an error of Zenoh about a setting.
+_QUOTED = re.compile(r'(?:msg: |Str\()"(.+?)(?:"|$)')
+
+
 def _first_line(error: Exception) -> str:
-    """The sentence of an error of Zenoh, without the place in its source."""
-    return str(error).partition("\n")[0].partition(" at /")[0].strip()
+    """The sentence of an error of Zenoh, without the place in its source; '' if it says no more than that
+    nothing answers."""
+    text = str(error).partition("\n")[0].partition(" at /")[0].strip()
+    return "" if text.startswith("Unable to connect to any of") else text

@@ -126,6 +126,9 @@ class ZenohTransport:
                 self._endpoint = ZenohEndpoint(self._config)
             except ImportError:
                 raise MissingZenoh(address) from None
+            except ValueError as error:
+                reason = f"Zenoh rejects a setting in the section 'zenoh' of the inventory: {error}"
+                raise AddressError(address, reason) from None
         return self._endpoint
 
     async def _free_port(self, endpoint: ZenohEndpoint, name: str, port: int, address: str) -> int:

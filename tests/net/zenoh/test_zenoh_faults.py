@@ -235,6 +235,19 @@ def test_a_participant_without_keys_of_the_team_gets_no_link(router, team):
 # Configuration
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [("foo/bar", "1", "unknown key"), ("transport/link/tls/root_ca_certificate", "5", "expected a string")],
+)
+def test_a_setting_that_zenoh_rejects_is_named(team, key, value, reason):
+    bench = ZenohBench(config := ZenohConfig((free_endpoint(),), settings=((key, value),)), config)
+    with pytest.raises(AddressError) as raised:
+        bench.wait(bench.connect("zenoh:alpha:8181", Recorder()))
+    assert f": {key}: " in raised.value.reason
+    assert reason in raised.value.reason
+    bench.close()
+
+
 def test_a_missing_package_is_one_sentence_with_a_code(monkeypatch):
     monkeypatch.setitem(sys.modules, "zenoh", None)
     monkeypatch.delitem(sys.modules, "lfield.net.zenoh.session", raising=False)
