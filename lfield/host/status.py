@@ -68,7 +68,10 @@ def status_of(
         coordinators=core.locator.known_states(),
         devices=_devices(guards, now),
         links=[
-            *(LinkStatus(host, None, *links.monitor.figures(host)) for host in sorted(links.incarnations)),
+            *(
+                LinkStatus(host, None, *links.monitor.figures(host), *links.standbys.paths(host))
+                for host in sorted(links.incarnations)
+            ),
             *(LinkStatus(host, _since(now - since)) for host, since in links.down_since.items()),
         ],
         directory=core.directory.entries(),

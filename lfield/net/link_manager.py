@@ -83,7 +83,7 @@ class LinkManager:
             owner.hybrid_clock,
             PING_EVERY if team.has_live_values else IDLE_PING_EVERY,
         )
-        self._standbys = StandbyLinks(self, transport, team, self._admission)
+        self.standbys = StandbyLinks(self, transport, team, self._admission)
         self._tasks, self._listeners = list[asyncio.Task[None]](), list[Listener]()
         self.on_arrival = lambda *transfer: owner.on_transfer(*transfer)
         self.on_oversize = lambda *transfer: owner.on_oversize(*transfer)
@@ -142,7 +142,7 @@ class LinkManager:
         self._desired, self._required_until = frozenset(), {}
         for task in self._tasks:
             task.cancel()
-        self._standbys.close()
+        self.standbys.close()
         for caller in self._diallers.values():
             caller.cancel()
         for listener in self._listeners:
@@ -309,7 +309,7 @@ class LinkManager:
         for session in dict.fromkeys((*links, *others)):
             if session.connected:
                 session.on_reauthorised(self._admission.decide(session.link.who, linked=session in links))
-        self._standbys.close_rejected()
+        self.standbys.close_rejected()
 
     def _on_revocations(self, data: bytes) -> None:
         """Apply a certificate revocation list; forward a new one to all, and last to the revoked."""
@@ -321,7 +321,7 @@ class LinkManager:
     def on_standby_hello(self, link: Link, hello: Hello, session: Session) -> None:
         """See `SessionOwner.on_standby_hello`."""
         self._ungreeted.on_authenticated(session, source_of(link.peer))
-        self._standbys.on_hello(link, hello)
+        self.standbys.on_hello(link, hello)
 
     def on_greeted(self, session: Session, hello: Hello) -> None:
         """A link has completed its handshake on both sides."""
@@ -345,7 +345,7 @@ class LinkManager:
         self._links[hello.host] = session
         if old and old is not session:
             old.on_replaced()
-        self._standbys.on_linked(hello.host, session)
+        self.standbys.on_linked(hello.host, session)
         self.down_since.pop(hello.host, None)
         if caller := self._diallers.get(hello.host):
             caller.clear_failure()
@@ -366,8 +366,8 @@ class LinkManager:
                 self.down_since[host] = self._clock.monotonic()
             self._owner.on_unlinked(host, quietly=not is_required)
             if not is_required:
-                self._standbys.drop(host)
-            elif not self._standbys.on_link_lost(host):
+                self.standbys.drop(host)
+            elif not self.standbys.on_link_lost(host):
                 self._dial(host)
 
     def on_message(self, session: Session, message: Control) -> None:

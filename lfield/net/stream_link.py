@@ -191,7 +191,10 @@ class StreamLink(FramedLink, asyncio.Protocol):
 
     def delivery(self) -> Delivery | None:
         """See `Link.delivery`."""
-        return None if self._socket is None or self.closed else read_delivery(self._socket)
+        if self._socket is None or self.closed:
+            return None
+        own: Delivery | None = self._transport.get_extra_info("delivery")
+        return own or read_delivery(self._socket)
 
     def close(self) -> None:
         self.withhold(on=False)

@@ -65,7 +65,9 @@ class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
     Of a link the smoothed round-trip time in seconds, the share of segments lost in the last minute, and the
     bytes sent (retransmissions included) and received since it opened, with TLS overhead and without headers
     of TCP and IP; None for values that are not available. `kinds` are the bytes of the messages of both
-    directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS.
+    directions by kind of traffic (`lfield.net.coding.traffic_kinds`), before TLS. `path` and `standby` are
+    the addresses of the other host in the network of the link and in that of its standby connection ('' for
+    none); both are '' with one network.
     """
 
     host: Name
@@ -75,6 +77,8 @@ class LinkStatus(Struct, frozen=True, array_like=True, forbid_unknown_fields=Tru
     sent: Count | None = None
     received: Count | None = None
     kinds: Annotated[dict[Label, Count], Meta(max_length=16)] = {}
+    path: Text = ""
+    standby: Text = ""
 
 
 class AttributeReading(Struct, frozen=True, array_like=True, forbid_unknown_fields=True):

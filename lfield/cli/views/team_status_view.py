@@ -146,7 +146,8 @@ class _LinkRow(NamedTuple):
         took = "" if link.round_trip is None else duration_text(link.round_trip)
         loss = "" if link.loss is None else percentage_text(link.loss)
         both = ("" if count is None else byte_count_text(count) for count in (link.sent, link.received))
-        return self.host, self.peer, took, loss, *both, _kinds(link.kinds)
+        peer = f"{self.peer} over {link.path}, standby {link.standby or 'none'}" if link.path else self.peer
+        return self.host, peer, took, loss, *both, _kinds(link.kinds)
 
 
 def _links(linked: Mapping[str, HostState]) -> tuple[Table, list[str]]:

@@ -13,6 +13,7 @@ from lfield.errors import AddressError
 from lfield.event_loop import spawn
 from lfield.net.connections.resolver import AddressLookups, ResolvedAddress
 from lfield.net.connections.socket_errors import describe
+from lfield.net.health.tcp_options import set_listening_options
 from lfield.net.peer_credentials import socket_address
 from lfield.net.transport import is_lasting, split_address, split_addresses
 from lfield.text import log_messages
@@ -181,6 +182,7 @@ def bound_socket(at: ResolvedAddress, port: int) -> socket.socket:
             made.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, at.address[0] != "::")
         made.bind((at.address[0], port, *at.address[2:]))
         made.setblocking(False)
+        set_listening_options(made)
     except BaseException:
         made.close()
         raise

@@ -16,7 +16,7 @@ from lfield.event_loop import spawn
 from lfield.net.connections.standby_connection import ANSWER_TIMEOUT, StandbyConnection
 from lfield.net.health.path_choice import Decision, PathChoice, PathState
 from lfield.net.session import Session, SessionOwner
-from lfield.net.transport import split_address, split_addresses
+from lfield.net.transport import is_zenoh, split_address, split_addresses
 from lfield.text import log_messages
 from lfield.wire.messages import Hello
 
@@ -145,6 +145,14 @@ class StandbyLinks:
         connection = StandbyConnection(self, host, self.now(), dialled=False)
         connection.accept(link, self._hello)
         self.on_ready(connection)
+
+    def paths(self, host: str) -> tuple[str, str]:
+        """The networks of the link with a host and of its standby, by the address of the host in each; '' for
+        no standby. Both '' if there is one network."""
+        session, paths = self._owner.link_of(host), self._paths.get(host)
+        if session is None or paths is None:
+            return "", ""
+        return _network(session.link), _network(paths.standby.link) if paths.standby is not None else ""
 
     # --- what standby connections report --------------------------------------------------------------
 
@@ -301,6 +309,11 @@ class StandbyLinks:
 def _ip(link: Link) -> str:
     """The address of the peer, without its port."""
     return _host_part(link.peer)
+
+
+def _network(link: Link) -> str:
+    """The address of the peer for people: a caller in a fabric has a random name."""
+    return "zenoh" if is_zenoh(link.peer) else _ip(link)
 
 
 def _host_part(address: str) -> str:

@@ -66,6 +66,14 @@ def set_options(made: TcpSocket) -> None:
     set_time_outs(made, 0.0)
 
 
+def set_listening_options(made: TcpSocket) -> None:
+    """Answer a caller twice only, at once and after a second: it calls again.
+
+    The kernel's five repetitions would fill a path that has become so slow that callers have given up.
+    """
+    made.setsockopt(socket.IPPROTO_TCP, socket.TCP_SYNCNT, 1)
+
+
 def margin(round_trip: float) -> float:
     """The margin for a round trip, in seconds."""
     return min(MAX_MARGIN, max(MIN_MARGIN, MARGIN * round_trip))

@@ -26,10 +26,11 @@ class TcpCounts(NamedTuple):
 
 
 class Delivery(NamedTuple):
-    """What a connection has delivered, as its kernel knows.
+    """What a connection has delivered, as its kernel or its numbered stream knows.
 
-    `acked`: bytes that the peer has acknowledged. `is_pending`: whether data that the peer may receive awaits
-    an acknowledgement. `round_trip` and `variation`: the smoothed round trip and its variation, in seconds.
+    `acked`: bytes or packets that the peer has acknowledged. `is_pending`: whether data that the peer may
+    receive awaits an acknowledgement. `round_trip` and `variation`: the smoothed round trip and its
+    variation, in seconds.
     """
 
     acked: int

@@ -80,6 +80,8 @@ class ZenohPipe(asyncio.Transport):
     # --- asyncio.Transport --------------------------------------------------------------------------------
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
+        if name == "delivery":
+            return self._stream.delivery
         return {"peername": self._peer, "socket": NoSocket()}.get(name, default)
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:

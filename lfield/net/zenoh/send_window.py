@@ -31,6 +31,11 @@ class SendWindow:
         self._backoff = 1
 
     @property
+    def round_trip(self) -> tuple[float, float]:
+        """The smoothed round trip and its variation, in seconds; 0 before the first answer."""
+        return self._rtt.mean or 0.0, self._rtt.variation
+
+    @property
     def timeout(self) -> float:
         """Seconds until the peer is asked what has arrived (as RFC 6298 for a repetition)."""
         mean = self._rtt.mean

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+from lfield.net.health.traffic import Delivery
 from lfield.net.zenoh.packets import MAX_NUMBER, Kind, Packet, decode_packet
 from lfield.net.zenoh.receive_buffer import MAX_AHEAD, Arrival, ReceiveBuffer
 from lfield.net.zenoh.send_window import MAX_SEGMENT, SendWindow
@@ -190,6 +191,11 @@ class NumberedStream:
         if now >= self._ask_at:
             self._ask(now)
         return self._drain()
+
+    @property
+    def delivery(self) -> Delivery:
+        """What the peer has acknowledged, in packets."""
+        return Delivery(self._acknowledged, bool(self._sent), *self.window.round_trip)
 
     @property
     def deadline(self) -> float | None:

@@ -208,5 +208,5 @@ def host_states(answers: Mapping[K, EventBatch | LfieldError]) -> dict[K, HostSt
 
 
 def _measured(of: LinkStatus | events.LinkTelemetry, before: LinkState = NO_LINK) -> LinkState:
-    kinds = of.kinds if isinstance(of, LinkStatus) else before.kinds
-    return LinkState(of.round_trip, of.loss, of.sent, of.received, kinds)
+    rest = of if isinstance(of, LinkStatus) else before
+    return LinkState(of.round_trip, of.loss, of.sent, of.received, rest.kinds, rest.path, rest.standby)

@@ -47,13 +47,16 @@ class GeoPosition(NamedTuple):
 @dataclass(frozen=True, slots=True)
 class LinkState:
     """Measurements of a host about one link: the round trip in seconds, the loss rate of sent segments, the
-    bytes sent and received since the link opened, and the bytes of its messages by kind of traffic."""
+    bytes sent and received since the link opened, and the bytes of its messages by kind of traffic. `path`
+    and `standby` are those of `LinkStatus`."""
 
     round_trip: float | None = None
     loss: float | None = None
     sent: int | None = None
     received: int | None = None
     kinds: Mapping[str, int] = field(default_factory=dict)
+    path: str = ""
+    standby: str = ""
 
 
 @dataclass(frozen=True, slots=True)

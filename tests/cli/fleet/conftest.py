@@ -15,8 +15,8 @@ def robots(lfield, alone, monkeypatch) -> Iterator[Callable[..., Robots]]:
     # The inventory of their own folder counts.
     monkeypatch.delenv("LFIELD_INVENTORY")
 
-    def prepare(*hosts: str) -> Robots:
-        return Robots(lfield, hosts, alone["XDG_RUNTIME_DIR"])
+    def prepare(*hosts: str, router: str = "") -> Robots:
+        return Robots(lfield, hosts, alone["XDG_RUNTIME_DIR"], router)
 
     yield prepare
     lfield.end()

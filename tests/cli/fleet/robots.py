@@ -44,9 +44,10 @@ def program(rounds: int = 1, pause: float = 0.0, text: str = "visit") -> str:
 
 
 class Robots:
-    """The robots of one test. Commands of the desk are called in `lfield.folder`."""
+    """The robots of one test, in the fabric of a `router` or on loopback. Commands of the desk are called in
+    `lfield.folder`."""
 
-    def __init__(self, lfield, hosts: Sequence[str], runtime: str) -> None:
+    def __init__(self, lfield, hosts: Sequence[str], runtime: str, router: str = "") -> None:
         self._lfield, self.hosts, self._runtime = lfield, hosts, Path(runtime)
         self.ports = dict(
             zip(hosts, zip(*[iter(lfield.ports.take(2 * len(hosts)))] * 2, strict=True), strict=True)
@@ -54,9 +55,11 @@ class Robots:
         lfield.keys.give(*hosts)
         self.inventory = lfield.write(
             "config/lfield/inventory.yaml",
-            "hosts:\n"
+            (f"zenoh: {{connect: [{router}]}}\n" if router else "")
+            + "hosts:\n"
             + "".join(
-                f"  {host}: {{addresses: ['127.0.0.1:{mission}'], service_port: {service}}}\n"
+                f"  {host}: {{addresses: ['{f'zenoh:{host}' if router else '127.0.0.1'}:{mission}'], "
+                f"service_port: {service}}}\n"
                 for host, (mission, service) in self.ports.items()
             ),
         )

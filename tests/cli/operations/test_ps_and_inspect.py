@@ -146,7 +146,15 @@ def test_all_that_a_host_tells_as_json_and_as_a_table(capsys):
             "linked": ["bravo"],
             "away": {"carol": 3.5},
             "links": {
-                "bravo": {"round_trip": 0.2143, "loss": 0.048, "sent": 12345, "received": 999, "kinds": {}}
+                "bravo": {
+                    "round_trip": 0.2143,
+                    "loss": 0.048,
+                    "sent": 12345,
+                    "received": 999,
+                    "kinds": {},
+                    "path": "",
+                    "standby": "",
+                }
             },
             "observers": {},
             "devices": {
@@ -222,22 +230,32 @@ def test_the_round_trip_the_loss_and_the_bytes_of_each_link(capsys):
     kinds, watched = {"control": 300, "hop": 11_000}, {"telemetry": 2_500}
     links = [LinkStatus("bravo", None, 0.2143, 0.048, 12_345, 999, kinds), LinkStatus("carol", 3.5)]
     links.append(LinkStatus("delta", None))
+    links += [
+        LinkStatus("echo", None, path="10.0.0.5", standby="zenoh"),
+        LinkStatus("golf", None, path="10.0.0.7"),
+    ]
     status = Status(
         "alpha", "127.0.0.1:1", 2.5, b"p" * 32, b"d" * 32, [], [], [], links, [], observers=watched
     )
     told = json.loads(team_status_view.as_json(states_of({"alpha": status})))["alpha"]
-    assert (told["linked"], told["away"]) == (["bravo", "delta"], {"carol": 3.5})
+    assert (told["linked"], told["away"]) == (["bravo", "delta", "echo", "golf"], {"carol": 3.5})
+    figures = {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999, "kinds": kinds}
+    unknown = {**dict.fromkeys(("round_trip", "loss", "sent", "received")), "kinds": {}}
     assert told["links"] == {
-        "bravo": {"round_trip": 0.2143, "loss": 0.048, "sent": 12_345, "received": 999, "kinds": kinds},
-        "delta": {**dict.fromkeys(("round_trip", "loss", "sent", "received")), "kinds": {}},
+        "bravo": {**figures, "path": "", "standby": ""},
+        "delta": {**unknown, "path": "", "standby": ""},
+        "echo": {**unknown, "path": "10.0.0.5", "standby": "zenoh"},
+        "golf": {**unknown, "path": "10.0.0.7", "standby": ""},
     }
     assert told["observers"] == watched
     team_status_view.show(states_of({"alpha": status}))
     rows = [" ".join(line.split()) for line in capsys.readouterr().out.splitlines()]
-    assert rows[-5:] == [
+    assert rows[-7:] == [
         "HOST LINK WITH ROUND TRIP LOSS SENT RECEIVED BY KIND",
         "alpha bravo 214 ms 4.8 % 12.3 kB 999 B control 300 B, hop 11.0 kB",
         "alpha delta",
+        "alpha echo over 10.0.0.5, standby zenoh",
+        "alpha golf over 10.0.0.7, standby none",
         "alpha carol none for 4 s",
         "alpha observers telemetry 2.5 kB",
     ]

@@ -166,12 +166,15 @@ def test_the_newer_of_two_standbys_is_kept():
 
 def test_a_host_that_lost_its_rights_loses_its_standby():
     async def story(network, alpha, bravo):
-        bravo.peers._standbys._is_admitted = lambda who: False
+        assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "two-bravo")
+        assert bravo.peers.standbys.paths("alpha") == ("one-alpha", "two-alpha")
+        bravo.peers.standbys._is_admitted = lambda who: False
         bravo.peers.reauthorise()
         await asyncio.sleep(0.1)
         assert [each.closed for each in network.links if each.peer.startswith("two-")] == [True, True]
         # No other one is accepted.
         await asyncio.sleep(20.0)
         assert bravo.count("standby connection with") == 1
+        assert alpha.peers.standbys.paths("bravo") == ("one-bravo", "")
 
     play(story)

@@ -3,12 +3,12 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from stream_pair import StreamPair
+from stream_pair import DELAY, StreamPair
 
 from lfield.net.zenoh.packets import MAX_NUMBER, Kind, Packet, decode_packet
 from lfield.net.zenoh.receive_buffer import MAX_AHEAD, MAX_BYTES
 from lfield.net.zenoh.send_window import INITIAL_WINDOW, MAX_SEGMENT, MAX_WINDOW, MIN_WINDOW, SendWindow
-from lfield.net.zenoh.stream import IDLE, SILENCE, SUSPECTED_SILENCE, Closed, NumberedStream
+from lfield.net.zenoh.stream import ACK_DELAY, IDLE, SILENCE, SUSPECTED_SILENCE, Closed, NumberedStream
 
 BLOCK = bytes(range(256)) * 4096
 
@@ -23,6 +23,23 @@ def opened(**faults) -> StreamPair:
     assert pair.near.opened == 1
     pair.sent.clear()
     return pair
+
+
+def test_what_is_not_acknowledged_is_pending():
+    """So that a link leaves a dead path before heartbeats notice it."""
+    pair = opened()
+    pair.write(pair.near, b"one")
+    assert pair.near.stream.delivery.is_pending
+    pair.run(1.0)
+    before = pair.near.stream.delivery
+    assert not before.is_pending
+    assert 2 * DELAY <= before.round_trip <= 2 * DELAY + ACK_DELAY + 1e-6
+    pair.is_lost = lambda calls, data: True
+    pair.write(pair.near, b"two")
+    pair.run(1.0)
+    after = pair.near.stream.delivery
+    assert (after.acked, after.is_pending) == (before.acked, True)
+    assert before.acked > 0
 
 
 # Opening

@@ -80,6 +80,17 @@ def test_a_router_that_dies_ends_the_links_and_one_that_returns_carries_new_ones
     tls_bench.until(lambda: pair.accepted[-1].messages == [Ping(2)])
 
 
+def test_a_link_knows_that_a_router_that_died_delivers_nothing(router, tls_bench):
+    pair = Pair(tls_bench)
+    tls_bench.until(lambda: not pair.link.delivery().is_pending)
+    router.kill()
+    pair.link.send(Ping(1))
+    tls_bench.until(lambda: pair.link.delivery().is_pending)
+    assert pair.link.delivery().acked > 0
+    router.start()
+    tls_bench.until(lambda: pair.far.messages == [Ping(1)] or bool(pair.near.ends))
+
+
 def connected_again(bench: ZenohBench, pair: Pair):
     """A link to the same listener, as soon as there is one: the sessions connect again on their own."""
 

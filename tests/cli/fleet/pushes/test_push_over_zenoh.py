@@ -1,0 +1,47 @@
+"""Services, their missions and the desk in a Zenoh fabric, whose router dies."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import pytest
+from fabric import PATIENCE, Router
+from robots import told
+
+pytest.importorskip("zenoh", reason="eclipse-zenoh is not installed")
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture
+def router() -> Iterator[Router]:
+    made = Router()
+    yield made
+    made.kill()
+
+
+def test_a_bundle_is_pushed_and_started_over_a_router_that_dies_in_between(lfield, robots, router):
+    team = robots("alpha", "bravo", router=router.endpoint)
+    team.up()
+    team.mission()
+    pushed = told(lfield("push", "mission.dL", "--json"))
+    assert (pushed["outcome"], pushed["votes"]) == ("activated", {"alpha": "yes", "bravo": "yes"})
+    router.kill()
+    router.start()
+    end = time.monotonic() + PATIENCE
+    while lfield.status(began := lfield("start", "--json")):
+        # The services link to the router again on their own.
+        assert time.monotonic() < end, began.said
+    team.services["bravo"].wait_for("^visit 1$")
+    team.services["alpha"].wait_for("status 0")
+
+    team.mission(text="call")
+    push = lfield.start("push", "mission.dL", "--json")
+    router.kill()
+    router.start()
+    push.wait()
+    states = told(lfield("status", "--json"))
+    assert len({each["bundle"] for each in states.values()}) == 1
+    if lfield.status(push):
+        push = lfield("push", "mission.dL", "--json")
+    assert told(push)["outcome"] == "activated"
