@@ -192,11 +192,9 @@ class Host:
             self.note(log_messages.NO_CONTROL_SOCKET.line(host=self.name, reason=error))
 
     async def stop(self) -> dict[str, str]:
-        """Make the devices safe, wait until they are at rest, then close everything.
+        """Make the devices safe, wait until they are at rest, then close everything. Meanwhile no agent runs.
 
-        Meanwhile no agent runs, and observers get answers. Coordinators that are here end with the host.
-        Returns the devices that were not confirmed at rest in their safe states, by name, each with its last
-        known state. `guards.hurry` shortens the wait.
+        Returns the devices that were not confirmed at rest in their safe states, with their last states.
         """
         if self._stopped:
             return {}
@@ -207,6 +205,8 @@ class Host:
         for name, why in unsafe.items():
             self.note(log_messages.DEVICE_NOT_SAFE.line(device=name, reason=why))
         await self._observers.linger_for_observers()
+        # Only now: a host that is killed while its vehicles land must not start the mission again.
+        self.dispatch(inputs.RunEnds())
         self._observers.subscriptions.flush_and_close()
         await self.journal_writer.close()
         self._stopped = True
@@ -377,9 +377,9 @@ class Host:
 
     def is_mission_active(self) -> bool:
         """Whether a device is in use here, or a coordinator runs that is neither paused nor stopped."""
-        latched, moving = self.guards.latched, self.guards.moving
-        in_use = (device for device in self.mission.devices_of(self.name) if not device.is_sensor)
-        if any(device.name not in latched or moving.get(device.name) for device in in_use):
+        guards = self.guards
+        in_use = [device.name for device in self.mission.devices_of(self.name) if not device.is_sensor]
+        if any(name not in guards.latched or guards.moving.get(name) for name in in_use):
             return True
         held = self.core.coordinators.paused or self.core.coordinators.stopped
         return not held and any(known.state != "EXITED" for known in self.mobility.known_states())

@@ -271,6 +271,13 @@ class BallotHeld(HostInput, frozen=True, tag=26):
         core.set_ballot_hold(self.ballot)
 
 
+class RunEnds(HostInput, frozen=True, tag=27):
+    """The devices of a stopping host are at rest, or are not waited for (`Coordinators.end_run`)."""
+
+    def enter(self, core: HostCore) -> None:
+        core.coordinators.end_run()
+
+
 RecordedInput = (
     ResourcesStart
     | CoordinatorsStart
@@ -298,4 +305,5 @@ RecordedInput = (
     | SilenceChecked
     | ContactRestored
     | BallotHeld
+    | RunEnds
 )

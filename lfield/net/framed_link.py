@@ -158,7 +158,7 @@ class FramedLink:
 
     def count_in(self, traffic: TrafficBytes) -> None:
         """See `Link.count_in`."""
-        self.traffic = traffic
+        self.traffic = TrafficBytes(traffic)
 
     def counts(self) -> TcpCounts | None:
         """See `Link.counts`."""

@@ -98,7 +98,7 @@ class Link(Protocol):
         """
 
     def count_in(self, traffic: TrafficBytes) -> None:
-        """Count bytes there from now on, together with those of other links."""
+        """Count bytes from now on, there too, together with those of other links."""
 
     def set_round_trip(self, round_trip: float) -> None:
         """Set the measured round trip in seconds, which determines retransmission time-outs."""

@@ -113,7 +113,7 @@ def guard_folders(folder: Path) -> dict[str, Path]:
 def segments_of(folder: Path, stem: str, suffix: str = SUFFIX) -> list[Path]:
     """The files of one ring, oldest first."""
     name = re.compile(rf"{re.escape(stem)}-\d{{6,}}{re.escape(suffix)}")
-    return sorted(path for path in folder.iterdir() if name.fullmatch(path.name))
+    return sorted(path for path in folder.iterdir() if name.fullmatch(path.name) and path.is_file())
 
 
 def _folders(parent: Path) -> Iterable[Path]:

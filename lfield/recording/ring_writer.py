@@ -48,7 +48,8 @@ class RingWriter:
         self._limit, self._on_failure = limit, on_failure
         #: What the thread has to do: bytes to append, or None to begin the next file.
         self._queue: deque[bytes | None] = deque()
-        self._written = 0
+        #: The bytes of the present file, and those with which it began.
+        self._written = self._first = 0
         # Bytes that were appended, and those that reached the kernel: each is changed by one thread only.
         self._appended = self._stored = 0
         self._number, self._file = 0, -1
@@ -62,15 +63,18 @@ class RingWriter:
 
     @property
     def is_full(self) -> bool:
-        """Whether the present file has its share of the limit: `start_file` should follow."""
-        return self._written >= self._limit // FILES and not self.failure
+        """Whether the present file has its share of the limit: `start_file` should follow.
+
+        At most a third of it is its first data, as the state of a guard, even if that is more than its share.
+        """
+        return self._written >= max(self._limit // FILES, 3 * self._first) and not self.failure
 
     def start_file(self, first: bytes = b"") -> None:
         """Begin the next file, with `first` as its first data after the header."""
         if self.failure:
             return
         self._queue.append(None)
-        self._written = 0
+        self._written, self._first = 0, len(first)
         self.append(self._header + first)
 
     def append(self, data: bytes) -> None:

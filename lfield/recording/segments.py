@@ -13,8 +13,8 @@ from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
 
-#: The first bytes of each segment; the last one is the version of this format.
-MAGIC = b"LFREC\x00\x00\x01"
+#: The first bytes of each segment; the last one is the version of this format and of all records.
+MAGIC = b"LFREC\x00\x00\x02"
 #: The largest record, in bytes: a checkpoint of a host with many large blocks.
 MAX_RECORD = 1 << 28
 _HEADER = Struct("<II")
@@ -37,11 +37,16 @@ def frame(record: bytes) -> bytes:
     return _HEADER.pack(len(record), crc32(record)) + record
 
 
-def version_of(data: bytes) -> int | None:
-    """The format version of a segment with these first bytes; None if it is not a segment."""
-    if len(data) < len(MAGIC) or data[: len(MAGIC) - 1] != MAGIC[:-1]:
-        return None
-    return data[len(MAGIC) - 1]
+def format_problem(data: bytes) -> str:
+    """Why a file that begins like this cannot be read, '' if it can; a shorter one has no record."""
+    own = MAGIC[-1]
+    if not data.startswith(MAGIC[:-1]):
+        return "" if MAGIC.startswith(data) else "it is no recording"
+    if data[: len(MAGIC)] in (MAGIC, MAGIC[:-1]):
+        return ""
+    version = data[len(MAGIC) - 1]
+    which = "a newer lfield" if version > own else "the lfield that recorded it"
+    return f"it has format {version}, and this lfield reads format {own}: use {which}"
 
 
 class SegmentReader:

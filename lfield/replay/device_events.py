@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator
+from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple, cast
@@ -67,9 +68,10 @@ def _events_of(record: InputRecord | NoteRecord, start: SegmentStart) -> Iterato
         yield _logged(log_messages.report_line(record.device, record.text, record.code, level))
         return
     decoded = msgspec.msgpack.decode(record.decisions)
-    for kind, *fields in decoded if isinstance(decoded, list) else ():
-        if kind in _REPORTS:
-            yield from _reported(_REPORTS[kind](*fields), start)
+    # Other decisions are in a damaged recording only, and a difference in its replay.
+    with suppress(TypeError, ValueError):
+        reports = (_REPORTS[kind](*fields) for kind, *fields in decoded if kind in _REPORTS)
+        yield from [event for report in reports for event in _reported(report, start)]
 
 
 def _reported(

@@ -140,17 +140,6 @@ class HostRecording:
             raise RecordingError("the beginning of the recording is missing")
         return 0, None
 
-    def turn_at(self, at: float) -> int:
-        """The number of the first turn that is not earlier than a time of the host's clock."""
-        frame = 0
-        for number, each in enumerate(self.frames):
-            if each.header.kind == b"T" and each.header.at <= at:
-                frame = number
-        for number, record in self.turns_from(self.frames[frame].turn):
-            if record.at >= at:
-                return number
-        return self.turns
-
     def _frame_of(self, turn: int) -> int:
         """The first frame that may have that turn."""
         found = 0

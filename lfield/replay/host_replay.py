@@ -122,7 +122,11 @@ class HostReplay:
 
     def _restore(self, checkpoint: CheckpointRecord) -> None:
         self.environment.restore(checkpoint.answers, checkpoint.readings)
-        self._snapshots.restore(checkpoint.snapshot, self.environment.readings)
+        try:
+            self._snapshots.restore(checkpoint.snapshot, self.environment.readings)
+        except RecordingError as error:
+            start = self._start
+            raise RecordingError(f"{start.host}, recorded by lfield {start.lfield}: {error}") from None
         self.core.recorder.hybrid_clock.restore(checkpoint.start.clock)
         self.clock.set(checkpoint.at, None)
 

@@ -11,12 +11,12 @@ from typing import NamedTuple
 from lfield.errors import BundleError, InputFileError, RecordingError
 from lfield.guard.recording.guard_segments import guard_problems
 from lfield.host.inputs import Linked
-from lfield.host.recording.host_records import VERSION, StartRecord, TurnRecord
+from lfield.host.recording.host_records import StartRecord, TurnRecord
 from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM
 from lfield.mission import bundle
 from lfield.mission.mission import Mission
 from lfield.recording.folders import SUFFIX, parse_folder, segments_of, time_name
-from lfield.recording.segments import MAGIC, SegmentReader, version_of
+from lfield.recording.segments import MAGIC, SegmentReader, format_problem
 from lfield.replay.host_recording import HostRecording, require_valid
 from lfield.text.input_files import read_bytes
 
@@ -158,15 +158,12 @@ class _Gap(NamedTuple):
 
 
 def _read_segment(path: Path, frames: list[bytes]) -> _Gap:
-    """Add the frames of a file. Raises RecordingError for one of a newer version."""
+    """Add the frames of a file. Raises RecordingError for one of another format."""
     data = read_bytes(path, MAX_SEGMENT)
-    version = version_of(data)
-    if version is None:
-        return _Gap("it is no recording" if data else "it is empty", not data)
-    if version > MAGIC[-1]:
-        raise RecordingError(
-            f"{path.name} has format {version}, this lfield reads format {MAGIC[-1]}: use the newer lfield"
-        )
+    if len(data) < len(MAGIC):
+        return _Gap("it is cut before its first record" if data else "it is empty", is_cut=True)
+    if problem := format_problem(data):
+        raise RecordingError(f"{path.name}: {problem}")
     reader = SegmentReader(data)
     for place, each in enumerate(reader):
         try:
@@ -222,9 +219,6 @@ def _peers(recording: HostRecording) -> set[int]:
 def _mission(loaded: Sequence[Incarnation], bundle_file: Path | None) -> Mission:
     """The mission of recordings of one run. Raises RecordingError, InputFileError."""
     starts = [part.start for each in loaded for part in each.parts]
-    for start in starts:
-        if start.version > VERSION:
-            raise RecordingError(f"the recording of {start.host} is of a newer lfield ({start.lfield})")
     mission = _named_mission(bundle_file, starts) if bundle_file is not None else _own_mission(loaded)
     for start in starts:
         if start.host not in mission.team.hosts:

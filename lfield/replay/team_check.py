@@ -67,10 +67,14 @@ class PartResult:
     incarnation: int
     turns: int = 0
     digests: int = 0
-    differences: int = 0
     seconds: float = 0.0
     first: FirstDifference | None = None
     guard: str = ""
+
+    @property
+    def differences(self) -> int:
+        """1 if it differs, else 0: after its first difference a host is not replayed further."""
+        return int(self.first is not None)
 
 
 @dataclass(slots=True)
@@ -86,7 +90,7 @@ class ReplaySummary:
 
     @property
     def differences(self) -> int:
-        """The number of parts that differ: after its first difference a part is not replayed further."""
+        """The number of parts that differ."""
         return sum(part.differences for part in self.parts)
 
     @property
@@ -120,7 +124,6 @@ def check_part(
         if found.turns % PROGRESS_TURNS == 0:
             on_progress(PROGRESS_TURNS)
         if turn.divergence is not None:
-            found.differences = 1
             found.first = difference_at(replay, turn)
             break
     on_progress(found.turns % PROGRESS_TURNS)
@@ -146,7 +149,7 @@ def check_guards(recording: TeamRecording) -> tuple[list[PartResult], list[str]]
 def _guard_result(incarnation: Incarnation, device: str, replay: GuardReplay) -> PartResult:
     start = incarnation.parts[0].start
     found = PartResult(incarnation.host, start.incarnation, guard=device)
-    found.digests, found.differences = replay.digests, min(1, replay.differences)
+    found.digests = replay.digests
     if (first := replay.first) is not None:
         what = f"decision of the guard of {device} about {first.given}"
         found.first = FirstDifference(

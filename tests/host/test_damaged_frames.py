@@ -83,10 +83,14 @@ class Damage:
         self.flipped += 1
         return bytes(damaged)
 
+    def on_repaired(self) -> None:
+        """The link goes on although a frame was damaged."""
+        self._link = None
+
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
-    ("wanted", "rounds"), [(is_hop, 900), (is_delta, 900), (is_answer, 500)], ids=["hop", "delta", "answer"]
+    ("wanted", "rounds"), [(is_hop, 900), (is_delta, 1000), (is_answer, 500)], ids=["hop", "delta", "answer"]
 )
 def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds):
     if wanted is is_hop:
@@ -101,6 +105,15 @@ def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds)
         finished(link, error)
 
     monkeypatch.setattr(MemoryLink, "on_eof", note_end)
+    resend, repeated = MemoryLink._resend, []
+
+    def note_repetition(link: MemoryLink, agent: str) -> None:
+        """A damaged digest of the reference: the transfer is sent again, whole."""
+        resend(link, agent)
+        repeated.append(agent)
+        damage.on_repaired()
+
+    monkeypatch.setattr(MemoryLink, "_resend", note_repetition)
     logs: dict[str, str] = {}
 
     async def story(team):
@@ -110,7 +123,9 @@ def test_a_bit_of_any_byte_of_a_hop_may_flip(fleet, monkeypatch, wanted, rounds)
             await asyncio.sleep(10.0)
             logs.update((running.host.name, running.log) for running in hosts)
         print(f"{wanted.__name__}, a bit flipped in every byte: {len(ended)} / {damage.flipped} refused")
-        assert ended == ["bravo:8181"] * damage.flipped
+        assert set(ended) == {"bravo:8181"}
+        # A flip in the unused bits of the last byte of a delta changes nothing.
+        assert damage.flipped - (wanted is is_delta) <= len(ended) + len(repeated) <= damage.flipped
         assert damage.place >= damage.last > 0
 
     fleet(story)

@@ -243,6 +243,26 @@ def test_a_start_that_fails_leaves_the_run_as_it_was(fleet):
     fleet(story)
 
 
+def test_a_host_that_is_killed_while_its_vehicles_land_does_not_begin_the_mission_again(fleet):
+    """All coordinators have ended, and a service or unit restarts the host."""
+
+    async def story(team):
+        mission = team.mission(VISIT, ONE_VISIT)
+        away, home = await team.up(mission, keeps=True)
+        await team.until(lambda: _ended(home))
+        home.host.guards.close = asyncio.get_running_loop().create_future
+        stopping = asyncio.create_task(home.host.stop())
+        await asyncio.sleep(5.0)
+        stopping.cancel()
+        del home.host.guards.close
+        home.host.peers.close()
+        (again,) = await team.up(mission, "home", keeps=True)
+        assert "guest not started again: it has ended (done) in the current run" in again.log
+        assert away.output == ["visited"]
+
+    fleet(story)
+
+
 def test_the_loader_of_the_language_document_goes_on_after_a_restart(fleet):
     """Its host is stopped while its call is under way."""
     text = (Path(__file__).parents[2] / "lfield/docs/language.md").read_text(encoding="utf-8")

@@ -13,7 +13,6 @@ from lfield.guard.effects import Notify
 from lfield.guard.messages import Latched, Note
 from lfield.guard.recording.guard_inputs import TimerExpired
 from lfield.guard.recording.guard_records import (
-    FORMAT,
     InputRecord,
     NoteRecord,
     SegmentStart,
@@ -54,7 +53,7 @@ def write_guard(folder: Path, mission: Mission, at: float, wall: float) -> None:
     position = [quantity.name for quantity in manifest.telemetry].index("position")
     records = [
         SegmentStart(
-            *(FORMAT, "", "alpha", "", "", "1", 0, wall, at, 0.5, [recorded_device(binding, driver)]),
+            *("", "alpha", "", "", "1", 0, wall, at, 0.5, [recorded_device(binding, driver)]),
             *(core.state, [], [{}]),
         ),
         *(

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from lfield.host.recording.recording_target import RecordingDirectory
+from recorded_teams import run_into
+
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
-from lfield.simulate.host_fleet import Fleet, FleetOptions
 
 PROGRAM = """
 resource Post {
@@ -42,12 +42,5 @@ def write_mission(folder: Path, program: str = PROGRAM) -> Path:
 def record_flight(folder: Path, seconds: float, time_of_day: float | None = None) -> Mission:
     """Run the mission for so long; its recordings are in `records` of the folder."""
     mission = load_mission(write_mission(folder), simulate=True)
-    target = RecordingDirectory(folder / "records", 64 << 20)
-    fleet = Fleet(mission, 1, options=FleetOptions(time_of_day=time_of_day, record=target))
-    fleet.run(seconds)
-    for name in list(fleet.lives):
-        fleet.stop(name)
-    fleet.run(10.0)
-    fleet.run(10.0)
-    fleet.close()
+    run_into(folder / "records", mission, seconds, time_of_day)
     return mission

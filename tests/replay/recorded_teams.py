@@ -8,7 +8,13 @@ from itertools import pairwise
 from pathlib import Path
 
 from lfield.host.recording.host_records import FrameHeader, HostRecord, encode_frame
-from lfield.host.recording.recording_target import BUNDLE_NAME, CORE_STEM, RecordingMemory, RecordSink
+from lfield.host.recording.recording_target import (
+    BUNDLE_NAME,
+    CORE_STEM,
+    RecordingDirectory,
+    RecordingMemory,
+    RecordSink,
+)
 from lfield.mission import bundle
 from lfield.mission.loader import load_mission
 from lfield.mission.mission import Mission
@@ -16,6 +22,7 @@ from lfield.recording.folders import SUFFIX, create_folder
 from lfield.recording.segments import MAGIC, SegmentReader, frame
 from lfield.replay.host_recording import HostRecording
 from lfield.replay.host_replay import HostReplay
+from lfield.replay.team_check import ReplaySummary, check_part
 from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.vm.engine_interface import Engines
 from lfield.vm.reference import ReferenceEngine
@@ -79,27 +86,6 @@ class MemoryWithBundles(RecordingMemory):
         return super().open_sink(host, incarnation, wall_time, bundle, on_failure)
 
 
-@dataclass(slots=True)
-class Comparison:
-    """The sum of some replays: turns, digests, and sentences about differences."""
-
-    turns: int = 0
-    digests: int = 0
-    checkpoints: int = 0
-    differences: list[str] | None = None
-
-    def add(self, recording: HostRecording, mission: Mission, engines: Engines, turn: int = 0) -> None:
-        """Replay from a turn on, up to the first difference."""
-        replay = HostReplay(recording, mission, engines, turn=turn)
-        self.differences = self.differences or []
-        for each in replay:
-            self.turns += 1
-            self.digests += each.digests
-            if each.divergence is not None:
-                self.differences.append(f"{recording.host}, turn {each.number}: {each.divergence}")
-                return
-
-
 def walk_mission(folder: Path) -> Mission:
     """The mission of WALK_PROGRAM."""
     (folder / "mission.L").write_text(WALK_PROGRAM)
@@ -131,16 +117,30 @@ def contents_of(frames: Iterable[bytes]) -> Iterator[bytes]:
         yield from SegmentReader(MAGIC + each)
 
 
-def compare(team: RecordedTeam, engines: Engines = ReferenceEngine, *, at_checkpoints: bool) -> Comparison:
-    """Replay all incarnations from their start, or from each of their checkpoints."""
-    found = Comparison(differences=[])
+def compare(team: RecordedTeam, engines: Engines = ReferenceEngine, *, at_checkpoints: bool) -> ReplaySummary:
+    """Replay all incarnations from their start, and also from each of their checkpoints."""
+    found = ReplaySummary()
     for recording in team.recordings():
-        found.add(recording, team.mission, engines)
-        for each in recording.frames if at_checkpoints else ():
-            if each.header.kind == b"C":
-                found.checkpoints += 1
-                found.add(recording, team.mission, engines, each.turn)
+        checkpoints = checkpoint_turns(recording) if at_checkpoints else []
+        for turn in (0, *checkpoints):
+            found.parts.append(check_part(recording, HostReplay(recording, team.mission, engines, turn)))
     return found
+
+
+def checkpoint_turns(recording: HostRecording) -> list[int]:
+    """The turns that follow a checkpoint."""
+    return [each.turn for each in recording.frames if each.header.kind == b"C"]
+
+
+def run_into(folder: Path, mission: Mission, seconds: float, time_of_day: float | None = None) -> None:
+    """Run a team for some seconds of virtual time, then stop it; its hosts are recorded into a directory."""
+    target = RecordingDirectory(folder, 64 << 20)
+    fleet = Fleet(mission, 1, options=FleetOptions(time_of_day=time_of_day, record=target))
+    fleet.run(seconds)
+    for name in list(fleet.lives):
+        fleet.stop(name)
+    fleet.run(20.0)
+    fleet.close()
 
 
 def write_folder(

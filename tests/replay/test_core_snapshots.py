@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recorded_teams import MemoryWithBundles, recorded
+from recorded_teams import checkpoint_turns, run_recorded
 
 from lfield.errors import DeviceError, RecordingError
 from lfield.host.events.event_rate_limit import RateLimit
@@ -22,7 +22,6 @@ from lfield.host.recording.object_graph import GraphReader, GraphWriter, walk
 from lfield.host.recording.recorded_environment import Question
 from lfield.mission.loader import load_mission
 from lfield.replay.host_replay import HostReplay
-from lfield.simulate.host_fleet import Fleet, FleetOptions
 from lfield.text import log_messages
 from lfield.vm.memory.block import Block, ThreadPlaces
 from lfield.vm.memory.block_allocator import HeapAllocator
@@ -165,17 +164,11 @@ def test_every_object_of_a_busy_core_is_restored_with_its_class(tmp_path, monkey
         return data
 
     monkeypatch.setattr(CoreSnapshots, "capture", noted)
-    memory = MemoryWithBundles()
-    fleet = Fleet(load_mission(tmp_path / "mission.dL"), 1, options=FleetOptions(record=memory))
-    fleet.run(4.0)
-    team = recorded(fleet.mission, memory)
-    fleet.close()
+    team = run_recorded(load_mission(tmp_path / "mission.dL"), 4.0)
     restored = 0
     for recording in team.recordings():
-        for frame in recording.frames:
-            if frame.header.kind != b"C":
-                continue
-            turn, checkpoint = recording.checkpoint_before(frame.turn)
+        for following in checkpoint_turns(recording):
+            turn, checkpoint = recording.checkpoint_before(following)
             replay = HostReplay(recording, team.mission, turn=turn, checkpoint=checkpoint)
             externals = {id(each): 0 for each in core_snapshot._externals(replay.core).values()}
             assert classes_in(replay.core, externals) == written[checkpoint.snapshot]

@@ -6,12 +6,19 @@ import csv
 import io
 import json
 
+import msgspec
+import pytest
 from mcap.reader import make_reader
 
 from lfield.export.export_input import mission_info
 from lfield.export.mcap_writer import export_mcap
 from lfield.export.tables.csv_tables import export_csv
+from lfield.guard.recording.guard_records import NOTIFY, InputRecord, framed
+from lfield.guard.recording.guard_segments import read_segment
+from lfield.recording.segments import MAGIC
+from lfield.replay.device_events import device_events
 from lfield.replay.event_stream import event_stream
+from lfield.wire.events import LineLogged
 
 LATCHED_AT = 4.0
 
@@ -39,6 +46,21 @@ def test_the_tables_have_the_safe_states_of_devices(recording):
     assert confirmed["host"] == "alpha"
     assert abs(float(confirmed["time"]) - start - LATCHED_AT) < 0.1
     assert json.loads(confirmed["fields"])["reason"] == "the battery is empty"
+
+
+@pytest.mark.parametrize(
+    "decisions", [[None], [[]], [[17]], [["x"]], 5, [[[1]]], [[NOTIFY, 1, 2, 3, 4, 5, 6]]]
+)
+def test_damaged_decisions_have_no_events(decisions, records, tmp_path):
+    (path,) = records.glob("alpha-*/guard-*/guard-*.lfrec")
+    segment, copy = read_segment(path), tmp_path / path.name
+    damaged = msgspec.Raw(msgspec.msgpack.encode(decisions))
+    changed = [
+        msgspec.structs.replace(each, decisions=damaged) if isinstance(each, InputRecord) else each
+        for each in segment.records
+    ]
+    copy.write_bytes(MAGIC + b"".join(map(framed, [segment.start, *changed])))
+    assert {type(each.what) for each in device_events([copy])} == {LineLogged}
 
 
 def test_the_log_of_an_mcap_file_has_what_guards_and_drivers_logged(recording):

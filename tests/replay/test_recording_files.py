@@ -4,12 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
-from recorded_teams import Comparison, checkpoints_of, recorded, run_recorded, walk_mission, write_folder
+from recorded_teams import (
+    checkpoint_turns,
+    checkpoints_of,
+    recorded,
+    run_into,
+    run_recorded,
+    walk_mission,
+    write_folder,
+)
 
 from lfield import exit_status
 from lfield.cli.main import main
@@ -27,10 +36,10 @@ from lfield.recording import folders
 from lfield.recording.folders import INCARNATIONS, create_folder, folders_in
 from lfield.recording.segments import MAGIC
 from lfield.replay.event_stream import event_stream
+from lfield.replay.host_replay import HostReplay
 from lfield.replay.recording_files import load_team
-from lfield.replay.team_check import check_team
+from lfield.replay.team_check import check_part, check_team
 from lfield.simulate.host_fleet import Fleet, FleetOptions
-from lfield.vm.reference import ReferenceEngine
 
 
 @pytest.fixture(scope="module")
@@ -194,21 +203,28 @@ def test_another_bundle_that_is_named_differs_or_is_refused(team, tmp_path, caps
     refused(capsys, folder, "--bundle", path)
 
 
-def test_a_file_of_a_newer_version_is_refused(team, tmp_path, capsys):
+@pytest.mark.parametrize(("change", "text"), [(1, "a newer lfield"), (-1, "the lfield that recorded it")])
+def test_a_file_of_another_format_is_refused(change, text, team, tmp_path, capsys):
     folder = write_folder(tmp_path, team)
     path = folder / "core-000001.lfrec"
     data = path.read_bytes()
-    path.write_bytes(MAGIC[:-1] + bytes([MAGIC[-1] + 1]) + data[len(MAGIC) :])
-    assert "newer" in refused(capsys, folder)
+    path.write_bytes(MAGIC[:-1] + bytes([MAGIC[-1] + change]) + data[len(MAGIC) :])
+    assert text in refused(capsys, folder)
+    assert main(["debug", str(folder), "-c", "where"]) == exit_status.DATA
+    assert main(["export", str(folder), "--csv", str(tmp_path / "tables")]) == exit_status.DATA
 
 
-@pytest.mark.parametrize("name", ["nothing", "empty", "an empty file", "text"])
+@pytest.mark.parametrize("name", ["nothing", "empty", "an empty file", "text", "a pipe", "a folder"])
 def test_what_is_no_recording_is_refused(name, tmp_path, capsys):
     path = tmp_path / "place"
     if name != "nothing":
         path.mkdir()
     if name in ("an empty file", "text"):
         (path / "core-000001.lfrec").write_bytes(b"" if name == "an empty file" else b"hello " * 100)
+    if name == "a pipe":
+        os.mkfifo(path / "core-000001.lfrec")
+    if name == "a folder":
+        (path / "core-000001.lfrec").mkdir()
     with pytest.raises((RecordingError, InputFileError)):
         load_team([path])
     assert main(["replay", str(path)]) in (exit_status.DATA, exit_status.NO_INPUT)
@@ -306,20 +322,16 @@ def test_a_mission_whose_bundle_cannot_be_read_again_starts_without_a_recording(
 
 def test_a_simulated_recording_is_replayed_from_its_checkpoints(tmp_path, monkeypatch):
     monkeypatch.setattr(flight_recorder, "CHECKPOINT_INTERVAL", 0.6)
-    target = RecordingDirectory(tmp_path / "records", 1 << 22)
-    fleet = Fleet(walk_mission(tmp_path), 1, options=FleetOptions(record=target))
-    fleet.run(3.0)
-    for name in list(fleet.lives):
-        fleet.stop(name)
-    fleet.run(2.0)
-    fleet.close()
-    loaded, found = load_team([tmp_path / "records"]), Comparison()
-    for part in (part for each in loaded.incarnations for part in each.parts):
-        for frame in (each for each in part.frames if each.header.kind == b"C"):
-            found.checkpoints += 1
-            found.add(part, loaded.mission, ReferenceEngine, frame.turn)
-    assert found.checkpoints > 4
-    assert not found.differences
+    run_into(tmp_path / "records", walk_mission(tmp_path), 3.0)
+    loaded = load_team([tmp_path / "records"])
+    found = [
+        check_part(part, HostReplay(part, loaded.mission, turn=turn))
+        for each in loaded.incarnations
+        for part in each.parts
+        for turn in checkpoint_turns(part)
+    ]
+    assert len(found) > 4
+    assert not any(each.differences for each in found)
 
 
 def test_a_checkpoint_has_no_function_that_was_set_later_except_for_a_method(tmp_path):

@@ -67,6 +67,7 @@ def test_another_program_is_compared_by_its_calls(recorded: Path, tmp_path: Path
     assert first["replayed"]["place"] == "mission.L:7"
     ran = lfield("test", "--from", recorded / "records", cwd=tmp_path)
     assert ran.returncode == 1
+    assert lfield("test", "--from", recorded / "records", "-x", cwd=tmp_path).returncode == 64
 
 
 @pytest.mark.process
@@ -232,6 +233,23 @@ def test_a_recording_is_exported_for_other_tools(recorded: Path, tmp_path: Path)
     again = lfield("export", recorded / "records", "--mcap", file, cwd=tmp_path)
     assert again.returncode == 73
     assert lfield("export", recorded / "records", "--csv", tables, cwd=tmp_path).returncode == 73
+
+
+@pytest.mark.process
+def test_an_export_that_fails_leaves_no_part_of_it(recorded: Path, tmp_path: Path) -> None:
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000));"
+        "from lfield.__main__ import main; sys.exit(main())"
+    )
+    command = [sys.executable, "-c", code, "export", str(recorded / "records"), "--csv", "tables"]
+    ran = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
+    assert ran.returncode == 73
+    assert not any((tmp_path / "tables").iterdir())
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "file").touch()
+    ran = lfield("export", recorded / "records", "--mcap", "x.mcap", "--csv", "used", cwd=tmp_path)
+    assert ran.returncode == 73
+    assert not (tmp_path / "x.mcap").exists()
 
 
 @pytest.mark.process

@@ -44,9 +44,9 @@ def test_an_example_is_replayed_on_each_engine_and_from_each_checkpoint(name, en
     team = run_recorded(load_mission(EXAMPLES / name, simulate=name in SIMULATED), 6.0)
     engines = ReferenceEngine if engine == "reference" else select_engine("wasm", lambda line: None, float)
     found = compare(team, engines, at_checkpoints=True)
-    assert found.differences == []
+    assert found.first is None
     assert found.digests > 100
-    assert found.checkpoints >= len(team.hosts)
+    assert len(found.parts) >= 2 * len(team.hosts)
 
 
 @pytest.mark.parametrize("name", MISSIONS)
@@ -56,7 +56,7 @@ def test_an_example_is_replayed_from_the_bundle_of_each_host(name):
     team = run_recorded(mission, 3.0)
     assert len(team.bundles) >= len(mission.team.hosts)
     for host in team.with_own_bundles():
-        assert compare(host, at_checkpoints=False).differences == []
+        assert compare(host, at_checkpoints=False).first is None
 
 
 @pytest.mark.few(4)

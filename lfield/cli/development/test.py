@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 from lfield import exit_status
-from lfield.errors import PluginError
+from lfield.errors import PluginError, UsageError
 from lfield.text.terminal_escape import unescaped_stream
 
 #: What pytest ends with, as our statuses: passed, failed, interrupted, broken, misused, nothing found.
@@ -70,6 +70,8 @@ def _run_on_recording(args: argparse.Namespace) -> int:
     from lfield.cli.recordings.replay import named_engine
     from lfield.replay.recording_files import load_team
 
+    if args.k or args.x or args.v or args.s:
+        raise UsageError("-k, -x, -v and -s are for test files: --from tests one program")
     recording = load_team([args.recording])
     path = named_mission_file(recording, args.paths)
     return check_program(recording, path, named_engine("reference"), as_json=False, quiet=args.q)

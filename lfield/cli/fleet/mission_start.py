@@ -46,7 +46,7 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
     when one was not reached: then nothing was started, unless it is left out.
     """
     from lfield.inventory.location import find_inventory
-    from lfield.operator.fleet.active_missions import active_missions
+    from lfield.operator.fleet.active_missions import active_missions, left_behind
 
     if find_inventory(args.inventory, os.environ) is None:
         return None
@@ -66,6 +66,10 @@ def start_on_robots(args: argparse.Namespace) -> int | None:
     without = [host for host in args.without if host in mission.hosts]
     if others := _runs_of_other_bundles(desk, without, mission.digest):
         text = f"nothing was started: {listed(others)}; stop it first, or push one bundle to all"
+        return _report(args, {}, {}, text)
+    if left := left_behind(mission, statuses):
+        # They have no part in a new run.
+        text = f"nothing was started: {listed(left)} still runs the last mission: 'lfield stop' ends it"
         return _report(args, {}, {}, text)
     hosts = [host for host in mission.hosts if host in statuses]
     before = {host: statuses[host] for host in hosts}

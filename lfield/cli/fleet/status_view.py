@@ -15,6 +15,7 @@ from lfield.operator.fleet.active_missions import (
     divided_hosts,
     idle_coordinators,
     is_idle,
+    left_behind,
 )
 from lfield.text.suggestions import listed
 from lfield.text.terminal_escape import escape_line
@@ -67,6 +68,11 @@ def status_lines(statuses: Mapping[str, ServiceStatus]) -> Iterator[str]:
         if is_idle(mission, idle):
             yield escape_line(f"no coordinator of {mission.name} runs:")
         yield from (escape_line(f"{one.host}: {one.reason}") for one in idle)
+        if left := left_behind(mission, statuses):
+            yield escape_line(
+                f"{listed(left)}: waits for the hosts on which the mission has ended, until they have been "
+                "silent for 300 s; 'lfield stop' ends it"
+            )
     reported = {(one.host, one.agent) for _, idle in missions for one in idle}
     for host, status in statuses.items():
         run = status.run

@@ -43,6 +43,8 @@ def run(args: argparse.Namespace) -> int:
     if args.mcap is None and args.csv is None:
         raise UsageError("name what to write: --mcap FILE, --csv DIR, or both")
     recording = load_team(args.paths, args.bundle)
+    if args.csv is not None:
+        _create_folder(args.csv)
     for line in gap_lines(recording):
         print(f"lfield: {line}", file=sys.stderr)
     turns = sum(part.turns for each in recording.incarnations for part in each.parts)
@@ -79,19 +81,33 @@ def _write_mcap(items: list[StreamItem], info: MissionInfo, path: Path) -> None:
     print(f"{path}: {made.messages} messages in {made.channels} channels, {made.size} bytes")
 
 
+def _create_folder(folder: Path) -> None:
+    """Create the directory of the tables. Raises OutputFileError if it cannot be used."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        is_used = any(folder.iterdir())
+    except OSError as error:
+        raise OutputFileError(str(folder), error.strerror or str(error)) from None
+    if is_used:
+        raise OutputFileError(str(folder), "the directory is not empty: name another one")
+
+
 def _write_csv(items: list[StreamItem], info: MissionInfo, folder: Path) -> None:
     from lfield.export.tables.csv_tables import export_csv
 
+    made: list[Path] = []
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise OutputFileError(str(folder), "the directory is not empty: name another one")
         with ExitStack() as opened:
 
             def open_table(name: str) -> TextIO:
-                return opened.enter_context((folder / name).open("x", encoding="utf-8", newline=""))
+                table = opened.enter_context((folder / name).open("x", encoding="utf-8", newline=""))
+                made.append(folder / name)
+                return table
 
             names = export_csv(items, info, open_table=open_table)
     except OSError as error:
+        # As of a full disk: a part of an export is of no use.
+        for path in made:
+            path.unlink(missing_ok=True)
         raise OutputFileError(str(folder), error.strerror or str(error)) from None
     print(f"{folder}: {', '.join(names)}")

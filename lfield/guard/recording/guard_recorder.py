@@ -17,7 +17,6 @@ from lfield.guard.guard_device import CoreState
 from lfield.guard.messages import GuardCall, Note, OpenDevices, TelemetrySnapshot
 from lfield.guard.recording.guard_inputs import CallStarting, GuardInput, HostBeat, TimerExpired
 from lfield.guard.recording.guard_records import (
-    FORMAT,
     ControlRecord,
     InputRecord,
     NoteRecord,
@@ -112,7 +111,6 @@ class GuardRecorder:
         self._flush_pulses()
         message, origin = self._message, self._origin
         start = SegmentStart(
-            FORMAT,
             __version__,
             origin.host if origin else "",
             origin.incarnation if origin else "",

@@ -23,8 +23,6 @@ from lfield.guard.recording.guard_inputs import CallStarting, GuardInput
 from lfield.manifest import DeviceValue
 from lfield.recording.segments import frame
 
-#: The version of these records.
-FORMAT = 1
 #: Kinds of decisions from here on are messages to the host, by their position in MESSAGES.
 NOTIFY = 16
 #: Names of the other kinds.
@@ -58,7 +56,6 @@ class SegmentStart(Struct, frozen=True, array_like=True, tag=0):
     values of each device, by its position in `devices` and that of the quantity in its manifest.
     """
 
-    format: int
     lfield: str
     host: str
     incarnation: str
@@ -158,7 +155,10 @@ def decision_text(decisions: bytes | msgspec.Raw) -> str:
     decoded = msgspec.msgpack.decode(decisions)
     if isinstance(decoded, str):
         return decoded or "start"
-    return ", ".join(_text(*decision) for decision in decoded) or "nothing"
+    try:
+        return ", ".join(_text(*decision) for decision in decoded) or "nothing"
+    except (LookupError, TypeError):  # a damaged recording
+        return f"no decisions: {decoded!r}"
 
 
 def _decision(effect: Effect) -> Sequence[object]:

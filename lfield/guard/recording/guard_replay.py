@@ -107,21 +107,26 @@ class _Replayer:
 
     def _replay_input(self, time: float, given: GuardInput | CallStarting, recorded: bytes) -> None:
         self._clock.set(time)
-        if isinstance(given, CallStarting):
-            replayed = self._start_call(given)
-        else:
-            effects = apply_input(self._core, given)
-            for effect in effects:
-                if isinstance(effect, Execute):
-                    self._unstarted[effect.call.token] = effect.call
-                elif isinstance(effect, Interrupt):
-                    self._unstarted.pop(effect.token, None)
-            replayed = bytes(decisions_of(effects))
+        try:
+            replayed = self._decisions(given)
+        except Exception as error:  # of an input that the core does not accept, in a damaged recording
+            replayed = msgspec.msgpack.encode(f"failure of the core: {type(error).__name__}: {error}")
         if recorded == replayed or self._result.first is not None:
             self._result.compare(recorded, replayed)
         else:
             texts = str(given), decision_text(recorded), decision_text(replayed)
             self._result.compare(recorded, replayed, self._difference(time, *texts))
+
+    def _decisions(self, given: GuardInput | CallStarting) -> bytes:
+        if isinstance(given, CallStarting):
+            return self._start_call(given)
+        effects = apply_input(self._core, given)
+        for effect in effects:
+            if isinstance(effect, Execute):
+                self._unstarted[effect.call.token] = effect.call
+            elif isinstance(effect, Interrupt):
+                self._unstarted.pop(effect.token, None)
+        return bytes(decisions_of(effects))
 
     def _start_call(self, given: CallStarting) -> bytes:
         call = self._unstarted.pop(given.token, None)

@@ -11,7 +11,6 @@ import msgspec
 
 from lfield.errors import RecordingError
 from lfield.guard.recording.guard_records import (
-    FORMAT,
     GuardRecord,
     SegmentStart,
     TelemetryRecord,
@@ -20,10 +19,11 @@ from lfield.guard.recording.guard_records import (
 from lfield.guard.recording.guard_rings import RECORDS
 from lfield.manifest import DeviceValue
 from lfield.recording.folders import guard_folders, segments_of
-from lfield.recording.segments import MAGIC, SegmentEnd, SegmentReader, version_of
+from lfield.recording.segments import SegmentEnd, SegmentReader, format_problem
 
 #: Why a file without a record is of no use.
 NO_RECORD = "it has no record"
+_DAMAGED = "it has a record that is damaged or of another version of lfield"
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,43 +84,39 @@ def read_segments(paths: Iterable[Path]) -> Iterator[GuardSegment]:
 
 
 def read_segment(path: Path) -> GuardSegment:
-    """One file. Raises RecordingError for one that is no segment, or of a newer version."""
+    """One file. Raises RecordingError for one that is no segment, or of another format."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise RecordingError(f"it cannot be read: {error.strerror or error}") from None
-    version = version_of(data)
-    if version is None and not MAGIC.startswith(data):
-        raise RecordingError("it is not a recording of lfield")
-    if version is not None and version > MAGIC[-1]:
-        raise RecordingError(f"it was written by a newer version of lfield (format {version})")
+    if problem := format_problem(data):
+        raise RecordingError(problem)
     reader = SegmentReader(data)
-    records = [_decoded(record, is_first=at == 0) for at, record in enumerate(reader)]
+    records = [_decoded(record) for record in reader]
     start = records[0] if records else None
     if start is not None and not isinstance(start, SegmentStart):
         raise RecordingError("it is not the recording of a guard")
+    if start is not None and not all(
+        _has_quantities(start, record) for record in (*_values_at(start), *records)
+    ):
+        raise RecordingError(_DAMAGED)
     return GuardSegment(path, start, records[1:], reader.end)
 
 
-def _decoded(record: bytes, *, is_first: bool) -> GuardRecord:
+def _decoded(record: bytes) -> GuardRecord:
     try:
-        decoded = decode_record(record)
-        newer = isinstance(decoded, SegmentStart) and decoded.format > FORMAT
+        return decode_record(record)
     except (msgspec.MsgspecError, UnicodeDecodeError):
-        if not is_first or not (newer := _is_newer(record)):
-            raise RecordingError("it has a record that is damaged or of a newer version") from None
-    if newer:
-        raise RecordingError("it was written by a newer version of lfield")
-    return decoded
+        raise RecordingError(_DAMAGED) from None
 
 
-def _is_newer(record: bytes) -> bool:
-    """Whether a record that cannot be decoded is the start of a segment of a newer version."""
-    try:
-        tag, version, *_ = msgspec.msgpack.decode(record, type=list[object])
-    except (msgspec.MsgspecError, UnicodeDecodeError, ValueError):
-        return False
-    return tag == 0 and isinstance(version, int) and version > FORMAT
+def _has_quantities(start: SegmentStart, record: GuardRecord) -> bool:
+    """Whether the telemetry of a record is that of a device of the guard."""
+    if not isinstance(record, TelemetryRecord):
+        return True
+    devices = start.state.devices
+    known = devices[record.device].manifest.telemetry if 0 <= record.device < len(devices) else []
+    return all(0 <= at < len(known) for at in record.values)
 
 
 def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
@@ -134,13 +130,17 @@ def telemetry_in(paths: Iterable[Path]) -> Iterator[TelemetryValue]:
         start = segment.start
         if start is None:
             continue
-        if not segment.follows(before):
-            for device, values in enumerate(start.values):
-                yield from _values(start, TelemetryRecord(start.monotonic, device, values))
+        for values in () if segment.follows(before) else _values_at(start):
+            yield from _values(start, values)
         for record in segment.records:
             if isinstance(record, TelemetryRecord):
                 yield from _values(start, record)
         before = segment
+
+
+def _values_at(start: SegmentStart) -> Iterator[TelemetryRecord]:
+    """The values at the start of a segment."""
+    return (TelemetryRecord(start.monotonic, device, values) for device, values in enumerate(start.values))
 
 
 def _values(start: SegmentStart, record: TelemetryRecord) -> Iterator[TelemetryValue]:

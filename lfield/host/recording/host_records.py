@@ -21,8 +21,6 @@ from lfield.manifest import DeviceValue
 from lfield.vm.turns.run_limit import UNCUT, RunCuts
 from lfield.wire.events import StateEvent
 
-#: The version of these records. A file of a newer version is not read.
-VERSION = 1
 #: The largest decompressed frame, in bytes.
 MAX_FRAME = 1 << 28
 _TOO_LARGE = f"a frame has more than {MAX_FRAME >> 20} MB"
@@ -54,7 +52,6 @@ class StartRecord(HostRecord, frozen=True, tag=1):
     the random bytes that were drawn in it.
     """
 
-    version: int
     lfield: str
     host: str
     incarnation: int

@@ -16,7 +16,7 @@ from lfield.host.core import HostCore
 from lfield.host.effects import Environment
 from lfield.host.recording.core_turns import CoreTurns
 from lfield.host.recording.flight_recorder import FlightRecorder
-from lfield.host.recording.host_records import VERSION, Release, StartRecord
+from lfield.host.recording.host_records import Release, StartRecord
 from lfield.host.recording.recorded_environment import RecordedEnvironment
 from lfield.host.recording.recording_target import RecordingTarget
 from lfield.mission.bundle import contents, decode, encode, with_signature
@@ -145,7 +145,7 @@ class RecordingSession:
         context, release = core.context, self._mission.release
         signed = Release(release.digest, release.signature, release.by, release.at, release.is_from_files)
         return StartRecord(
-            VERSION, __version__, core.name, core.incarnation, self.run.id, self._mission.name,
+            __version__, core.name, core.incarnation, self.run.id, self._mission.name,
             bundle, signed, self._seed, context.unreachable_after, context.journal_id, list(context.records),
             list(context.times.items()), engine, core.machine.engine.pace, False, clock.monotonic(),
             clock.time(), context.recorder.hybrid_clock.state, self._drawn.copy(),

@@ -219,12 +219,15 @@ class Coordinators(Part):
             self.write_ahead.add_record(record, self._clock.monotonic())
 
     def suspend_all(self) -> None:
-        """The host stops in order. Unless a coordinator of its own may continue, the next start is a new run.
+        """The host stops in order: no coordinator runs any more."""
+        self.is_halted = True
+        self._acks.flush()
+
+    def end_run(self) -> None:
+        """The host has stopped in order: the next start is a new run, unless a coordinator may continue.
 
         Not if it has opened no device: an automatic retry must not start a mission again.
         """
-        self.is_halted = True
-        self._acks.flush()
         if not self._hello.journal_id or self._queued_arrivals is not None:
             return
         here, known = self._mission.team.number(self._hello.host), self.mobility.known_states()

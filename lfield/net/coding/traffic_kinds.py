@@ -76,14 +76,20 @@ def kind_of(message: Message) -> TrafficKind:
 
 
 class TrafficBytes:
-    """Bytes of the frames of a link, sent and received, by kind; without TLS and headers of TCP and IP."""
+    """Bytes of the frames of a link, sent and received, by kind; without TLS and headers of TCP and IP.
 
-    def __init__(self) -> None:
+    They are counted in `total` as well, which is for several links.
+    """
+
+    def __init__(self, total: TrafficBytes | None = None) -> None:
         self.counts = [0] * len(TrafficKind)
+        self._total = total
 
     def add(self, kind: TrafficKind, size: int) -> None:
-        """Count a frame."""
+        """Count a frame, or a correction of its size."""
         self.counts[kind] += size
+        if self._total is not None:
+            self._total.add(kind, size)
 
     @property
     def subscription_bytes(self) -> int:

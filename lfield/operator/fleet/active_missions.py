@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
+from lfield import exit_status
 from lfield.wire.service_messages import BundleInfo, ServiceStatus
 
 
@@ -23,6 +24,8 @@ class ActiveMission:
     coordinators: Mapping[str, str]
 
 
+#: States of coordinators that run or will run; one that is in doubt may have ended elsewhere.
+_RUNNING = ("running", "leaving", "waiting to start")
 #: Phases in which a host does not run, nor will by itself.
 DOWN = ("stopped", "ended", "interrupted")
 
@@ -101,6 +104,18 @@ def idle_coordinators(mission: ActiveMission, statuses: Mapping[str, ServiceStat
     return found
 
 
+def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -> list[str]:
+    """The hosts that still run although the mission has ended on others.
+
+    For example one that was killed in the moment of the end: it waits for those that have ended.
+    """
+    known = [statuses[host] for host in mission.hosts if host in statuses]
+    runs = any(one.state in _RUNNING for status in known for one in status.unfinished)
+    if runs or not any(_has_completed(one) for one in known):
+        return []
+    return [one.host for one in known if one.run.phase == "running" and not one.run.reason]
+
+
 def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
     """Whether no coordinator of a mission runs, so that nothing will happen."""
     return bool(idle) and len(idle) == len(mission.coordinators)
@@ -109,6 +124,11 @@ def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
 def idle_text(idle: Collection[IdleCoordinator], host: str) -> str:
     """The reasons of the idle coordinators of a host."""
     return "; ".join(one.reason for one in idle if one.host == host)
+
+
+def _has_completed(status: ServiceStatus) -> bool:
+    """Whether the mission has ended on a host, by a result of the whole mission."""
+    return status.run.phase == "ended" and status.run.status in (exit_status.DONE, exit_status.FAILED)
 
 
 def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> bool:

@@ -98,11 +98,6 @@ class ValueReader:
             self.variable(name, method.slots[slot], words[frame + FRAME_SLOTS + slot]) for slot, name in names
         ]
 
-    def agent_fields(self) -> list[Variable]:
-        """The fields of the resource or coordinator."""
-        own = self._block.w[layout.W_SELF]
-        return self._object_parts(own) if own else []
-
     def parts(self, variable: Variable) -> list[Variable]:
         """The fields of an object, or the elements of an array."""
         if not variable.has_parts:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import msgspec
 import pytest
 from hypothesis import given, settings
@@ -14,14 +16,13 @@ from lfield.guard.effects import Exit
 from lfield.guard.messages import GuardCall
 from lfield.guard.recording import guard_inputs as inputs
 from lfield.guard.recording.guard_records import (
-    FORMAT,
     InputRecord,
     Pulses,
     decode_record,
     framed,
 )
 from lfield.guard.recording.guard_replay import replay_guard
-from lfield.guard.recording.guard_segments import read_segment, rings_in
+from lfield.guard.recording.guard_segments import read_segment, rings_in, telemetry_in
 from lfield.guard.recording.heartbeat_pulses import MOST_PULSES, PulseCollector, pulses_in
 from lfield.recording.folders import guard_folder
 from lfield.recording.segments import MAGIC, SegmentReader, frame
@@ -130,19 +131,41 @@ def test_a_damaged_file_is_refused_or_ends_there(tmp_path):
         assert list(result.cut) == [path]
 
 
-def newer_start(guard):
-    return MAGIC + framed(msgspec.structs.replace(guard.records[0], format=FORMAT + 1))
+def changed(rng, value):
+    """A value with another one somewhere in it."""
+    if isinstance(value, list | dict) and value:
+        places = list(value) if isinstance(value, dict) else range(len(value))
+        place = rng.choice(places)
+        value[place] = changed(rng, value[place])
+        return value
+    if isinstance(value, int) and rng.random() < 0.5:
+        return value + rng.choice([1, -1, 1000])
+    return rng.choice([None, -1, 1 << 40, "x", b"x", [], {}, [1], True, float("nan")])
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_a_changed_record_below_a_valid_checksum_is_refused_or_differs(tmp_path, seed):
+    rng = random.Random(seed)
+    guard = DrawnStory(4, RecordedGuard()).run(12)
+    guard.recorder.close()
+    (path,) = guard.ring.stored(tmp_path)
+    records = list(SegmentReader(path.read_bytes()))
+    place = rng.randrange(len(records))
+    records[place] = msgspec.msgpack.encode(changed(rng, msgspec.msgpack.decode(records[place])))
+    path.write_bytes(MAGIC + b"".join(map(frame, records)))
+    result = replay_guard([path])
+    assert result.digests or result.missing
+    assert [value.device for value in telemetry_in([path])].count("") == 0
 
 
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        (b"no recording", "is not a recording"),
-        (MAGIC[:-1] + b"\x02", "newer version"),
-        (MAGIC + frame(b"\x93\x00\x63\xc0"), "newer version"),
-        (MAGIC + frame(b"\x93\x00\x01\xc0"), "damaged or of a newer version"),
+        (b"no recording", "is no recording"),
+        (MAGIC[:-1] + bytes([MAGIC[-1] + 1]), "a newer lfield"),
+        (MAGIC[:-1] + bytes([MAGIC[-1] - 1]), "the lfield that recorded it"),
+        (MAGIC + frame(b"\x93\x00\x01\xc0"), "damaged or of another version"),
         (MAGIC + framed(Pulses(0.0, [])), "is not the recording of a guard"),
-        (newer_start(RecordedGuard()), "newer version"),
     ],
 )
 def test_what_is_no_recording_of_a_guard_is_refused(tmp_path, data, text):
@@ -165,7 +188,7 @@ def test_a_file_that_cannot_be_read_does_not_hide_the_others(tmp_path):
     guard.recorder.close()
     (path,) = guard.ring.stored(tmp_path)
     other = tmp_path / "guard-a-000000.lfrec"
-    other.write_bytes(MAGIC[:-1] + b"\x02")
+    other.write_bytes(MAGIC[:-1] + b"\x7f")
     whole, result = replay_guard([path]), replay_guard([other, path])
     assert result.digests == whole.digests > 0
     assert list(result.cut) == [other]

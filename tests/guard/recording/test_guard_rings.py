@@ -18,6 +18,7 @@ from thing_guard import Output, guard_of, known_thing
 from lfield.driver.binding import DeviceBinding
 from lfield.driver.device import Device
 from lfield.guard.messages import Beat, GuardCall, GuardRecording, Note, OpenDevices, Stop, encode
+from lfield.guard.recording.guard_records import framed
 from lfield.guard.recording.guard_replay import replay_guard
 from lfield.guard.recording.guard_segments import read_segment, rings_in, telemetry_in
 from lfield.manifest import Instruction, Quantity
@@ -132,6 +133,17 @@ def test_a_full_ring_remains_within_its_limit_and_can_be_replayed(folder):
     result = replay_guard(paths)
     assert (result.differences, result.cut, result.missing) == (0, {}, [])
     assert next(iter(telemetry_in(paths))).value == 2.0
+
+
+def test_a_ring_that_is_small_beside_the_state_of_a_guard_has_records(folder):
+    """A file whose first record exceeds its share is not full with its next record."""
+    flown(folder, 4 * 6400, calls=300)
+    ((_, paths),) = rings_in(folder.parent).items()
+    first = read_segment(paths[0])
+    size = len(framed(first.start))
+    assert size > 6400 // FILES
+    assert len(paths) > 1
+    assert paths[0].stat().st_size >= 3 * size
 
 
 @contextmanager

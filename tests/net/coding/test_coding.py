@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from lfield.errors import WireError
 from lfield.net.coding.delta import CHUNK, encode_delta, expand_delta
 from lfield.net.coding.link_compression import LinkCompression
+from lfield.net.coding.traffic_kinds import TrafficBytes, TrafficKind
 from lfield.net.coding.transfer_history import (
     FORGET_AFTER,
     MAX_KEPT,
@@ -216,6 +217,17 @@ def test_nothing_is_coded_within_a_computer_whatever_round_trip_is_measured():
         near.send(Backpressure("behind"))
     assert [kind(data) for data in near.written] == [TRANSFER, CONTROL] * 3
     assert near._history.whole(AGENT) is None
+
+
+def test_bytes_are_counted_for_each_link_and_for_several_together():
+    total, links = TrafficBytes(), [ends()[0] for _ in range(2)]
+    for number, link in enumerate(links):
+        link.count_in(total)
+        for _ in range(number + 1):
+            link.send(Backpressure("behind"))
+    sizes = [link.traffic.counts[TrafficKind.CONTROL] for link in links]
+    assert sizes == [sum(map(len, link.written)) for link in links]
+    assert total.counts[TrafficKind.CONTROL] == sum(sizes)
 
 
 def test_hops_that_cross_close_the_link_when_neither_can_be_repeated():

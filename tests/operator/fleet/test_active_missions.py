@@ -11,6 +11,7 @@ from lfield.operator.fleet.active_missions import (
     divided_hosts,
     idle_coordinators,
     is_idle,
+    left_behind,
 )
 from lfield.wire.service_messages import BundleInfo, RunInfo, ServiceStatus, UnfinishedCoordinator
 
@@ -140,3 +141,20 @@ def test_a_coordinator_of_a_host_that_does_not_run_does_not_run_unless_another_h
     # A host that restarts goes on with its coordinators.
     assert idle({"alpha": "running", "bravo": "waiting"}, pilot="running") == ({}, False)
     assert idle({"alpha": "ended", "bravo": "running"}) == ({}, False)
+
+
+def test_a_host_that_runs_alone_after_the_end_is_left_behind() -> None:
+    def left(alpha: RunInfo, bravo: RunInfo, *unfinished: UnfinishedCoordinator) -> list[str]:
+        statuses = team(alpha=TWO, bravo=TWO)
+        statuses["alpha"] = replace(statuses["alpha"], run=alpha, unfinished=list(unfinished))
+        statuses["bravo"] = replace(statuses["bravo"], run=bravo)
+        (mission,) = active_missions(statuses)
+        return left_behind(mission, statuses)
+
+    runs, over = RunInfo(TWO.digest, "running"), RunInfo(TWO.digest, "ended", status=0)
+    assert left(runs, over) == ["alpha"]
+    assert left(runs, runs) == left(over, over) == left(runs, replace(over, status=4)) == []
+    assert left(replace(runs, reason="it starts"), over) == []
+    assert left(runs, over, UnfinishedCoordinator("pilot", "in doubt", "bravo", "two")) == ["alpha"]
+    # Bravo has ended in an earlier run, and is left out of this one.
+    assert left(runs, over, UnfinishedCoordinator("pilot", "running", "alpha", "two")) == []
