@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     from lfield.authority import keystore
     from lfield.host.process.credentials import HostCredentials
     from lfield.inventory.location import find_inventory
-    from lfield.net.zenoh.config import NETWORK
+    from lfield.net.zenoh.config import NETWORK, SECTION_VARIABLE
     from lfield.service.service_process import ServiceOptions, run_service
     from lfield.service.version_state import versioned_state
     from lfield.text.user_dirs import state_dir
@@ -72,6 +72,8 @@ def run(args: argparse.Namespace) -> int:
             "directory with --keys"
         )
     NETWORK.select(args.host)
+    if NETWORK.config is not None:
+        os.environ[SECTION_VARIABLE] = NETWORK.config.encode()
     # The next service finds a host that runs by the path in its command line.
     state = versioned_state(args.state or state_dir(), __version__).absolute()
     folders = [found, state / "keys" / keystore.entry_name(args.host)]
@@ -115,13 +117,9 @@ def _own_entry(inventory: Inventory, host: str) -> InventoryHost:
 
 def _up_options(args: argparse.Namespace, inventory: Inventory, state: Path) -> list[str]:
     """The options of the mission's host: where the others are, its keys, and its own devices file."""
-    from lfield.net.zenoh.config import NETWORK
-
     found = [*UP_OPTIONS, f"--state={state}", f"--files={inventory.path.absolute().parent}"]
     # A host does not read YAML.
     found += [f"--address={name}={host.address}" for name, host in inventory.hosts.items()]
-    if NETWORK.config is not None:
-        found.append(f"--zenoh={NETWORK.config.encode()}")
     if args.keys is not None:
         found.append(f"--keys={args.keys}")
     devices = inventory.hosts[args.host].devices

@@ -147,9 +147,8 @@ def _add_hidden(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--control-socket", "--door", default="", help=argparse.SUPPRESS)
     parser.add_argument("--parent-pipe", "--leash", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--setup", default="", help=argparse.SUPPRESS)
-    # From the service, so that its host reads no YAML: addresses of the inventory, NAME=ADDR:PORT, and zenoh.
+    # From the service, so that its host reads no YAML: addresses of the inventory, NAME=ADDR:PORT.
     parser.add_argument("--address", action="append", default=[], help=argparse.SUPPRESS)
-    parser.add_argument("--zenoh", default="", help=argparse.SUPPRESS)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -237,11 +236,11 @@ def _run_one(mission: Mission, args: argparse.Namespace, stated: Mapping[str, st
     from lfield.host.process.parent_pipe import set_cloexec_on_all
     from lfield.mission.mission import with_installed_drivers
     from lfield.net.local_addresses import own_host
-    from lfield.net.zenoh.config import NETWORK
+    from lfield.net.zenoh.config import NETWORK, SECTION_VARIABLE
 
     set_cloexec_on_all()
     name = mission.team.find_host(args.host) if args.host else own_host(mission.team.hosts, stated)
-    NETWORK.select(name, args.zenoh)
+    NETWORK.select(name, os.environ.pop(SECTION_VARIABLE, ""))
     proof = load_credentials(name, args)
     if proof is not None and built:
         mission = built_here(mission, mission_path(args), args)

@@ -9,6 +9,10 @@ from typing import Any
 
 import msgspec
 
+#: The environment variable in which a service passes the section to its host: other users of the computer
+#: read command lines, and the section may have a password.
+SECTION_VARIABLE = "LFIELD_ZENOH_SECTION"
+
 
 @dataclass(frozen=True, slots=True)
 class ZenohConfig:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 from fabric import PATIENCE, Router
@@ -20,6 +22,12 @@ def router() -> Iterator[Router]:
     made.kill()
 
 
+def command_lines() -> Iterator[bytes]:
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        with suppress(OSError):
+            yield path.read_bytes()
+
+
 def test_a_bundle_is_pushed_and_started_over_a_router_that_dies_in_between(lfield, robots, router):
     team = robots("alpha", "bravo", router=router.endpoint)
     team.up()
@@ -33,6 +41,10 @@ def test_a_bundle_is_pushed_and_started_over_a_router_that_dies_in_between(lfiel
         # The services link to the router again on their own.
         assert time.monotonic() < end, began.said
     team.services["bravo"].wait_for("^visit 1$")
+    # Other users read command lines, and the section may have a password.
+    hosts = [each for each in command_lines() if b"lfield\0up\0" in each]
+    assert hosts
+    assert not any(router.endpoint.encode() in each for each in hosts)
     team.services["alpha"].wait_for("status 0")
 
     team.mission(text="call")
