@@ -22,8 +22,9 @@ from lfield.wire.events import Event, TelemetryEvent
 from lfield.wire.observer_messages import Status
 from lfield.wire.subscription_messages import MAX_EVENTS, WINDOW, EventBatch, Subscribe
 
-#: Bytes of the events of a batch, unless one alone has more.
-BATCH_BYTES = 48 << 10
+#: Maximum bytes of the events of a batch, unless one alone has more; and of the first batch. The limit
+#: doubles with each acknowledgement on a path that is not slow: the first batches do not fill a slow one.
+BATCH_BYTES, FIRST_BATCH_BYTES = 48 << 10, 4 << 10
 #: Minimum seconds between two batches; and the maximum, after which an empty batch shows that the host lives.
 MIN_INTERVAL, QUIET_INTERVAL = 0.05, 1.0
 #: After telemetry that was acknowledged late, the pause as a multiple of the delay, and its maximum in
@@ -66,7 +67,7 @@ class EventSubscription:
         #: For each of these batches, the bytes that the link had carried for subscriptions before it.
         self._positions: dict[int, int] = {}
         #: The bytes of the last batch whose size is known.
-        self._size, self._path = 0, PathRate()
+        self._size, self._path, self._limit = 0, PathRate(), FIRST_BATCH_BYTES
         self._full, self._is_full = 0, False
         self._round_trip: float | None = None
         self._rest_until = up
@@ -88,6 +89,7 @@ class EventSubscription:
             self._path.add(self._size, up - self._sent[batch])
             if batch == self._batch:
                 self.next_batch_at = self._sent[batch] + self._interval
+        self._limit = self._path.batch_limit(min(2 * self._limit, BATCH_BYTES))
         if self._full and self._full <= batch:
             self._rest_until, self._full = up + self._rest(up - self._sent[self._full]), 0
         else:
@@ -195,7 +197,7 @@ class EventSubscription:
     def _next_events(self, up: float) -> tuple[int, list[Event]]:
         """The next states, and the number that they follow; telemetry if there is room."""
         stream, before = self._event_log, self._after
-        events, size = stream.after(before, MAX_EVENTS, BATCH_BYTES, self._frequent_after)
+        events, size = stream.after(before, MAX_EVENTS, self._limit, self._frequent_after)
         self._after = events[-1].number if events else stream.latest
         if missing := self._after - before - len(events):
             self._lost["state"] += missing
@@ -209,7 +211,7 @@ class EventSubscription:
         """Add telemetry, as far as there is room."""
         for key, event in list(self._pending_telemetry.items()):
             size += size_of(event)
-            if len(batch) >= MAX_EVENTS or (batch and size > BATCH_BYTES):
+            if len(batch) >= MAX_EVENTS or (batch and size > self._limit):
                 break
             batch.append(event)
             del self._pending_telemetry[key]

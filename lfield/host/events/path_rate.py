@@ -17,8 +17,8 @@ FAST_RATE = 100_000.0
 #: The share of the rate that events and telemetry of one subscription may use, and the bytes of a batch and
 #: its acknowledgement beside its content: headers of IP, TCP and TLS, and TCP's own acknowledgements.
 SHARE, OVERHEAD = 0.08, 280
-#: The longest pause in seconds.
-MAX_PAUSE = 5.0
+#: The longest pause in seconds, and the smallest limit of a batch in bytes.
+MAX_PAUSE, MIN_BATCH = 5.0, 1 << 10
 
 
 class PathRate:
@@ -42,6 +42,11 @@ class PathRate:
             return None
         each = median(self._seconds_per_byte)
         return 1.0 / each if each * FAST_RATE > 1.0 else None
+
+    def batch_limit(self, most: int) -> int:
+        """The largest batch, of at most so many bytes, after which the longest pause is sufficient."""
+        rate = self.rate
+        return most if rate is None else min(most, max(MIN_BATCH, int(SHARE * rate * MAX_PAUSE)))
 
     def pause(self, size: int) -> float:
         """The pause after a batch of this size that keeps to the share."""

@@ -8,7 +8,7 @@ import pytest
 
 from lfield.host.events.event_log import EventLog
 from lfield.host.events.event_subscription import MIN_INTERVAL, EventSubscription
-from lfield.host.events.path_rate import FAST_RATE, MAX_PAUSE, OVERHEAD, SHARE, PathRate
+from lfield.host.events.path_rate import FAST_RATE, MAX_PAUSE, MIN_BATCH, OVERHEAD, SHARE, PathRate
 from lfield.wire.subscription_messages import Subscribe
 
 #: Bytes per second of a channel of 57.6 kbit/s.
@@ -35,6 +35,14 @@ def test_the_rate_of_a_slow_channel_is_found_despite_losses(loss):
 def test_a_fast_path_is_not_limited():
     for path in (measured(10 * FAST_RATE, 0.001), measured(10 * FAST_RATE, 0.05, jitter=0.0002), PathRate()):
         assert (path.rate, path.pause(50_000)) == (None, 0.0)
+
+
+def test_a_batch_on_a_slow_path_is_so_small_that_the_longest_pause_keeps_to_the_share():
+    path = measured(RADIO, 0.2)
+    limit = path.batch_limit(1 << 16)
+    assert limit == pytest.approx(SHARE * RADIO * MAX_PAUSE, rel=0.2)
+    assert measured(40.0, 1.0).batch_limit(1 << 16) == MIN_BATCH
+    assert PathRate().batch_limit(1 << 16) == 1 << 16
 
 
 def test_no_path_is_so_slow_that_nothing_is_sent():

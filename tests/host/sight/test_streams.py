@@ -15,6 +15,7 @@ from lfield.host.events.event_rate_limit import EventRateLimiter, RateLimit
 from lfield.host.events.event_recorder import EventRecorder
 from lfield.host.events.event_subscription import (
     BATCH_BYTES,
+    FIRST_BATCH_BYTES,
     LONGEST_REST,
     MIN_INTERVAL,
     QUIET_INTERVAL,
@@ -439,11 +440,26 @@ def test_states_go_before_telemetry():
     watcher.on_sample(sample(fc=1), 1.0, 0.0)
     first, up = batch_of(watcher, 0.0), 0.0
     assert {event.kind for event in first.events} == {"logged"}
-    kinds = []
+    kinds, batch = [], first
     while "measured" not in kinds:
+        watcher.on_ack(batch.batch, up + 0.001)
         up += MIN_INTERVAL
-        kinds += [event.kind for event in batch_of(watcher, up).events]
+        batch = batch_of(watcher, up)
+        kinds += [event.kind for event in batch.events]
     assert kinds.count("logged") == 60 - len(first.events)
+
+
+def test_the_first_batches_are_small_and_grow_with_the_acknowledgements_of_a_path_that_is_not_slow():
+    stream, up, sizes = EventLog(), 0.0, []
+    told(stream, 400, "x" * 500)
+    watcher = watched(stream, Subscribe(LIFE, 0))
+    for _ in range(8):
+        batch = batch_of(watcher, up)
+        sizes.append(sum(map(size_of, batch.events)))
+        watcher.on_ack(batch.batch, up + 0.001)
+        up += MIN_INTERVAL
+    assert sizes[0] <= FIRST_BATCH_BYTES
+    assert 0.8 * BATCH_BYTES <= max(sizes) <= BATCH_BYTES
 
 
 # --- all of it ------------------------------------------------------------------------------------------
