@@ -132,6 +132,7 @@ ELSEWHERE: dict[tuple[str, int], str] = {
     ("rollback", 4): "fleet/test_ballot_report.py",
     ("status", 1): "fleet/test_fleet_refusals.py",
     ("stop", 1): "fleet/test_fleet_refusals.py",
+    ("stop", 3): "fleet/starts/test_unsafe_stop.py",
     ("service", 1): "fleet/test_push_and_start.py",
     ("sign", 73): "development/test_keys_commands.py",
     ("debug", 69): "../replay/test_replay_commands.py",
