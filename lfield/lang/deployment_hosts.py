@@ -7,7 +7,7 @@ inventory that has other hosts of the deployment and not this one, or if it is t
 from __future__ import annotations
 
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Sequence
 
 from lfield.lang import messages
@@ -30,11 +30,15 @@ def check_hosts(entries: Sequence[DeploymentEntry], inventory: Collection[str], 
     repeated = [host for host, count in counts.items() if count > 1]
     lone = [entry for entry in entries if counts[entry.host.text] == 1]
     is_relevant = any(host in inventory for host in counts)
-    earlier: list[str] = []
+    # Only hosts with the same digits and domain are compared: a large team has numbered hosts.
+    known_by_key = defaultdict[tuple[str, str], list[str]](list)
+    for host in repeated:
+        known_by_key[_key(host)].append(host)
     for entry in lone:
         host = entry.host.text
-        close = next((other for other in (*repeated, *earlier) if _resembles(host, other)), None)
-        earlier.append(host)
+        similar = known_by_key[_key(host)]
+        close = next((other for other in similar if _resembles(host, other)), None)
+        similar.append(host)
         if host in inventory:
             continue
         if close is not None:
@@ -68,16 +72,22 @@ def _some(names: Sequence[str]) -> str:
     return f"{', '.join(names[:MAX_LISTED])} and {len(names) - MAX_LISTED} more"
 
 
+def _key(host: str) -> tuple[str, str]:
+    """The digits and the domain of a host name."""
+    name, _, domain = host.partition(".")
+    return re.sub(r"\D", "", name), domain
+
+
 def _resembles(host: str, other: str) -> bool:
     """Whether two host names differ by one typing mistake (Damerau-Levenshtein distance 1).
 
     A different last character (alpha1 and alpha2, arm-a and arm-b), different digits, and a letter whose key
     is not beside that of the other one are no mistake.
     """
-    (name, _, domain), (known, _, known_domain) = host.partition("."), other.partition(".")
-    if domain != known_domain or name[:1] in "0123456789[" or min(len(name), len(known)) < _SHORTEST_COMPARED:
+    name, known = host.partition(".")[0], other.partition(".")[0]
+    if name[:1] in "0123456789[" or min(len(name), len(known)) < _SHORTEST_COMPARED:
         return False
-    if re.sub(r"\D", "", name) != re.sub(r"\D", "", known) or name[:-1] == known[:-1]:
+    if _key(host) != _key(other) or name[:-1] == known[:-1]:
         return False
     if name.lower() == known.lower():
         return False  # L709 reports these

@@ -89,29 +89,25 @@ class Mission:
         """The devices of the agents that are deployed on a host."""
         return self.bindings.of([member.id for member in self.team.members_on(self.team.number(host))])
 
-    def has_resources(self, host: str) -> bool:
-        """Whether resources are deployed on a host: a restarted coordinator needs such a host."""
-        return any(member.kind == "resource" for member in self.team.members_on(self.team.number(host)))
-
-    @cached_property
-    def hosts_with_resources(self) -> Sequence[str]:
-        """The hosts on which resources are deployed, in order."""
-        return tuple(filter(self.has_resources, self.team.hosts))
-
     @cached_property
     def hosts_with_vehicles(self) -> Sequence[str]:
         """The hosts with devices that report whether they are on the ground, in order."""
-        return tuple(filter(self.vehicles_of, self.team.hosts))
+        agents = self.bindings.devices
+        hosts = {
+            self.team.homes[agent]
+            for agent in agents
+            if any(map(self._is_vehicle, self.bindings.of([agent])))
+        }
+        return tuple(sorted(hosts, key=self.team.number))
 
     def vehicles_of(self, host: str) -> list[str]:
         """The names of a host's devices that report whether they are on the ground."""
-        found = []
-        for device in self.devices_of(host):
-            driver = self.drivers.by_driver.get(device.driver)
-            manifest = driver.manifests.get(device.type) if driver is not None else None
-            if manifest is not None and any(each.name == ON_GROUND for each in manifest.device.telemetry):
-                found.append(device.name)
-        return found
+        return [device.name for device in self.devices_of(host) if self._is_vehicle(device)]
+
+    def _is_vehicle(self, device: DeviceBinding) -> bool:
+        driver = self.drivers.by_driver.get(device.driver)
+        manifest = driver.manifests.get(device.type) if driver is not None else None
+        return manifest is not None and any(each.name == ON_GROUND for each in manifest.device.telemetry)
 
     @cached_property
     def world(self) -> DeviceWorld:

@@ -66,6 +66,12 @@ class Team:
         return tuple(map(tuple, found))
 
     @cached_property
+    def hosts_with_resources(self) -> Sequence[str]:
+        """The hosts on which resources are deployed, in order: a restarted coordinator needs such a host."""
+        numbers = {member.host for member in self.members if member.kind == "resource"}
+        return tuple(self.hosts[number] for number in sorted(numbers))
+
+    @cached_property
     def types(self) -> Mapping[str, str]:
         """The types of all agents, by id."""
         return {member.id: member.type for member in self.members}

@@ -56,7 +56,7 @@ def test_a_bundle_has_it_and_it_is_a_part_of_the_digest(tmp_path: Path) -> None:
     assert bundle.decode(data).bindings.start == MissionStart(("h1",))
     assert bundle.contents(data).digest != bundle.contents(bundle.encode(plain)).digest
     assert mission.on_fakes().bindings.start.without == ("h1",)
-    assert [host for host in mission.team.hosts if mission.has_resources(host)] == ["h0", "h1"]
+    assert mission.team.hosts_with_resources == ("h0", "h1")
 
 
 @pytest.mark.parametrize("without", [("h9",), ("h1", "h1")])

@@ -56,7 +56,7 @@ class Startup(Part):
         }
         without, vehicles = mission.bindings.start.without, mission.hosts_with_vehicles
         self.readiness = Readiness(
-            host, mission.hosts_with_resources, without, vehicles, membership.is_linked
+            host, mission.team.hosts_with_resources, without, vehicles, membership.is_linked
         )
         self._lease_wait_logged = self._pause_logged = False
         self._checked_at = 0.0
