@@ -8,7 +8,7 @@ from lfield.authority.identity import ANONYMOUS
 from lfield.errors import AddressError, HandshakeError, WireError
 from lfield.event_loop import report_exception
 from lfield.net.coding.link_compression import LinkCompression
-from lfield.net.coding.traffic_kinds import TrafficBytes, TrafficKind, kind_of
+from lfield.net.coding.traffic_kinds import STOP_MESSAGES, TrafficBytes, TrafficKind, kind_of
 from lfield.net.coding.transfer_history import FAST_PATH, MissingReference, TransferHistory
 from lfield.net.scheduling.cpu_budgets import PROOF_WEIGHT
 from lfield.wire.codec import (
@@ -40,8 +40,6 @@ from lfield.wire.messages import (
     RevocationUpdate,
     WholeTransferRequest,
 )
-from lfield.wire.observer_messages import EmergencyStop, EmergencyStopResult, OrderChallenge, Pause
-from lfield.wire.order_messages import RelayedAnswer, RelayedOrder
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -59,10 +57,8 @@ _HEAVY = 1 << 11
 
 #: More oversized bytes than this factor times the limit prove that the peer sends without waiting.
 _OVERSIZE_FACTOR = 16
-#: Sent before queued data: stop and pause orders with their answers, and heartbeats, so that a busy link is
-#: not taken for a silent one.
-_ORDERS = (EmergencyStop, EmergencyStopResult, Pause, OrderChallenge, RelayedOrder, RelayedAnswer)
-_URGENT = (*_ORDERS, Ping, Pong)
+#: Sent before queued data: stops, and heartbeats, so that a busy link is not taken for a silent one.
+_URGENT = (*STOP_MESSAGES, Ping, Pong)
 #: Never withheld: these cause no coordinator to be sent, and some of them stop robots.
 _NEVER_WITHHELD = (*_URGENT, HandshakeRefused)
 #: Sent regularly by hosts that have nothing to do with each other.

@@ -42,6 +42,8 @@ class TrafficKind(IntEnum):
     UPDATE = 5
 
 
+#: Orders to stop and pause, with their answers.
+STOP_MESSAGES = (EmergencyStop, EmergencyStopResult, Pause, OrderChallenge, RelayedOrder, RelayedAnswer)
 _HOP = (
     TransferAccepted,
     TransferRefused,
@@ -57,10 +59,7 @@ _HOP = (
     HandshakeRefused,
 )
 _KINDS: dict[type, TrafficKind] = {
-    **dict.fromkeys(
-        (EmergencyStop, EmergencyStopResult, Pause, OrderChallenge, RelayedOrder, RelayedAnswer),
-        TrafficKind.STOP,
-    ),
+    **dict.fromkeys(STOP_MESSAGES, TrafficKind.STOP),
     **dict.fromkeys(_HOP, TrafficKind.HOP),
     **dict.fromkeys((Subscribe, EventBatch, EventAck), TrafficKind.EVENTS),
     **dict.fromkeys((BundlePiece, PieceRequest, PieceStored), TrafficKind.UPDATE),

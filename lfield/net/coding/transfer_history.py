@@ -82,7 +82,10 @@ class TransferHistory:
         return frame(TRANSFER_DELTA, b"".join((start, name, delta)))
 
     def keep(self, agent: str, payload: Buffer, *, is_sent: bool) -> bool:
-        """Keep a transfer that was sent or has arrived, if it fits; `payload` must not change."""
+        """Keep a transfer that was sent or has arrived, unless it does not fit; returns whether it is kept.
+
+        `payload` must not change.
+        """
         self._count += 1
         if (before := self._kept.pop(agent, None)) is not None:
             self._size -= len(before[0])
