@@ -27,6 +27,10 @@ def finished_calls(folder):
     return [each.token for each in given if isinstance(each, inputs.CallFinished)]
 
 
+def logged_bytes(folder):
+    return sum(path.stat().st_size for path in folder.glob("guard-*/wire-*"))
+
+
 async def until(condition):
     end = time.monotonic() + 60.0
     while not condition():
@@ -45,7 +49,8 @@ def test_a_killed_guard_leaves_its_recording_and_the_next_one_continues_it(tmp_p
         recording = GuardRecording(str(folder), 1 << 20, "run 7")
         async with guarded(bound, recording=recording) as (axis,):
             await axis.call("release")
-            await until(lambda: finished_calls(folder) and list(folder.glob("guard-*/wire-*")))
+            # A kill may lose the last second: wait until the call and some frames are on the disk.
+            await until(lambda: finished_calls(folder) and logged_bytes(folder))
             await axis.kill_guard()
         return [note for note in axis.notes if "recording" in note]
 
