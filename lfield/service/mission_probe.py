@@ -109,6 +109,13 @@ class LocalProbe:
         running = {one.agent: one for one in _in_snapshot(status)}
         return [*running.values(), *(one for one in found if one.agent not in running)]
 
+    async def is_up(self) -> bool:
+        """See `MissionProbe`."""
+        try:
+            return not (await self._snapshot()).report.starting
+        except LfieldError:
+            return False
+
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
         if not self._pid():

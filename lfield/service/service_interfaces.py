@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable
+import asyncio
+from collections.abc import Awaitable, Callable, Collection
 from typing import Protocol
 
+from lfield.errors import LfieldError
 from lfield.service.bundle_receiver import BundleFiles
 from lfield.service.bundle_store import ServiceRecord
-from lfield.wire.service_messages import BallotState, UnfinishedCoordinator, VoteQuery
+from lfield.wire.service_messages import ServiceMessage, ServiceQuery, UnfinishedCoordinator, VoteQuery
 
 
 class ServiceFiles(BundleFiles, Protocol):
@@ -34,6 +36,9 @@ class MissionProbe(Protocol):
     async def release(self) -> str:
         """End the hold of the running host for any ballot; returns why it is still held, '' if not."""
 
+    async def is_up(self) -> bool:
+        """Whether the running host has opened its devices."""
+
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
 
@@ -45,4 +50,18 @@ class MissionProbe(Protocol):
 
 
 #: Asks the service of another host. Raises LfieldError.
-AskPeer = Callable[[str, VoteQuery], Awaitable[BallotState]]
+AskPeer = Callable[[str, VoteQuery | ServiceQuery], Awaitable[ServiceMessage]]
+
+
+async def ask_peers(
+    ask: AskPeer, hosts: Collection[str], query: VoteQuery | ServiceQuery
+) -> list[ServiceMessage]:
+    """The answers of the services of other hosts, without those that do not answer."""
+    answers = await asyncio.gather(*(ask(host, query) for host in hosts), return_exceptions=True)
+    found = []
+    for answer in answers:
+        if not isinstance(answer, BaseException):
+            found.append(answer)
+        elif not isinstance(answer, LfieldError):
+            raise answer
+    return found

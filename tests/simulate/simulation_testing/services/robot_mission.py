@@ -285,6 +285,10 @@ class ModelProbe:
             self._mission.held = b""
         return await self._answer("")
 
+    async def is_up(self) -> bool:
+        """Whether the host is up."""
+        return not await self._request()
+
     async def condition(self) -> str:
         """Why the host waits."""
         return ""
