@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import asyncio
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from typing import NamedTuple, Protocol
 
@@ -23,7 +23,7 @@ from lfield.service.restart_policy import RESTART_DELAY, judge
 from lfield.service.service_interfaces import AskPeer, MissionProbe, ask_peers
 from lfield.text.log_messages import LogLine
 from lfield.wire.fields import short_digest, truncate
-from lfield.wire.service_messages import COMPLETED, BundleInfo, RunInfo, RunPhase, ServiceQuery, ServiceStatus
+from lfield.wire.service_messages import COMPLETED, RunInfo, RunPhase, ServiceQuery, ServiceStatus
 
 #: The longest pause between two questions about a missed end, in seconds.
 LONGEST_PAUSE = 60.0
@@ -315,21 +315,14 @@ class MissedEnd:
     They do not link with it any more. It asks less often the longer they say that it has not.
     """
 
-    def __init__(
-        self,
-        runner: MissionRunner,
-        probe: MissionProbe,
-        mission_of: Callable[[bytes], BundleInfo | None],
-        clock: Clock,
-    ) -> None:
-        self._runner, self._probe, self._mission_of = runner, probe, mission_of
-        self._now = clock.monotonic
+    def __init__(self, runner: MissionRunner, probe: MissionProbe, clock: Clock) -> None:
+        self._runner, self._probe, self._now = runner, probe, clock.monotonic
         #: The process that was asked for, when it was first, and when it is next.
         self._process: ProcessId | None = None
         self._first = self._next = 0.0
 
-    async def find(self, ask: AskPeer) -> str:
-        """A host on which the run of the host has ended as a whole; '' if none is known."""
+    async def find(self, ask: AskPeer, hosts: Collection[str]) -> str:
+        """One of the `hosts` of the mission on which its run has ended as a whole; '' if none is known."""
         runner, now = self._runner, self._now()
         process, order = runner.process, runner.record.order
         if process is None or not order or not runner.may_have_missed_end:
@@ -339,8 +332,7 @@ class MissedEnd:
         if now < self._next or not await self._probe.is_up():
             return ""
         self._next = now + min(LONGEST_PAUSE, now - self._first)
-        mission = self._mission_of(runner.record.bundle)
-        answers = await ask_peers(ask, mission.hosts if mission is not None else [], ServiceQuery())
+        answers = await ask_peers(ask, hosts, ServiceQuery())
         statuses = [answer for answer in answers if isinstance(answer, ServiceStatus)]
         return next((one.host for one in statuses if one.run.has_completed and one.run.order == order), "")
 

@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from lfield import __version__
 from lfield.clock import Clock
-from lfield.errors import OutputFileError, WireError
+from lfield.errors import JournalError, OutputFileError, WireError
 from lfield.service import ballots, messages
 from lfield.service.ballots import ActivationState
 from lfield.service.bundle_receiver import BundleReceiver, Verify
@@ -77,7 +77,7 @@ class Service:
             store, verify, lambda: self._activation.kept, self.note, clock.monotonic
         )
         runner.attach(self._store_run, self._start_refusal)
-        self._missed_end = MissedEnd(runner, probe, self._bundles.info, clock)
+        self._missed_end = MissedEnd(runner, probe, clock)
 
     @property
     def activation(self) -> ActivationState:
@@ -265,7 +265,7 @@ class Service:
         Does not return. On a full disk the next round tries again.
         """
         while True:
-            with suppress(OutputFileError):
+            with suppress(OutputFileError, JournalError):
                 bound = self._activation.open_ballot
                 if bound is None:
                     await self.settle()
@@ -281,13 +281,9 @@ class Service:
         closes = waited >= CLOSE_AFTER
         if closes and self._clock.monotonic() - self._reported_at >= REPORT_EVERY:
             self._reported_at = self._clock.monotonic()
-            self.note(
-                messages.BALLOT_OPEN.line(
-                    bundle=short_digest(bound.ballot.digest) if bound.ballot is not None else "",
-                    seconds=waited,
-                    missing=listed(missing),
-                )
-            )
+            bundle = short_digest(bound.ballot.digest) if bound.ballot is not None else ""
+            line = messages.BALLOT_OPEN.line(bundle=bundle, seconds=waited, missing=listed(missing))
+            self.note(line)
         query = VoteQuery(bound.id, closes=closes)
         votes: dict[str, Vote] = {}
         for answer in await ask_peers(ask, missing, query):
@@ -296,13 +292,18 @@ class Service:
         await self.on_votes(bound.id, votes)
 
     async def _stop_after_missed_end(self, ask: AskPeer) -> None:
-        """Stop a host that was restarted while its mission ended: it would wait for hosts that have ended."""
-        process = self._runner.process
-        if not (host := await self._missed_end.find(ask)):
+        """Stop a host that was restarted while its mission ended: it would wait for hosts that have ended.
+
+        What its journal says of the coordinators is older than their ends.
+        """
+        process, mission = self._runner.process, self._bundles.info(self._runner.record.bundle)
+        if mission is None or not (host := await self._missed_end.find(ask, mission.hosts)):
             return
         async with self._lock:
             if self._runner.process == process:
-                await self._runner.stop(f"the mission has ended on {host} while this host did not run")
+                why = f"the mission has ended on {host} while this host did not run"
+                await self._runner.stop(why)
+                await self._probe.discard(mission.name, why)
                 self._runner.end_run()
 
     # --- commands -------------------------------------------------------------------------------------

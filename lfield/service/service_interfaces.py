@@ -11,6 +11,9 @@ from lfield.service.bundle_receiver import BundleFiles
 from lfield.service.bundle_store import ServiceRecord
 from lfield.wire.service_messages import ServiceMessage, ServiceQuery, UnfinishedCoordinator, VoteQuery
 
+#: The reason of coordinators that an operator has discarded.
+DISCARDED = "discarded by 'lfield stop --discard'"
+
 
 class ServiceFiles(BundleFiles, Protocol):
     """The disk of a service (`bundle_store.BundleStore`)."""
@@ -45,8 +48,10 @@ class MissionProbe(Protocol):
     async def start_without(self, hosts: list[str]) -> str:
         """Have the coordinators of the running host not wait for some hosts; returns why they still do."""
 
-    async def discard(self) -> list[str]:
-        """End the coordinators in the journals of a host that does not run; returns their names."""
+    async def discard(self, mission: str = "", reason: str = DISCARDED) -> list[str]:
+        """End the coordinators in the journals of a host that does not run, or of one mission of it; returns
+        their names.
+        """
 
 
 #: Asks the service of another host. Raises LfieldError.

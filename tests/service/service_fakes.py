@@ -191,7 +191,7 @@ class FakeProbe:
         self.without = hosts
         return ""
 
-    async def discard(self) -> list[str]:
+    async def discard(self, mission: str = "", reason: str = "") -> list[str]:
         names, self.waiting = [each.agent for each in self.waiting], []
         return names
 

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 import pytest
-from service_fakes import OLD, Robot, unreachable
+from service_fakes import OLD, WALKER, Robot, unreachable
 
 from lfield import __version__, exit_status
 from lfield.errors import AddressError
@@ -62,6 +62,7 @@ def tell(story: Callable[[Robot], Awaitable[None]], bravo: Bravo) -> None:
 def test_a_restarted_host_is_stopped_when_its_run_has_ended_on_another_host(status: int) -> None:
     async def story(robot: Robot) -> None:
         robot.processes.end(KILLED)
+        robot.probe.waiting = [WALKER]
         await asyncio.sleep(SOON)
         assert robot.processes.started == [OLD, OLD]
         assert robot.processes.terminated == [102]

@@ -150,7 +150,9 @@ def _start(
         for agent in continues:
             print(escape_line(f"{agent} continues: it has not ended ('lfield stop --discard' would end it)"))
     if failed or (waits := _waits(statuses)):
-        text = "the mission does not run on all hosts yet: 'lfield status' shows it"
+        is_over = any(one.run.has_completed for one in statuses.values())
+        what = "has ended with a failure" if is_over else "does not run on all hosts yet"
+        text = f"the mission {what}: 'lfield status' shows it"
         return _report(args, _waits(statuses), failed, text, continues)
     waits = {one.host: idle_text(idle, one.host) for one in idle}
     bundle = short_digest(digest)

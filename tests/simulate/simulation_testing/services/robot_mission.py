@@ -297,7 +297,7 @@ class ModelProbe:
         """The model waits for no other host."""
         return ""
 
-    async def discard(self) -> list[str]:
+    async def discard(self, mission: str = "", reason: str = "") -> list[str]:
         """End the coordinators in the journal of a host that does not run."""
         await self._request()
         ended = list(self._mission.unfinished)
