@@ -23,6 +23,7 @@ from lfield.operator.observer_link import Request, T, ask_with_retries
 from lfield.operator.runs import runs_here
 from lfield.operator.team_model.host_model import host_states
 from lfield.operator.team_model.team_state import DeviceState, HostState
+from lfield.service.service_interfaces import DISCARDED
 from lfield.text.suggestions import listed
 from lfield.wire.observer_messages import BallotHold, EmergencyStopResult, StartRequest, StartResponse
 from lfield.wire.service_messages import UnfinishedCoordinator
@@ -32,8 +33,6 @@ from lfield.wire.service_messages import UnfinishedCoordinator
 MAX_AGE, REST_SPEED = 5.0, 0.5
 #: How often, and how many seconds apart, a host that has just been started is asked to start coordinators.
 START_ATTEMPTS, START_DELAY = 10, 1.0
-#: The reason of coordinators that an operator has discarded.
-DISCARDED = "discarded by 'lfield stop --discard'"
 #: Why a host does not run its mission yet.
 STARTING = "it starts: its devices are not open yet"
 _STATES: Mapping[str, str] = {
@@ -109,6 +108,13 @@ class LocalProbe:
         running = {one.agent: one for one in _in_snapshot(status)}
         return [*running.values(), *(one for one in found if one.agent not in running)]
 
+    async def is_up(self) -> bool:
+        """See `MissionProbe`."""
+        try:
+            return not (await self._snapshot()).report.starting
+        except LfieldError:
+            return False
+
     async def condition(self) -> str:
         """Why the running host waits or is paused; '' if it does not."""
         if not self._pid():
@@ -145,13 +151,15 @@ class LocalProbe:
             await asyncio.sleep(START_DELAY)
         return trouble
 
-    async def discard(self) -> list[str]:
+    async def discard(self, mission: str = "", reason: str = DISCARDED) -> list[str]:
         """See `MissionProbe`. Raises JournalError."""
         ended: list[str] = []
-        for mission, path in self._journals():
-            owner = JournalOwner(mission, self._host, machine_id())
+        for found, path in self._journals():
+            if mission not in ("", found):
+                continue
+            owner = JournalOwner(found, self._host, machine_id())
             with closing(FileJournal(path, owner, lambda text: None, self._clock)) as journal:
-                plan = plan_discard(self._host, journal.records(), DISCARDED)
+                plan = plan_discard(self._host, journal.records(), reason)
                 await journal.persist(plan.pages)
             ended += [page.agent for page in plan.discarded]
         return list(dict.fromkeys(ended))

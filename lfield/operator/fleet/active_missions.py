@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
-from lfield import exit_status
 from lfield.wire.service_messages import BundleInfo, ServiceStatus
 
 
@@ -111,7 +110,7 @@ def left_behind(mission: ActiveMission, statuses: Mapping[str, ServiceStatus]) -
     """
     known = [statuses[host] for host in mission.hosts if host in statuses]
     runs = any(one.state in _RUNNING for status in known for one in status.unfinished)
-    if runs or not any(_has_completed(one) for one in known):
+    if runs or not any(one.run.has_completed for one in known):
         return []
     return [one.host for one in known if one.run.phase == "running" and not one.run.reason]
 
@@ -124,11 +123,6 @@ def is_idle(mission: ActiveMission, idle: Collection[IdleCoordinator]) -> bool:
 def idle_text(idle: Collection[IdleCoordinator], host: str) -> str:
     """The reasons of the idle coordinators of a host."""
     return "; ".join(one.reason for one in idle if one.host == host)
-
-
-def _has_completed(status: ServiceStatus) -> bool:
-    """Whether the mission has ended on a host, by a result of the whole mission."""
-    return status.run.phase == "ended" and status.run.status in (exit_status.DONE, exit_status.FAILED)
 
 
 def _has(statuses: Mapping[str, ServiceStatus], host: str, digest: bytes) -> bool:
