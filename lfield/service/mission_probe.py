@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from lfield.clock import Clock
-from lfield.errors import InputFileError, LfieldError
+from lfield.errors import LfieldError, NoListener
 from lfield.journal.file_journal import FileJournal
 from lfield.journal.journal import FILE_NAME, journal_file
 from lfield.journal.journal_loader import JournalOwner
@@ -68,7 +68,7 @@ class LocalProbe:
         try:
             status = await self._snapshot()
         except LfieldError as error:
-            return f"the mission's host does not answer: {error}"
+            return _no_answer(error)
         devices = status.devices
         try:
             vehicles = self._vehicles_of()
@@ -83,7 +83,7 @@ class LocalProbe:
         try:
             answer = await self._ask(_hold(ballot))
         except LfieldError as error:
-            return f"the mission's host cannot be held: {error}"
+            return f"it cannot be held: {_no_answer(error)}"
         return "; ".join(f"{name}: {trouble}" for name, trouble in answer.devices.items() if trouble)
 
     async def release(self) -> str:
@@ -93,7 +93,7 @@ class LocalProbe:
             if ballot := (await self._snapshot()).report.ballot:
                 await self._ask(_hold(ballot, lift=True))
         except LfieldError as error:
-            return f"the mission's host cannot be released: {error}"
+            return f"it cannot be released: {_no_answer(error)}"
         return ""
 
     async def unfinished(self) -> list[UnfinishedCoordinator]:
@@ -122,7 +122,7 @@ class LocalProbe:
         try:
             status = await self._snapshot()
         except LfieldError as error:
-            return f"the mission's host does not answer: {error}"
+            return _no_answer(error)
         if status.report.starting:
             return STARTING
         if status.stopped:
@@ -141,7 +141,7 @@ class LocalProbe:
             try:
                 answer = await self._ask(request)
             except LfieldError as error:
-                trouble = str(error)
+                trouble = _no_answer(error)
             else:
                 trouble = answer.trouble
                 if answer.waiting is not None:
@@ -181,7 +181,7 @@ class LocalProbe:
         for run in runs_here():
             if run.manifest.pid == pid and (socket := run.control_socket(self._host)):
                 return socket
-        raise InputFileError("the mission's host", "it is not up yet")
+        raise NoListener(self._host)
 
     # --- journals -------------------------------------------------------------------------------------
 
@@ -202,6 +202,13 @@ class LocalProbe:
                 yield UnfinishedCoordinator("?", f"unknown: {error}"[:256], "", mission[:256])
                 continue
             yield from _unfinished(records, mission)
+
+
+def _no_answer(error: LfieldError) -> str:
+    """Why a host whose process exists does not answer."""
+    if isinstance(error, NoListener):
+        return "the mission's host accepts no connection now: it starts or ends"
+    return f"the mission's host does not answer: {error}"
 
 
 def _hold(ballot: bytes, *, lift: bool = False) -> Request[EmergencyStopResult]:

@@ -91,8 +91,8 @@ class MissionRunner:
         self._restarts: list[float] = []
         self._supervision: asyncio.Task[None] | None = None
         self._is_stopping = False
-        #: Whether vehicles were at rest when the host was launched, as far as is known.
-        self._was_safe = False
+        #: The `unsafe` of the record before the host was launched; None where it is not known.
+        self._unsafe_before: str | None = None
         #: Why the host before the one that runs has failed, '' for none.
         self.last_failure = ""
         #: Whether the mission may have ended on other hosts while no host ran here.
@@ -159,7 +159,7 @@ class MissionRunner:
 
     def _supervise_running(self, host: HostProcess) -> None:
         bundle, self._process = host
-        self._was_safe, self.may_have_missed_end = False, True
+        self._unsafe_before, self.may_have_missed_end = None, True
         order = self._record.order if bundle == self._record.open_run else b""
         self._keep(RunRecord(bundle, self._processes.boot, *self._process, open_run=bundle, order=order))
         self._set_phase("running", "", bundle)
@@ -226,11 +226,13 @@ class MissionRunner:
         verdict = judge(end.status, end.reason, self._restarts, now)
         short = short_digest(bundle)
         self.note(messages.HOST_ENDED.line(bundle=short, status=end.status, reason=verdict.reason))
-        # A host handles SIGTERM before it opens devices, so this ends only one that has not opened any.
-        is_unopened = end.status == -signal.SIGTERM and self._was_safe
-        if (end.status < 0 and not is_unopened) or end.status == exit_status.UNSAFE:
+        if end.status < 0 or end.status == exit_status.UNSAFE:
             # Its vehicles may still move. The next host observes them, or an operator says that they rest.
-            self._keep(replace(self._record, unsafe=truncate(verdict.reason)))
+            unsafe = truncate(verdict.reason)
+            if end.status == -signal.SIGTERM and self._unsafe_before is not None:
+                # It handles SIGTERM before it opens devices, so this ends only one that has not opened any.
+                unsafe = self._unsafe_before
+            self._keep(replace(self._record, unsafe=unsafe))
         if self._is_stopping:
             return False
         if end.status in COMPLETED:
@@ -258,7 +260,7 @@ class MissionRunner:
     def _launch(self, bundle: bytes, order: bytes) -> None:
         """Store that the host should run, then start it. Raises LfieldError."""
         before = self._idle_record(self._record.unsafe)
-        self._was_safe = not before.unsafe
+        self._unsafe_before = before.unsafe
         run = RunRecord(bundle, self._processes.boot, open_run=bundle, order=order)
         self._set_record(replace(run, unsafe=before.unsafe))
         try:

@@ -68,13 +68,14 @@ def divided_hosts(statuses: Mapping[str, ServiceStatus]) -> list[str]:
     """The hosts of a mission with different active bundles, in order; none if all missions are complete.
 
     A host that only has a bundle of an earlier mission, whose other hosts have a newer mission now, is not
-    one of them.
+    one of them, unless it runs that mission.
     """
     complete = {host for mission in active_missions(statuses) for host in mission.hosts}
     left = {host: status for host, status in statuses.items() if host not in complete}
     found: set[str] = set()
     for status in left.values():
-        hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in left}
+        known = statuses if status.run.phase == "running" else left
+        hosts = {host for host in _mission(status.active, statuses).hosts if status.active and host in known}
         found |= hosts if len(hosts) > 1 else set()
     return [host for host in statuses if host in found]
 
