@@ -79,6 +79,7 @@ def test_agents_on_one_host_need_no_messages(fleet):
         assert await team.ended("visitor") == "done"
         assert "visitor: made 0 hops" in alpha.log
         assert not team.network.sent
+        assert alpha.output == ["far hears a", "far hears b", "near hears a!b!"]
 
     fleet(story)
 
