@@ -189,6 +189,10 @@ def test_what_is_refused(what: str) -> None:
     assert errors(text)[0] == code
 
 
+def test_a_program_without_units_is_permitted() -> None:
+    assert errors("// nothing yet\n") == []
+
+
 @pytest.mark.parametrize("what", ABSENT)
 def test_what_is_absent(what: str) -> None:
     assert errors(ABSENT[what])[0] == "L217"
