@@ -30,8 +30,8 @@ ACCESS_SCRIPT = r"""
 printf 'user\t%s\t%s\n' "$(id -un)" "$(id -u)"
 if [ "$(id -u)" = 0 ]; then printf 'sudo\tyes\n'
 elif ! command -v sudo >/dev/null; then printf 'sudo\tmissing\n'
-elif sudo -n true 2>/dev/null; then printf 'sudo\tyes\n'
-elif sudo -n true 2>&1 | grep -q 'have a tty'; then printf 'sudo\ttty\n'
+elif sudo -n sh -c true 2>/dev/null; then printf 'sudo\tyes\n'
+elif sudo -n sh -c true 2>&1 | grep -q 'have a tty'; then printf 'sudo\ttty\n'
 else printf 'sudo\tpassword\n'; fi
 """
 
