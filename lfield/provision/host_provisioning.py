@@ -171,8 +171,8 @@ class ProvisionRun:
     replaces_keys: Callable[[str], tuple[RobotFile, ...]] | None = None
     is_dry: bool = False
     only_prepares: bool = False
-    #: Whether keys of another authority are replaced.
-    replaces_authority: bool = False
+    #: Whether a robot with keys of another authority or host is taken over.
+    takes_over: bool = False
     gate: UpdateGate = field(default_factory=lambda: UpdateGate(()))
     desk_time: Callable[[], float] = time.time
 
@@ -285,7 +285,7 @@ class HostProvisioning:
             unit_file(deployment_file("lfield.service")),
             self._run.keys.get(name, ()),
             keys_folder(name),
-            self._run.replaces_authority,
+            self._run.takes_over,
         )
 
     async def _installation(self, facts: RobotFacts) -> Installation:
