@@ -62,5 +62,5 @@ def test_keys_that_have_expired_are_refused_with_both_times(tmp_path: Path) -> N
     """A service has no mission whose duration could be shorter."""
     keys = Keyring(tmp_path / "keys").made("host", "alpha")
     late = ManualClock(time.time() + 40 * 365 * 86400.0)
-    with pytest.raises(KeysError, match="expired .* the clock here shows .* 'lfield keys renew host alpha'"):
+    with pytest.raises(KeysError, match=r"expired .* the clock here shows .* 'lfield keys renew host alpha'"):
         admission_for(HostCredentials(keys, []), "alpha", late, ())
