@@ -72,6 +72,7 @@ async def test_agents_on_one_host_need_no_messages(team, /):
     assert await team.ended("visitor") == "done"
     assert "visitor: made 0 hops" in alpha.log
     assert not team.network.sent
+    assert alpha.output == ["far hears a", "far hears b", "near hears a!b!"]
 
 
 async def test_a_proxy_says_where_its_resource_lives_from_any_host(team, /):
