@@ -40,7 +40,7 @@ INTERRUPTED = 130
 MEANINGS: Mapping[int, str] = {
     DONE: "success",
     FAILED: "the mission failed: a coordinator died or is lost; `kit`: a check failed; "
-    "`query`: no agent provides the capability",
+    "`query`: no agent provides the capability; `fmt --check`: a file would change",
     UNSAFE: "a device is not confirmed to be at rest in its safe state: look at it",
     UNKNOWN_OUTCOME: "a host was unreachable for too long: the state of the mission there is unknown",
     USAGE: "invalid command line",

@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
 #: Subcommands with their purpose; each is a module of a subpackage.
 COMMANDS = {
+    "new": "create a mission that runs at once on simulated devices",
     "check": "report errors and warnings in programs, deployments and bindings",
+    "fmt": "format programs and deployments in place",
     "build": "compile a mission into one bundle, or a program into a program file",
     "keys": "create, renew, revoke and list the keys of a team",
     "sign": "sign a bundle",
@@ -62,7 +64,18 @@ COMMANDS = {
     "sim": "run a simulated device, or inject faults into one",
 }
 _PACKAGES = {
-    "development": ("check", "build", "disasm", "test", "inspect", "capabilities", "keys", "sign"),
+    "development": (
+        "new",
+        "check",
+        "fmt",
+        "build",
+        "disasm",
+        "test",
+        "inspect",
+        "capabilities",
+        "keys",
+        "sign",
+    ),
     "debugging": ("debug",),
     "recordings": ("replay", "export"),
     "run": ("up",),

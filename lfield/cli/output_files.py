@@ -11,8 +11,8 @@ from pathlib import Path
 from lfield.errors import OutputFileError
 
 
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file atomically. Raises OutputFileError.
+def write_bytes(path: Path, data: bytes, mode: int = 0o644) -> None:
+    """Write a file atomically, with these access rights. Raises OutputFileError.
 
     A device or pipe is written to, never replaced.
     """
@@ -24,7 +24,7 @@ def write_bytes(path: Path, data: bytes) -> None:
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as stream:
             temporary = Path(stream.name)
             stream.write(data)
-        temporary.chmod(0o644)
+        temporary.chmod(mode)
         os.replace(temporary, path)
     except OSError as error:
         if temporary is not None:

@@ -31,6 +31,18 @@ CASES: Cases = {
         "program": [f"check {_PROGRAM_MISTAKES}", f"check --json {_PROGRAM_MISTAKES}"],
         "no files": ["check"],
     },
+    "new": {
+        "a mission": [
+            "new survey --into OUT/survey",
+            "check OUT/survey/mission.dL",
+            "new survey --into OUT/survey",
+        ],
+        "no name": ["new Survey", "new copter", "new"],
+    },
+    "fmt": {
+        "formatted": [f"fmt --check {SERVER}.L {SERVER}.dL"],
+        "mistakes": [f"fmt {_PROGRAM_MISTAKES} {_MISTAKES[0]}", "fmt nowhere.L README.md"],
+    },
     "build": {
         **_of_missions("build {0} -o OUT/mission.lfm", "inspect OUT/mission.lfm"),
         "program": [f"build {SERVER}.L -o OUT/mission.lb", "disasm OUT/mission.lb"],

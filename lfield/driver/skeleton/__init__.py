@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 from string import Template
 
@@ -51,14 +53,28 @@ def write(name: str, folder: Path, *, sensor: bool = False, serial: bool = False
     chosen = [variant for variant, is_chosen in (("sensor", sensor), ("serial", serial)) if is_chosen]
     source = "sensor/meter.L" if sensor else "mover.L"
     places = PLACES | {source: f"lfield_$name/L/{source.rpartition('/')[2]}"}
+    chosen_places = {_template(template, chosen): place for template, place in places.items()}
+    return write_templates(chosen_places, folder, names | link)
+
+
+def _template(name: str, chosen: Sequence[str]) -> Traversable:
+    """The file of a template: that of a chosen variant, if it has one."""
+    variant = next((f"{each}/" for each in chosen if name in VARIANTS[each]), "")
+    return files(__package__) / f"{variant}{name}.in"
+
+
+def write_templates(places: Mapping[Traversable, str], folder: Path, names: Mapping[str, str]) -> list[Path]:
+    """Write a file for each template, at its place below a folder; returns the files.
+
+    `names` replace `$name` in the texts and places. Raises OutputFileError.
+    """
     written = []
     for template, place in places.items():
-        variant = next((f"{each}/" for each in chosen if template in VARIANTS[each]), "")
-        text = (files(__package__) / f"{variant}{template}.in").read_text(encoding="utf-8")
+        text = Template(template.read_text(encoding="utf-8")).substitute(names)
         path = folder / Template(place).substitute(names)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(Template(text).substitute(names | link), encoding="utf-8")
+            path.write_text(text, encoding="utf-8")
         except OSError as error:
             raise OutputFileError(str(path), error.strerror or str(error)) from None
         written.append(path)

@@ -50,7 +50,9 @@ class ZenohPipe(asyncio.Transport):
         self._link: StreamLink | None = None
         self._high, self._low = DEFAULT_HIGH_WATER, DEFAULT_HIGH_WATER // 4
         self._is_writing_paused = self._is_closing = self._is_reading = False
-        self._timer: asyncio.TimerHandle | None = None
+        self._timer: asyncio.Handle | None = None
+        #: When the timer fires. uvloop's handle of a timer that is due at once does not say it.
+        self._timer_due = 0.0
         #: Done when the peer has accepted the stream; with the reason if it ended before.
         self.opened: asyncio.Future[str] = self._loop.create_future()
         # Data that arrives before the link is made waits.
@@ -170,8 +172,8 @@ class ZenohPipe(asyncio.Transport):
     def _update_timer(self) -> None:
         """Wake when the stream is due. A timer that is too early stays: it costs less than a new one."""
         due = self._stream.deadline
-        if self._timer is not None and (due is None or due < self._timer.when()):
+        if self._timer is not None and (due is None or due < self._timer_due):
             self._timer.cancel()
             self._timer = None
         if self._timer is None and due is not None:
-            self._timer = self._loop.call_at(due, self._on_timer)
+            self._timer, self._timer_due = self._loop.call_at(due, self._on_timer), due

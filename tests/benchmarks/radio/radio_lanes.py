@@ -96,16 +96,16 @@ class StopLane(Lane):
 
 
 def watch(lanes: Sequence[Lane], done: Callable[[], bool], patience: float = PATIENCE) -> None:
-    """Look at lanes until it is done. Raises ChildError when none has a sample for too long."""
-    last, count = time.monotonic(), 0
+    """Look at lanes until it is done. Raises ChildError when one of them has no sample for too long."""
+    counts, last = [-1] * len(lanes), [0.0] * len(lanes)
     while not done():
-        for lane in lanes:
+        now = time.monotonic()
+        for n, lane in enumerate(lanes):
             lane.read_output()
-        found = sum(len(lane.samples) for lane in lanes)
-        if found != count:
-            last, count = time.monotonic(), found
-        elif time.monotonic() - last > patience:
-            raise ChildError(f"no sample within {patience:g} s; the last line was: {lanes[0].said}")
+            if len(lane.samples) != counts[n]:
+                counts[n], last[n] = len(lane.samples), now
+            elif now - last[n] > patience:
+                raise ChildError(f"no sample within {patience:g} s; the last line was: {lane.said}")
         time.sleep(POLL_INTERVAL)
 
 

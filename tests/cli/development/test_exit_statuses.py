@@ -25,6 +25,10 @@ FLIES = "resource Sky { Mavlink fc; init(string[] arg) { } }\n"
 REACHED: dict[tuple[str, int], tuple[str, str]] = {
     ("check", 65): ("check latin.L", "latin.L:1:4: error["),
     ("check", 66): ("check none.L", "cannot read none.L"),
+    ("new", 73): ("new survey --into mission.L/x", "cannot write mission.L/x"),
+    ("fmt", 1): ("fmt --check loose.L", "loose.L"),
+    ("fmt", 65): ("fmt latin.L", "latin.L:1:4: error["),
+    ("fmt", 66): ("fmt none.L", "cannot read none.L"),
     ("build", 65): ("build latin.dL", "latin.L:1:4: error["),
     ("build", 66): ("build mission.dL --devices none.yaml", "cannot read none.yaml"),
     ("build", 73): ("build mission.dL -o none/x.lfm", "cannot write none/x.lfm"),
@@ -125,6 +129,7 @@ REACHED: dict[tuple[str, int], tuple[str, str]] = {
 }
 #: Where the others are tried.
 ELSEWHERE: dict[tuple[str, int], str] = {
+    ("fmt", 73): "development/test_fmt_and_new.py",
     ("push", 1): "fleet/test_push_and_start.py",
     ("push", 4): "fleet/test_ballot_report.py",
     ("push", 69): "fleet/test_push_and_start.py",
@@ -195,6 +200,7 @@ def files(lfield):
     lfield.mission(FLIES, "//Sky:sky@alpha\n", name="sky")
     bound = "agents: {sky: {devices: {fc: {driver: mavlink, endpoint: 'serial:/none:57600'}}}}\n"
     lfield.write("sky.yaml", bound)
+    lfield.write("loose.L", GOOD.replace(" ", "  "))
     lfield.write("team.yaml", "hosts: {alpha: {addresses: ['127.0.0.1:1'], service_port: 2, ssh_port: 3}}\n")
     lfield.write("nowhere.yaml", "hosts: {alpha: {addresses: [no.such.host.invalid]}}\n")
     lfield.write("away.yaml", "hosts:\n  alpha:\n    addresses: [127.0.0.1]\n    ssh_port: 1\n")

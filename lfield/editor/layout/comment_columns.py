@@ -1,0 +1,61 @@
+"""The columns of comments behind code: those that are below each other in the source stay so."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+from lfield.editor.layout.line_layout import Row
+
+
+@dataclass(frozen=True, slots=True)
+class _Aligned:
+    """A comment with its row; `end` is where the code before it ends, 0 without code.
+
+    `column` and `pad`, the spaces before it, are those of the source; `shift` is how far its row has moved.
+    """
+
+    row: int
+    column: int
+    end: int
+    shift: int
+    pad: int
+
+
+def comment_columns(rows: Sequence[Row]) -> dict[int, int]:
+    """The column of the comment of each row that has one behind code, or below such a one."""
+    found: dict[int, int] = {}
+    for group in _groups(rows):
+        column = max(one.end + 1 for one in group)
+        if is_aligned := any(one.pad > 1 for one in group):
+            column = max(column, group[0].column + group[0].shift)
+        for one in group:
+            found[one.row] = column if is_aligned else one.end + 1 if one.end else found[one.row - 1]
+    return found
+
+
+def _groups(rows: Sequence[Row]) -> Iterator[list[_Aligned]]:
+    """Comments in consecutive rows that begin in the same column of the source."""
+    group: list[_Aligned] = []
+    for number, row in enumerate(rows):
+        one = _aligned(number, row)
+        is_below = group and one is not None and not row.is_behind_blank and one.column == group[-1].column
+        if group and not is_below:
+            yield group
+            group = []
+        if one is not None and (is_below or one.end):
+            group.append(one)
+    if group:
+        yield group
+
+
+def _aligned(number: int, row: Row) -> _Aligned | None:
+    """The comment of a row that may be aligned: behind code, or alone in the row."""
+    last = row.pieces[-1].item
+    if not last.ends_line:
+        return None
+    if row.trailing is None:
+        return _Aligned(number, last.column, 0, 0, 0) if len(row.pieces) == 1 else None
+    line = row.text().rpartition("\n")[2]
+    indent = len(line) - len(line.lstrip())
+    return _Aligned(number, last.column, len(line), indent - last.indent, last.pad)

@@ -1,0 +1,161 @@
+"""The layout of `lfield fmt`, rule by rule: what is written, and what comes out."""
+
+from __future__ import annotations
+
+import pytest
+
+from lfield.editor.layout.formatter import format_deployment, format_program
+from lfield.errors import ProgramError
+from lfield.text.source_text import Source
+
+#: By rule: statements of a method as they are written, and as they are formatted.
+STATEMENTS = {
+    "spaces around operators, not inside brackets": (
+        "x=( a+b )*c [ i ] ; f ( a,b ) ;",
+        "x = (a + b) * c[i];\nf(a, b);",
+    ),
+    "a minus sign and its number": (
+        "x = - 1 ; y = a - - b ; z = ! done && - - a < 0;",
+        "x = -1;\ny = a - -b;\nz = !done && - -a < 0;",
+    ),
+    "heads have a space, calls have none": (
+        "if(a) return ; within(3){ f (1); } while( b ) sleep(1);",
+        "if (a) return;\nwithin (3) { f(1); }\nwhile (b) sleep(1);",
+    ),
+    "a block in one line stays there": ("together{ a.b() ;c.d(); }", "together { a.b(); c.d(); }"),
+    "a block with a line break is written in lines": (
+        "together { a.b();\nc.d(); }",
+        "together {\n    a.b();\n    c.d();\n}",
+    ),
+    "clauses follow the brace": (
+        "try {\na();\n}\ncatch (E e) { b(); }\nfinally\n{\nc();\n}",
+        "try {\n    a();\n} catch (E e) { b(); }\nfinally {\n    c();\n}",
+    ),
+    "clauses behind a block in one line stay in their lines": (
+        "try { a(); }\ncatch (E e) { b(); }",
+        "try { a(); }\ncatch (E e) { b(); }",
+    ),
+    "else if is one clause": (
+        "if (a) { b();\n} else\nif (c) { d(); } else e();",
+        "if (a) {\n    b();\n} else if (c) { d(); } else e();",
+    ),
+    "a body without braces is indented": (
+        "for (int i = 0;i<3;i+=1)\nif (a)\nb();\nelse\nc();\nd();",
+        "for (int i = 0; i < 3; i += 1)\n    if (a)\n        b();\n    else\n        c();\nd();",
+    ),
+    "an else behind a body with a line of its own has one": (
+        "if (a)\nb(); else c();",
+        "if (a)\n    b();\nelse c();",
+    ),
+    "elements have no spaces inside": (
+        'string[ ] s = { "a" , "b" } ; f(new int [ ] { 1 });',
+        's = {"a", "b"};\nf(new int[] {1});'.replace("s =", "string[] s =", 1),
+    ),
+    "for without conditions": ("for(;;){ a(); }", "for (;;) { a(); }"),
+    "each": ("for(T x:xs) a(x);", "for (T x : xs) a(x);"),
+    "line breaks in brackets stay, and are indented": (
+        "f(a,\n             b\n  + c);\nreturn a\n&& b;",
+        "f(a,\n    b\n    + c);\nreturn a\n    && b;",
+    ),
+    "brackets that begin with a line break": (
+        "f(\na,\ng(\nb\n)\n);",
+        "f(\n    a,\n    g(\n        b\n    )\n);",
+    ),
+    "blank lines: at most one, none at the edges of a block": (
+        "\n\na();\n\n\n\nif (b) {\n\nc();\n\n}\nd();\n\n",
+        "a();\n\nif (b) {\n    c();\n}\nd();",
+    ),
+    "comments stay in their lines": (
+        "a(); // one\n  // two\n/* three */ b(/* four */ c);\nif (d) { // five\ne();\n// six\n}",
+        "a(); // one\n// two\n/* three */ b(/* four */ c);\nif (d) { // five\n    e();\n    // six\n}",
+    ),
+    "comments below each other stay so": (
+        "a();    // one\nbbb();  // two\n        // three\nc(); // four",
+        "a();   // one\nbbb(); // two\n       // three\nc(); // four".replace("   //", "    //").replace(
+            "bbb(); ", "bbb();  "
+        ),
+    ),
+    "a comment with lines moves as a whole": (
+        "if (a) {\n  /* one\n     two\n\n   three */\n  b();\n}",
+        "if (a) {\n    /* one\n       two\n\n     three */\n    b();\n}",
+    ),
+    "tabs and returns": ("\tif (a) {\r\n\t\tb();\t// c\r\n\t}", "if (a) {\n    b();    // c\n}"),
+}
+#: A word that makes a line too long for the rules about long lines.
+LONG = "a" * 40
+
+
+def method(statements: str) -> str:
+    """A program with these statements in a method."""
+    lines = "\n".join(f"        {line}" if line else "" for line in statements.split("\n"))
+    return f"class C {{\n    public void f() {{\n{lines}\n    }}\n}}\n"
+
+
+def formatted(text: str) -> str:
+    """The formatted program; a second time changes nothing."""
+    once = format_program(Source("p.L", text))
+    assert format_program(Source("p.L", once)) == once
+    return once
+
+
+@pytest.mark.parametrize("rule", STATEMENTS)
+def test_statements_have_the_layout(rule: str) -> None:
+    written, expected = STATEMENTS[rule]
+    assert formatted("class C{public void f(){\n" + written + "\n}}") == method(expected)
+
+
+def test_members_and_units_begin_lines() -> None:
+    text = 'include  < mavlink/copter.L > ; include "a.L";resource  R{int x; init ( string[]arg ){} '
+    text += "portal p()emit int[]{return x;}}"
+    assert formatted(text) == (
+        'include <mavlink/copter.L>;\ninclude "a.L";\n'
+        "resource R { int x; init(string[] arg) { } portal p() emit int[] { return x; } }\n"
+    )
+    assert formatted("class A { public int x; public A()\n{ x = 1; } }\n\n\n\nclass B {\n}") == (
+        "class A {\n    public int x;\n    public A() { x = 1; }\n}\n\nclass B {\n}\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("written", "expected"),
+    [
+        # The comma within the fewest brackets, as late as possible.
+        (f"f({LONG}, g({LONG}, 1), {LONG}, b);", f"f({LONG}, g({LONG}, 1),\n    {LONG}, b);"),
+        # The weakest operator.
+        (f"x = {LONG} * {LONG} || {LONG} && b;", f"x = {LONG} * {LONG}\n    || {LONG} && b;"),
+        # A block has lines before its statements are broken; a body too.
+        (f"if ({LONG}) {{ {LONG}(); {LONG}(); }}", f"if ({LONG}) {{\n    {LONG}();\n    {LONG}();\n}}"),
+        (f"if ({LONG}) if ({LONG}) f({LONG});", f"if ({LONG})\n    if ({LONG}) f({LONG});"),
+        # A comment at the end does not count, and a text is not broken.
+        (f"f({LONG}); // {LONG} {LONG}", f"f({LONG}); // {LONG} {LONG}"),
+        (f'f("{LONG} {LONG} {LONG}");', f'f("{LONG} {LONG} {LONG}");'),
+    ],
+)
+def test_lines_that_are_too_long_are_broken(written: str, expected: str) -> None:
+    assert formatted(method(written)) == method(expected)
+
+
+def test_names_of_statements_are_ordinary_names_elsewhere() -> None:
+    text = method("int within = 1;\nwithin = finally(reserve (2));\ntogether.within();")
+    assert formatted(text) == text.replace("reserve (2)", "reserve(2)")
+
+
+@pytest.mark.parametrize("text", ["", "\n\n", "// only a comment\n", "/* one */\n"])
+def test_a_program_without_units(text: str) -> None:
+    assert formatted(text) == text.strip("\n") + ("\n" if text.strip() else "")
+
+
+@pytest.mark.parametrize(
+    "text", ["class A {", "class A { int x }", 'resource R { init(string[] arg) { "a } }']
+)
+def test_a_program_with_syntax_errors_is_refused(text: str) -> None:
+    with pytest.raises(ProgramError) as refused:
+        format_program(Source("p.L", text))
+    assert refused.value.diagnostics[0].span.source.name == "p.L"
+
+
+def test_a_deployment_loses_its_white_space_only() -> None:
+    text = "\n\n  //A:a@h?x&y   # why\t\n\n\n# all\nB:b@h:8181\r\n//@w\n\n"
+    assert format_deployment(Source("m.dL", text)) == "//A:a@h?x&y   # why\n\n# all\nB:b@h:8181\n//@w\n"
+    with pytest.raises(ProgramError):
+        format_deployment(Source("m.dL", "//A:a h\n"))
